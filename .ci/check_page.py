@@ -11,7 +11,7 @@ from pathlib import Path
 import websockets
 from playwright.sync_api import sync_playwright
 
-from pipeline.answering.told_answer import probability
+from pipeline.answering.json_records import probability
 
 PORT = 8231
 ADDRESS = f"http://127.0.0.1:{PORT}"

@@ -7,10 +7,9 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import frame_record, relation_records, why_no_answer
-from pipeline.answering.missed_names import MissedNames, missed_names
+from pipeline.answering.json_records import frame_record, probability, relation_records, told, why_no_answer
 from pipeline.answering.opening import FrameRelations, open_pipeline, relate_frames
-from pipeline.answering.told_answer import probability, told
+from pipeline.answering.suggestions import MissedNames, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.given_up import told_up
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context

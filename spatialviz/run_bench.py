@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from rich.text import Text
 
-from pipeline.answering.bench import bench_source
-from pipeline.answering.endurance import Endurance, run_endurance
+from pipeline.answering.bench import Endurance, bench_source, run_endurance
 from pipeline.corrections.review.bench import ReviewBenchConfig, bench_review
 from pipeline.corrections.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
 from pipeline.evaluation.bench import bench_evaluation
@@ -89,7 +89,7 @@ def run_bench_detect(command: BenchDetect) -> None:
     source, frame_ids = command.source.open(command.dataset)
     with rate_bar("detecting", "frames") as advance:
         report = run_endurance(source, frame_ids, command.count, advance)
-    command.write(report.record(), print_endurance, report)
+    command.write(asdict(report), print_endurance, report)
 
 
 _MEANING = {

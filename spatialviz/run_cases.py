@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pipeline.answering.json_records import NO_SUCH_PAIR, holds, probability
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
-from pipeline.answering.told_answer import NO_SUCH_PAIR, holds, probability
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import edited_verdicts, known_truth

@@ -18,7 +18,7 @@ from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_database import Answer, labels_of, manifest_of, open_run
+from pipeline.evaluation.run_folder import Answer, labels_of, manifest_of, open_database
 from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
@@ -159,7 +159,7 @@ def run_failures(command: Failures) -> int:
 def run_query(command: Query) -> int:
     if command.json and command.csv:
         raise InputError("--json and --csv exclude each other")
-    with open_run(command.run_folder) as database:
+    with open_database(command.run_folder) as database:
         answer = database.select(command.sql)
         show = print_csv if command.csv else print_json_rows if command.json else print_answer
         return FINE if show(answer) else NO

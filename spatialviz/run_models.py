@@ -10,8 +10,7 @@ from typing import Any
 
 from rich.text import Text
 
-from pipeline.answering.agreement.agreement import FrameAgreement
-from pipeline.answering.agreement.agreement_figures import AgreementFigures, figures
+from pipeline.answering.agreement.agreement import AgreementFigures, FrameAgreement, figures
 from pipeline.answering.agreement.frames import agree_frames, agreement_record
 from pipeline.answering.calibrating import annotated_names, calibrate_scores
 from pipeline.answering.model_catalogue import (

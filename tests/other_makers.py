@@ -11,7 +11,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.metrics.calibration_metrics import ECE_BINS
-from pipeline.metrics.counts import f1_of
+from pipeline.metrics.intervals import f1_of
 
 MIN_PIXELS, MIN_POINTS = 200, 16
 

@@ -19,7 +19,7 @@ from pipeline.evaluation.shared_makers import PERFECT
 from pipeline.proposals import AnnotationDetector
 from pipeline.system.errors import InputError
 from spatialviz.report import Subject, failure_page, write_page
-from spatialviz.report.picture_svg import answer_roles
+from spatialviz.report.picture import answer_roles
 
 HOSTILE = "<script>alert(1)</script> \"'&<img src=x onerror=alert(1)> mug"
 
@@ -122,7 +122,7 @@ def test_a_page_without_truth_or_without_an_answer() -> None:
 
 
 def test_the_picture_is_not_larger_than_a_screen() -> None:
-    from spatialviz.report.picture_svg import picture_svg
+    from spatialviz.report.picture import picture_svg
 
     context = context_of()
     used = made()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
@@ -72,10 +72,6 @@ class Trace:
     candidates : dict of str to Candidates
         Class name as asked -> places in `objects` and scores.
     scores : RelationScores
-    ranking : Ranking or None
-        None where a class was not found.
-    missing : tuple of str
-        Class names that were not found.
     timings : dict of str to float
         Seconds by stage: parse, frame (up vector and depth edges, once for a frame), opm, lift, srm, prm; and masks,
         what a segmenter took where it was run.
@@ -84,6 +80,8 @@ class Trace:
         The objects are the dataset's own.
     score_calibration : ScoreCalibration or None
         What made the candidates' scores of the detector's; None where they are its own.
+    ranking : Ranking or None
+        None where a class was not found.
     """
 
     frame: Frame
@@ -92,13 +90,12 @@ class Trace:
     objects: tuple[SceneObject, ...]
     candidates: dict[str, Candidates]
     scores: RelationScores
-    ranking: Ranking | None
-    missing: tuple[str, ...]
     timings: dict[str, float]
     detector: str
     scorer: str
     exact: bool
     score_calibration: ScoreCalibration | None = None
+    ranking: Ranking | None = None
 
     def __repr__(self) -> str:
         pairs = 0 if self.ranking is None else len(self.ranking.pairs)
@@ -109,10 +106,14 @@ class Trace:
         return self.objects[index].name(index, self.exact)
 
     @property
+    def missing(self) -> tuple[str, ...]:
+        """Class names that were not found."""
+        return tuple(name for name in self.query.labels if not len(self.candidates[name].index))
+
+    @property
     def asked(self) -> Attachment:
         """The target's first relation in the reading that was taken: that of the ranked pairs."""
-        reading = self.query.default if self.ranking is None else self.ranking.reading
-        return reading.root.attachments[0]
+        return (self.query.default if self.ranking is None else self.ranking.reading).root.attachments[0]
 
 
 def ask(
@@ -146,59 +147,72 @@ def ask(
     config = config or AskConfig()
     scorer = scorer or RuleScorer()
     timings: dict[str, float] = {}
-    with _timed(timings, "parse"):
+    with timed(timings, "parse"):
         query = parse(
             text,
             class_names=tuple(class_names) or (detector.vocabulary or ()),
             relations=config.relations,
             synonyms=synonyms,
         )
-        names = query.labels
     calibration = None if detector.exact else config.score_calibration
     context = frame if isinstance(frame, PreparedFrame) else PreparedFrame(frame, config.lift)
     timings["frame"] = context.seconds
     before = getattr(detector, "seconds", 0.0)
-    with _timed(timings, "opm"):
-        found = {name: propose(context, detector, name, config.k) for name in names}
+    with timed(timings, "opm"):
+        found = {name: propose(context, detector, name, config.k) for name in query.labels}
     masks = getattr(detector, "seconds", 0.0) - before
     if masks:
         timings |= {"opm": timings["opm"] - masks, "masks": masks}
-    with _timed(timings, "lift"):
+    with timed(timings, "lift"):
         objects, candidates = merged(context, detector, found, calibration)
-    with _timed(timings, "srm"):
+    with timed(timings, "srm"):
         scores = scorer.score([o.lifted for o in objects], context.viewer, appearance_of(objects, context.frame))
-    missing = tuple(name for name in names if not len(candidates[name].index))
-    ranking = None
-    if not missing:
-        with _timed(timings, "prm"):
-            same = same_object(objects, detector.exact)
-            ranking = rank(
-                query.readings,
-                candidates,
-                relation_lookup(scores, objects, same),
-                same,
-                np.array([o.lifted.quality.mask_pixels for o in objects]),
-                config.rank,
-            )
-    return Trace(
+    trace = Trace(
         frame=context.frame,
         viewer=context.viewer,
         query=query,
         objects=objects,
         candidates=candidates,
         scores=scores,
-        ranking=ranking,
-        missing=missing,
         timings=timings,
         detector=detector.name,
         scorer=scorer.name,
         exact=detector.exact,
         score_calibration=calibration,
     )
+    return ranked(trace, config.rank, lambda objects: same_object(objects, detector.exact))
+
+
+def ranked(
+    trace: Trace,
+    config: RankConfig,
+    same: Callable[[tuple[SceneObject, ...]], np.ndarray],
+    edited: Callable[[RelationLookup], RelationLookup] = lambda lookup: lookup,
+) -> Trace:
+    """A trace with its ranking; as it is where a class was not found.
+
+    Parameters
+    ----------
+    trace : Trace
+    config : RankConfig
+    same : callable
+        Gives (N, N) bool, which of the objects are one and the same thing.
+    edited : callable
+        Changes the relation probabilities that the ranking asks for.
+    """
+    if trace.missing:
+        return trace
+    with timed(trace.timings, "prm"):
+        alike = same(trace.objects)
+        lookup = edited(relation_lookup(trace.scores, trace.objects, alike))
+        sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
+        ranking = rank(trace.query.readings, trace.candidates, lookup, alike, sizes, config)
+    return replace(trace, ranking=ranking)
 
 
 @contextmanager
-def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+def timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    """Add the seconds of a block to those of its stage."""
     start = perf_counter()
     yield
     timings[stage] = timings.get(stage, 0.0) + perf_counter() - start

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from pipeline.answering.opening import Pipeline
+from pipeline.datasets.base import scene_of
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
-from pipeline.metrics.platt import FEWEST_POSITIVES, IDENTITY, sigmoid
+from pipeline.metrics.calibration_metrics import (
+    FEWEST_POSITIVES,
+    IDENTITY,
+    brier_score,
+    expected_calibration_error,
+    reliability_diagram,
+    sigmoid,
+)
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
 from pipeline.proposals.score_calibration import (
@@ -23,10 +32,6 @@ from pipeline.proposals.score_calibration import (
 )
 from pipeline.proposals.selection import top_k
 from pipeline.system.errors import InputError, UnknownClass
-
-if TYPE_CHECKING:
-    from pipeline.answering.opening import Pipeline
-
 
 ClassNames = Callable[[Frame], Sequence[str]]
 
@@ -131,9 +136,6 @@ def calibrate_scores(
         `frames`, `detections`, `hits`, `fitted` (False for the identity), `before` and `after`: each with `brier`,
         `ece` (15 bins), `log_loss` and `reliability`, a list of {low, high, count, score, hits} by bin of score.
     """
-    # The labels import the jobs, which import this.
-    from pipeline.datasets.base import scene_of
-
     fitted_on: list[FittedFrame] = []
     dataset = source.dataset
 
@@ -169,9 +171,6 @@ def calibrate_scores(
 
 def reliability(p: np.ndarray, hits: np.ndarray) -> dict[str, Any]:
     """How well scores (N,) in 0..1 say how often they are right, given the hits (N,) bool."""
-    # The evaluation asks questions itself, and so imports what imports this.
-    from pipeline.metrics.calibration_metrics import brier_score, expected_calibration_error, reliability_diagram
-
     diagram = reliability_diagram(p, hits, RELIABILITY_BINS)
     rows = [
         {

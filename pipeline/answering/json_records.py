@@ -1,9 +1,9 @@
-"""Traces, relations and frame reports as plain dictionaries: the stable keys of `--json`."""
+"""Answers told in words; and traces, relations and frame reports as the stable keys of `--json`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,12 @@ import numpy as np
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import FrameRelations
-from pipeline.answering.pair_table import Link, ScoredPair
-from pipeline.answering.told_answer import best_pair, failing_links
+from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
+from pipeline.answering.ranking import Ranking
 from pipeline.datasets.survey import FrameReport
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import Query
+from pipeline.language.lexicon import wording
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import letter
 
@@ -56,6 +57,11 @@ def object_record(entry: SceneObject) -> Record:
     }
 
 
+def present(**values: Any) -> Record:
+    """What is not None."""
+    return {name: value for name, value in values.items() if value is not None}
+
+
 def viewer_record(viewer: ViewerAxes) -> Record:
     """The up vector that was used, and how it is known."""
     return {"up": _numbers(viewer.up, 6), "up_source": viewer.up_source}
@@ -68,20 +74,17 @@ def expression_record(query: Query) -> Record:
     """
     e = query.expression
     record: Record = {"text": query.text, "target": e.target, "relation": e.relation, "reference": e.reference}
-    if e.inverse:
-        record["inverse"] = True
-    if e.second_reference is not None:
-        record["second_reference"] = e.second_reference
-    if e.mapped_from is not None:
-        record["mapped_from"] = e.mapped_from
-    if len(query.readings) > 1:
-        record["readings"] = [r.description for r in query.readings]
-    return record
+    return record | present(
+        inverse=e.inverse or None,
+        second_reference=e.second_reference,
+        mapped_from=e.mapped_from,
+        readings=[r.description for r in query.readings] if len(query.readings) > 1 else None,
+    )
 
 
 def pair_record(pair: ScoredPair) -> Record:
     """One ranked pair; target and reference are places in "proposals"."""
-    record: Record = {
+    return {
         "target": pair.target,
         "reference": pair.reference,
         "p_target": _probability(pair.p_target),
@@ -92,19 +95,17 @@ def pair_record(pair: ScoredPair) -> Record:
         "product": _probability(pair.product),
         "probability": _probability(pair.probability),
         "log_factors": {k: round(v, 6) for k, v in pair.log_factors.items()},
-    }
-    if pair.second_reference is not None:
-        record["second_reference"] = pair.second_reference
-    if len(pair.links) > 1:
-        record["links"] = [_link_record(x) for x in pair.links]
-    return record
+    } | present(
+        second_reference=pair.second_reference,
+        links=[_link_record(x) for x in pair.links] if len(pair.links) > 1 else None,
+    )
 
 
 def _link_record(link: Link) -> Record:
-    record: Record = {
-        "relation": link.relation, "a": link.a, "b": link.b, "probability": _probability(link.probability),
-    }  # fmt: skip
-    return record | ({} if link.c is None else {"c": link.c}) | ({"inverse": True} if link.inverse else {})
+    return present(
+        relation=link.relation, a=link.a, b=link.b, probability=_probability(link.probability), c=link.c,
+        inverse=link.inverse or None,
+    )  # fmt: skip
 
 
 def trace_record(trace: Trace) -> Record:
@@ -114,29 +115,12 @@ def trace_record(trace: Trace) -> Record:
     probable as not, "relation_probability" is that of the weakest of them, "probability" the posterior over the
     candidate pairs; where it does not hold, "fails" lists the relations that do not.
     """
-    pairs = () if trace.ranking is None else trace.ranking.pairs
-    answer: Record | None = None
-    best = best_pair(trace)
-    if best is not None:
-        answer = {
-            "target": _role_record(trace, trace.query.expression.target, best.target),
-            "reference": None
-            if best.reference is None
-            else _role_record(trace, trace.asked.nodes[0].label, best.reference),
-            "holds": best.holds,
-            "relation_probability": _probability(best.relation_probability),
-            "probability": _probability(best.probability),
-            "p_relation": _probability(best.p_relation),
-            "product": _probability(best.product),
-        }
-        if best.second_reference is not None:
-            answer["second_reference"] = _role_record(trace, trace.asked.nodes[1].label, best.second_reference)
-        if not best.holds:
-            answer["fails"] = [_link_record(link) for link in failing_links(best)]
+    ranking, calibration = trace.ranking, trace.score_calibration
+    pairs = () if ranking is None else ranking.pairs
     record: Record = {
         "expression": expression_record(trace.query),
         "frame": trace.frame.id,
-        "answer": answer,
+        "answer": _best_record(trace),
         "pairs": [pair_record(p) for p in pairs],
         "proposals": [{"index": i, **object_record(o)} for i, o in enumerate(trace.objects)],
         "relations": _relations_of_pairs(trace, pairs),
@@ -145,31 +129,48 @@ def trace_record(trace: Trace) -> Record:
         "scorer": trace.scorer,
         "viewer": viewer_record(trace.viewer),
     }
-    if trace.score_calibration is not None:
-        record["score_calibration"] = {"a": trace.score_calibration.a, "b": trace.score_calibration.b}
-    reason = why_no_answer(trace)
-    if reason is not None:
-        record["reason"] = reason
-    if trace.ranking is not None:
-        record["ranking"] = {
-            "reading": trace.ranking.reading.description,
-            "margin": round(trace.ranking.margin, 6),
-            "log_margin": None if np.isinf(trace.ranking.log_margin) else round(trace.ranking.log_margin, 6),
-            "entropy": round(trace.ranking.entropy, 6),
-            "degenerate": trace.ranking.degenerate,
-        }
-    return record
+    ranked = None if ranking is None else {
+        "reading": ranking.reading.description,
+        "margin": round(ranking.margin, 6),
+        "log_margin": None if np.isinf(ranking.log_margin) else round(ranking.log_margin, 6),
+        "entropy": round(ranking.entropy, 6),
+        "degenerate": ranking.degenerate,
+    }  # fmt: skip
+    return record | present(
+        score_calibration=None if calibration is None else {"a": calibration.a, "b": calibration.b},
+        reason=why_no_answer(trace),
+        ranking=ranked,
+    )
 
 
-def _role_record(trace: Trace, name: str, place: int) -> Record:
+def _best_record(trace: Trace) -> Record | None:
+    best = best_pair(trace)
+    if best is None:
+        return None
+    nodes, second = trace.asked.nodes, best.second_reference
+    return {
+        "target": _role_record(trace, trace.query.expression.target, best.target),
+        "reference": None if best.reference is None else _role_record(trace, nodes[0].label, best.reference),
+        "holds": best.holds,
+        "relation_probability": _probability(best.relation_probability),
+        "probability": _probability(best.probability),
+        "p_relation": _probability(best.p_relation),
+        "product": _probability(best.product),
+    } | present(
+        second_reference=None if second is None else _role_record(trace, nodes[1].label, second),
+        fails=None if best.holds else [_link_record(link) for link in failing_links(best)],
+    )
+
+
+def _role_record(trace: Trace, name: str, index: int) -> Record:
     """An object with the label and the score that it has under one name of the expression.
 
     A detector may know one and the same thing as a cup and, less surely, as a bowl.
     """
     candidates = trace.candidates[name]
-    at = int(np.flatnonzero(candidates.index == place)[0])
+    at = int(np.flatnonzero(candidates.index == index)[0])
     raw = candidates.scores if candidates.raw_scores is None else candidates.raw_scores
-    return object_record(replace(trace.objects[place], label=candidates.labels[at], score=float(raw[at])))
+    return object_record(replace(trace.objects[index], label=candidates.labels[at], score=float(raw[at])))
 
 
 def why_no_answer(trace: Trace) -> str | None:
@@ -222,7 +223,7 @@ def relation_records(
 
 def frame_record(report: FrameReport) -> Record:
     """One record of `frames --json`; "moves" only where the dataset has moves. "dataset_notes" are the same in all."""
-    record: Record = {
+    return {
         "index": report.index,
         "frame": report.id,
         "ok": report.ok,
@@ -238,7 +239,122 @@ def frame_record(report: FrameReport) -> Record:
         "up": None if report.up is None else _numbers(np.array(report.up), 6),
         "notes": list(report.notes),
         "dataset_notes": list(report.dataset_notes),
-    }
-    if report.moves is not None:
-        record["moves"] = dict(report.moves)
-    return record
+    } | present(moves=None if report.moves is None else dict(report.moves))
+
+
+NO_SUCH_PAIR = "no such pair; nearest is "
+SUPERLATIVES = ("closest", "farthest")
+TIED = 5e-4
+"""Posteriors that differ by less are called a tie."""
+
+
+@dataclass(frozen=True)
+class ToldAnswer:
+    """The best pair in words.
+
+    Attributes
+    ----------
+    holds : bool
+        Every relation of the answer has a probability of at least a half.
+    lead : str
+        What stands before the pair: nothing, that there is no such pair, or that a pair of less confidence is one.
+    numbers : str
+        The relation's probability (of several the weakest's) and the product of all factors.
+    below : str
+        The posterior over the candidate pairs, and its margin to the next one.
+    fails : tuple of str
+        Each relation that does not hold, where the expression has several.
+    """
+
+    holds: bool
+    lead: str
+    numbers: str
+    below: str
+    fails: tuple[str, ...]
+
+    def sentence(self, pair: str) -> str:
+        """All of it on one line, around the pair in words."""
+        return f"{self.lead}{pair}: {', '.join((self.numbers, *self.fails))}"
+
+
+def best_pair(trace: Trace) -> ScoredPair | None:
+    """The answer; None where there is none: a name was not found, or all candidates are one thing."""
+    ranking = trace.ranking
+    return None if ranking is None or ranking.degenerate or not ranking.pairs else ranking.pairs[0]
+
+
+def holds(trace: Trace) -> bool:
+    """There is an answer, and it stands in every relation that was asked."""
+    best = best_pair(trace)
+    return best is not None and best.holds
+
+
+def failing_links(pair: ScoredPair) -> tuple[Link, ...]:
+    """The relations of an answer in which it does not stand."""
+    return tuple(link for link in pair.links if link.probability < HOLDS)
+
+
+def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = None) -> ToldAnswer:
+    """The words of an answer, or of another of its pairs.
+
+    Parameters
+    ----------
+    trace : Trace
+        One that has an answer.
+    name : callable
+        What an object of the trace is called, by its place.
+    pair : ScoredPair, optional
+        By default the best one.
+    """
+    ranking = trace.ranking
+    assert ranking is not None
+    pair = pair or ranking.pairs[0]
+    several = len(pair.links) > 1
+    what = "weakest relation" if several else "relation"
+    fails = tuple(f"{link_words(link, name)} {probability(link.probability)}" for link in failing_links(pair))
+    return ToldAnswer(
+        holds=pair.holds,
+        lead=_lead(ranking, pair),
+        numbers=f"{what} {probability(pair.relation_probability)}, product {probability(pair.product)}",
+        below=_below(ranking, pair),
+        fails=fails if several else (),
+    )
+
+
+def _lead(ranking: Ranking, pair: ScoredPair) -> str:
+    if pair.holds:
+        return ""
+    weakest = pair.weakest
+    if weakest is not None and weakest.relation in SUPERLATIVES:
+        # There always is a closest one; the detector's scores overruled it.
+        return f"another is the {weakest.relation}; best by all scores is "
+    standing = next((place for place, p in enumerate(ranking.pairs, start=1) if p.holds), None)
+    if standing is not None:
+        return f"pair {standing} stands in it with a smaller product; best by all scores is "
+    return NO_SUCH_PAIR
+
+
+def _below(ranking: Ranking, pair: ScoredPair) -> str:
+    count = len(ranking.pairs)
+    if count == 1:
+        return f"posterior {probability(pair.probability)}, the only candidate pair"
+    if pair is not ranking.pairs[0]:
+        place = next(k for k, p in enumerate(ranking.pairs, start=1) if p is pair)
+        best = probability(ranking.pairs[0].probability)
+        return f"posterior {probability(pair.probability)}, rank {place} of {count}; the answer has {best}"
+    tied = np.isfinite(ranking.margin) and abs(ranking.margin) < TIED
+    margin = "tied with the next" if tied else f"margin {ranking.margin:.2f}"
+    return f"posterior {probability(pair.probability)}, {margin}, {count} pairs"
+
+
+def link_words(link: Link, name: Callable[[int], str]) -> str:
+    """A relation of an answer: "mug·4 left of laptop·2"."""
+    second = "" if link.c is None else f" and {name(link.c)}"
+    return f"{name(link.a)} {wording(link.relation, inverse=link.inverse)} {name(link.b)}{second}"
+
+
+def probability(value: float) -> str:
+    """Two digits; a small one with so many that it is not 0."""
+    if 0 < value < 0.005:
+        return f"{value:.1g}" if value >= 1e-4 else "<0.0001"
+    return f"{value:.2f}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -20,10 +19,6 @@ from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.relations.features import Appearance
-
-if TYPE_CHECKING:
-    from pipeline.answering.objects import SceneObject
-    from pipeline.geometry.frame import Frame
 
 SAME_BOX_IOU = 0.7
 SAME_MASK_IOU = 0.5

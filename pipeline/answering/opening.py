@@ -179,17 +179,18 @@ def open_pipeline(
         _refuse(camera, "a dataset that is open already")
         dataset = path
     table = Synonyms.load(synonyms)
-    if detector is None:
-        detector = "annotations" if dataset.class_names else None
-        if model is not None:
-            raise InputError("--model needs --detector", cause="which kind of model is it?", path=model)
-        if fuse:
-            raise InputError("--fuse needs --detector", cause="what is fused with what?")
-        if also is not None and detector is None:
-            raise InputError("--also needs --detector", cause="what is it compared with?")
-    if detector is None and model_config is not None:
-        raise InputError("--model-config needs --detector", cause="what is it for?", path=model_config)
-
+    named = detector is not None
+    detector = detector if named else "annotations" if dataset.class_names else None
+    for option, given, needed, what, cause in (
+        ("--model", model, named, "--detector", "which kind of model is it?"),
+        ("--fuse", fuse or None, named, "--detector", "what is fused with what?"),
+        ("--also", also, detector is not None, "--detector", "what is it compared with?"),
+        ("--model-config", model_config, detector is not None, "--detector", "what is it for?"),
+        ("--segmenter-model", segmenter_model, segmenter is not None, "--segmenter", "what is it for?"),
+    ):
+        if given is not None and not needed:
+            path_of = given if isinstance(given, Path) and what == "--detector" else None
+            raise InputError(f"{option} needs {what}", cause=cause, path=path_of)
     setup = None
     if isinstance(detector, str):
         setup = DetectorSetup(detector, model, model_config, min_score, synonyms, tuple(fuse), fusion)
@@ -203,8 +204,6 @@ def open_pipeline(
 
     found = make(min_score) if detector is None or isinstance(detector, str) else detector
     beside = None if beside_setup is None else beside_setup.open(dataset.class_names, table)
-    if segmenter is None and segmenter_model is not None:
-        raise InputError("--segmenter-model needs --segmenter", cause="what is it for?")
     if segmenter is not None:
         masks = segmenter
         if isinstance(masks, str):
@@ -309,19 +308,6 @@ def skip_or_raise(error: InputError, key: str | int | None, frame_id: str, skipp
         raise error
     if skipped is not None:
         skipped(frame_id, str(error))
-
-
-def ask_frames(
-    source: Pipeline, key: str | int, expressions: Sequence[str], skipped: Skipped | None = None
-) -> Iterator[Trace]:
-    """Every expression on every frame that `key` means."""
-    source.needed_detector()
-    for context in contexts(source, key, skipped):
-        try:
-            for text in expressions:
-                yield source.ask(context, text)
-        except FrameUnusable as error:
-            skip_or_raise(error, key, context.frame.id, skipped)
 
 
 @dataclass(frozen=True)

@@ -304,8 +304,7 @@ class PairTable:
         count = np.count_nonzero(near)
         if count == len(flat) and (count == 1 or near.any(axis=1).all()):
             return found
-        empty = np.isneginf(top[:, 0])
-        found[empty] = -1
+        found[np.isneginf(top[:, 0])] = -1
         scene, at = np.nonzero(near)
         # Of those near the top the ones that round to it, and of these the first by the rules for ties.
         tied = np.round(flat[scene, at] / TIE) >= np.round(top[scene, 0] / TIE)

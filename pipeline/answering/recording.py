@@ -9,22 +9,21 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from pipeline.answering.opening import Pipeline
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import encode_run_length
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.recorded import MADE_BY, MADE_BY_FILE
 from pipeline.proposals.selection import top_k
 from pipeline.system.errors import InputError, UnknownClass
-
-if TYPE_CHECKING:
-    from pipeline.answering.opening import Pipeline
+from pipeline.system.staging import text_file
 
 
 @dataclass(frozen=True)
@@ -142,31 +141,31 @@ def findings(
         if query is not None and not detector.exact:
             found = top_k(found, k)
         for i in range(len(found)):
-            number, label = int(found.ids[i]), found.label(i)
-            if number < 0:
+            entry = finding_of(found, i)
+            if entry.id < 0:
                 # Without an identity each detection is a thing of its own.
                 nameless -= 1
-                number = nameless
-            if number not in codes:
-                codes[number] = _code(found, i)
-            bbox = tuple(float(v) for v in found.boxes[i])
-            entry = Finding(number, label, float(found.scores[i]), bbox, codes[number])
-            other = best.get((number, label))
+                entry = replace(entry, id=nameless)
+            entry = replace(entry, counts=codes.setdefault(entry.id, entry.counts))
+            other = best.get((entry.id, entry.label))
             if other is None or entry.score > other.score:
-                best[number, label] = entry
+                best[entry.id, entry.label] = entry
     return list(best.values())
 
 
-def _code(found: Proposals, i: int) -> str | None:
-    if found.masks is None or not (found.has_mask is None or found.has_mask[i]):
-        return None
-    return encode_run_length(found.masks[i])
+def finding_of(found: Proposals, i: int) -> Finding:
+    """A detection of a detector's run."""
+    masked = found.masks is not None and (found.has_mask is None or found.has_mask[i])
+    code = encode_run_length(found.masks[i]) if found.masks is not None and masked else None
+    return Finding(int(found.ids[i]), found.label(i), float(found.scores[i]), tuple(map(float, found.boxes[i])), code)
 
 
-def _record(frame: Frame, finding: Finding) -> dict[str, Any]:
+def detection_record(frame: Frame, finding: Finding, segmented: bool = False) -> dict[str, Any]:
+    """A detection as JSON; `segmented` says that a segmenter made its mask, where it has one."""
     record: dict[str, Any] = {"label": finding.label, "score": finding.score, "bbox": finding.bbox}
     if finding.counts is not None:
         record["mask"] = {"size": (frame.height, frame.width), "counts": finding.counts}
+        record |= {"segmented": True} if segmented else {}
     if finding.id >= 0:
         record["id"] = finding.id
     return record
@@ -180,20 +179,18 @@ def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Findin
     temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with open(temporary, "w", encoding="utf-8") as file:
+        with text_file(temporary) as file:
             file.write(f'{{"{MADE_BY}": {json.dumps(made_by)}, "frames": {{')
             lines = 0
 
             def write(frame: Frame, found: list[Finding]) -> None:
                 nonlocal lines
-                entries = json.dumps([_record(frame, f) for f in found], allow_nan=False)
+                entries = json.dumps([detection_record(frame, f) for f in found], allow_nan=False)
                 file.write(f"{',' if lines else ''}\n{json.dumps(frame.id)}: {entries}")
                 lines += 1
 
             yield write
             file.write("\n}}\n")
-            file.flush()
-            os.fsync(file.fileno())
         os.replace(temporary, out)
     finally:
         temporary.unlink(missing_ok=True)

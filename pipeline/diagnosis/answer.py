@@ -9,10 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import trace_record, why_no_answer
+from pipeline.answering.json_records import holds, present, told, trace_record, why_no_answer
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.answering.told_answer import holds, told
 from pipeline.diagnosis.substitution import names_of
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.language.lexicon import wording
@@ -151,12 +150,10 @@ class Answer:
 
 def judged_record(answer: Answer) -> dict[str, Any]:
     """The whole of `ask --json`: `trace_record`, and where truth is known "verdict", or null with "verdict_reason"."""
-    record = _answer_record(answer)
     if answer.diagnosis is not None:
-        record["verdict"] = diagnosis_record(answer.diagnosis)
-    elif answer.unjudged is not None:
-        record |= {"verdict": None, "verdict_reason": answer.unjudged}
-    return record
+        return {**_answer_record(answer), "verdict": diagnosis_record(answer.diagnosis)}
+    reason = {} if answer.unjudged is None else {"verdict": None, "verdict_reason": answer.unjudged}
+    return _answer_record(answer) | reason
 
 
 def answer_record(answered: Answer) -> dict[str, Any]:
@@ -176,7 +173,11 @@ def _answer_record(answer: Answer) -> dict[str, Any]:
 def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
     """As in `ask --json`: objects are indices of "proposals", those of `truth` the numbers of the labels."""
     case, numbers = d.case, d.truth.numbers
-    record: dict[str, Any] = {
+    missed = None if d.missed is None else {
+        "name": d.missed_name, "kind": d.missed.kind, "overlap": round(d.missed.overlap, 4),
+        "score": _rounded(d.missed.score), "rank": d.missed.rank, "suppressed": d.missed.suppressed,
+    }  # fmt: skip
+    return {
         "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": d.text, "repair": list(d.repair),
         "mends": list(d.mends),
         "truth": {
@@ -191,13 +192,7 @@ def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
              "right_above": _rounded(n.right_above), "winner_below": _rounded(n.winner_below)}
             for n in d.needed
         ],
-    }  # fmt: skip
-    if d.missed is not None:
-        record["missed"] = {
-            "name": d.missed_name, "kind": d.missed.kind, "overlap": round(d.missed.overlap, 4),
-            "score": _rounded(d.missed.score), "rank": d.missed.rank, "suppressed": d.missed.suppressed,
-        }  # fmt: skip
-    return record
+    } | present(missed=missed)  # fmt: skip
 
 
 def _pair_record(pair: ScoredPair | None) -> dict[str, Any] | None:

@@ -63,7 +63,7 @@ def ask_and_judge(
     ----------
     source : Pipeline
     key : str or int
-        As for `pipeline.answering.opening.ask_frames`.
+        As for `pipeline.answering.opening.contexts`.
     expressions : sequence of str
     labels : Labels, optional
         What says what is true. By default the frame's annotations do.
@@ -73,7 +73,7 @@ def ask_and_judge(
     Raises
     ------
     InputError
-        As `pipeline.answering.opening.ask_frames`.
+        As `pipeline.answering.opening.contexts` and `Pipeline.ask`.
     """
     source.needed_detector()
     for context in contexts(source, key, skipped):

@@ -112,8 +112,7 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
         evidence=evidence,
     )
     if overlap >= HIT:
-        lucky = pair is None or not found.covered[pair]
-        return replace(diagnosis, verdict="CORRECT", lucky=lucky, repair=())
+        return replace(diagnosis, verdict="CORRECT", lucky=pair is None or not found.covered[pair], repair=())
     if not parse_ok:
         return replace(diagnosis, verdict="PARSE", repair=())
     if target is not None and found.right[target]:

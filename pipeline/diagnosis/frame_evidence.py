@@ -25,6 +25,18 @@ DEFAULT_CONFIDENCE = 0.5
 """Confidence of a recalled object where no right detection is known to take it from."""
 
 
+def matched(overlap: np.ndarray, alike: np.ndarray | bool = True) -> np.ndarray:
+    """(D,) int64: the labelled object that each detection is, by the best overlap of at least 0.5; -1 where none.
+
+    `overlap` is (D, N) float64; `alike` (D, N) bool: which labelled objects are of the class that was asked.
+    """
+    if not overlap.size:
+        return np.full(len(overlap), -1, np.int64)
+    overlap = np.where(alike, overlap, 0.0)
+    best = overlap.argmax(axis=1)
+    return np.where(overlap[np.arange(len(overlap)), best] >= HIT, best, -1)
+
+
 class FrameEvidence:
     """A frame's detections and its labelled objects, in one list: first the D detections, then the N labelled ones.
 
@@ -65,11 +77,7 @@ class FrameEvidence:
         self._cases = truth.cases if cases is None else tuple(cases)
         self.detections, self.labelled = len(answers.objects), len(truth.labels)
         self.overlap = iou_2d(answers.boxes, truth.boxes)
-        self.match = np.full(self.detections, -1, np.int64)
-        if self.overlap.size:
-            best = self.overlap.argmax(axis=1)
-            found = self.overlap[np.arange(self.detections), best] >= HIT
-            self.match = np.where(found, best, -1)
+        self.match = matched(self.overlap)
         self.objects = TrueObjects(truth, answers.context)
         d, n = self.detections, self.labelled
         self.same = np.zeros((d + n, d + n), np.bool_)
@@ -136,8 +144,7 @@ class FrameEvidence:
             if case.relation not in relations:
                 continue
             for name, example in ((case.target, case.target_object), (case.reference, case.reference_object)):
-                index = self.answers.candidates[name].index
-                candidates.append(index)
+                candidates.append(self.answers.candidates[name].index)
                 labelled |= self.truth.alike[example]
         indices = np.unique(np.concatenate(candidates))
         matched = self.match[indices]

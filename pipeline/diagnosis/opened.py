@@ -145,5 +145,4 @@ def open(
 
 def ask(dataset: Opened | Source, frame: int | str | Frame, text: str, **options: Any) -> Answer:
     """Answer one expression; for several open the dataset once. `options` as for `open`."""
-    opened = dataset if isinstance(dataset, Opened) else open(dataset, **options)
-    return opened.ask(frame, text)
+    return (dataset if isinstance(dataset, Opened) else open(dataset, **options)).ask(frame, text)

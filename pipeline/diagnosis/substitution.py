@@ -38,7 +38,7 @@ from pipeline.answering.pair_table import (
     side,
 )
 from pipeline.answering.ranking import Candidates
-from pipeline.diagnosis.frame_evidence import FrameEvidence
+from pipeline.diagnosis.frame_evidence import FrameEvidence, matched
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case
 
@@ -206,11 +206,8 @@ def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) 
         Labelled objects of the asked class.
     """
     overlap = evidence.overlap[candidates.index]
-    own = np.where(asked, overlap, 0.0)
-    best = own.argmax(axis=1) if own.size else np.zeros(len(own), np.int64)
-    is_one = own[np.arange(len(own)), best] >= HIT if own.size else np.zeros(len(own), np.bool_)
-    objects = np.where(is_one, best, -1)
-    shapes = np.where(is_one, best, evidence.match[candidates.index])
+    own, objects = np.where(asked, overlap, 0.0), matched(overlap, asked)
+    shapes = np.where(objects >= 0, objects, evidence.match[candidates.index])
     shapes = np.where((shapes >= 0) & evidence.known[shapes], shapes, -1) if evidence.labelled else shapes
     covered = (own >= HIT).any(axis=0) if len(own) else np.zeros(evidence.labelled, np.bool_)
     missing = np.flatnonzero(asked & ~covered & evidence.known)

@@ -185,15 +185,16 @@ def explain(
     unknown : collection of str
         Names that the detector does not know.
     """
-    if diagnosis.verdict == "CORRECT":
-        return _correct(diagnosis, case)
     if diagnosis.verdict == "PARSE":
         return _parse(case, query, problem)
-    if diagnosis.verdict == "LABEL":
-        return _label(diagnosis, case)
     if diagnosis.verdict in ("OPM-TARGET", "OPM-REF"):
         return _missed(diagnosis, unknown)
-    return " ".join(filter(None, (_flipped(diagnosis, case), _others(diagnosis), _smallest_change(diagnosis))))
+    told = {"CORRECT": _correct, "LABEL": _label}.get(diagnosis.verdict, _lost)
+    return told(diagnosis, case)
+
+
+def _lost(d: Diagnosis, case: Case) -> str:
+    return " ".join(filter(None, (_flipped(d, case), _others(d), _smallest_change(d))))
 
 
 def _correct(d: Diagnosis, case: Case) -> str:
@@ -215,37 +216,33 @@ def _parse(case: Case, query: Query | None, problem: str | None) -> str:
 
 
 def _label(d: Diagnosis, case: Case) -> str:
-    if d.detail == "AMBIGUOUS":
-        return (
-            f"The answer is another {case.target} of which the expression is, or may be, true; "
-            f"it has {len(case.acceptable)} right answers, and the label names one."
-        )
-    if d.detail == "SUSPECT":
-        relation = PHRASE[case.relation]
-        return (
-            f"The labels' own relations say of the answer that it is, or may be, a {case.target} {relation} the "
-            f"{case.reference}, and the expression does not list it: the label is suspect."
-        )
-    what = "its box" if d.detail == "BAD_BOX" else "what it says"
-    return f"A person marked this label as wrong in {what}; the answer may well be right."
+    marked = "A person marked this label as wrong in {}; the answer may well be right."
+    words = {
+        "AMBIGUOUS": f"The answer is another {case.target} of which the expression is, or may be, true; "
+        f"it has {len(case.acceptable)} right answers, and the label names one.",
+        "SUSPECT": f"The labels' own relations say of the answer that it is, or may be, a {case.target} "
+        f"{PHRASE[case.relation]} the {case.reference}, and the expression does not list it: the label is suspect.",
+        "BAD_BOX": marked.format("its box"),
+    }
+    return words.get(d.detail or "", marked.format("what it says"))
 
 
 def _missed(d: Diagnosis, unknown: Collection[str]) -> str:
     missed, name = d.missed, d.missed_name
     assert missed is not None
     after = f" {_repaired(d)}" if d.repair and d.repair != ("RECALL",) else ""
-    if name in unknown:
-        return f"The detector does not know the name “{name}”.{after}"
-    if missed.kind == "RANK":
-        if missed.suppressed:
-            return f"A better-scored box lies over the right {name} ({_p(missed.score)}) and suppressed it.{after}"
-        return f"The right {name} has {_p(missed.score)}, place {missed.rank} by score: K cuts it off.{after}"
-    if missed.kind == "THRESHOLD":
-        return f"The detector gave the right {name} {_p(missed.score)}, below the minimum score.{after}"
-    if missed.kind == "LOCALISATION":
-        score = "" if missed.score is None else f" (score {_p(missed.score)})"
-        return f"The best box of the right {name} overlaps it by {_p(missed.overlap)}{score}; .50 is asked.{after}"
-    return f"The detector did not see the right {name} at all (best overlap {_p(missed.overlap)}).{after}"
+    score, overlap = _p(missed.score), _p(missed.overlap)
+    told = "" if missed.score is None else f" (score {score})"
+    kind = "UNKNOWN" if name in unknown else "SUPPRESSED" if missed.suppressed else missed.kind
+    words = {
+        "UNKNOWN": f"The detector does not know the name “{name}”.",
+        "SUPPRESSED": f"A better-scored box lies over the right {name} ({score}) and suppressed it.",
+        "RANK": f"The right {name} has {score}, place {missed.rank} by score: K cuts it off.",
+        "THRESHOLD": f"The detector gave the right {name} {score}, below the minimum score.",
+        "LOCALISATION": f"The best box of the right {name} overlaps it by {overlap}{told}; .50 is asked.",
+        "ABSENT": f"The detector did not see the right {name} at all (best overlap {overlap}).",
+    }
+    return words[kind] + after
 
 
 def _flipped(d: Diagnosis, case: Case) -> str:

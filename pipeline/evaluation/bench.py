@@ -12,13 +12,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
 from pipeline.evaluation.job import make_tables
+from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_cases import frames_in, spread
 from pipeline.evaluation.run import (
     FRAMES_A_BLOCK,
@@ -31,11 +32,11 @@ from pipeline.labels.engines import one_thread
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.language.relation_names import VOCABULARIES
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.peak_memory import PeakMemory
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from pipeline.training.label_data import pair_set, read_label_data
+from pipeline.training.train import TrainConfig, train_pairs
 
 GOAL_EXPRESSIONS, GOAL_PAIRS = 50_000, 75_000
 GOAL_CLUSTERS = 500
@@ -128,13 +129,12 @@ def _inputs(dataset: str, labels: Path | None, recording: Path | None) -> Iterat
         if recording is None:
             recording = Path(folder) / "recording"
             source = open_pipeline(dataset, detector="simulated", srm="rule")
-            table = open_labels(labels).expressions
-            asked = table.column("frame").unique().to_pylist()
+            asked = open_labels(labels).expressions.column("frame").unique().to_pylist()
             record_detections(source, recording, source.dataset.class_names, frame_ids=asked)
         yield EvalSpec(dataset, str(labels), {"detector": "recorded", "model": recording})
 
 
-def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], pa.Table]:
+def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], ArrowTable]:
     """Every expression in this process, with what each stage took."""
     import pyarrow as pa
 
@@ -154,7 +154,7 @@ def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], pa.Table]:
     return evaluator, stages, records
 
 
-def _as_many(records: pa.Table, rows: int, clusters: int) -> pa.Table:
+def _as_many(records: ArrowTable, rows: int, clusters: int) -> ArrowTable:
     """The records repeated to so many rows in so many scenes."""
     import pyarrow as pa
 
@@ -163,7 +163,7 @@ def _as_many(records: pa.Table, rows: int, clusters: int) -> pa.Table:
     return many.set_column(many.schema.get_field_index("scene"), "scene", scenes)
 
 
-def _asked_singly(evaluator: Evaluator, records: pa.Table, count: int) -> dict[str, Any]:
+def _asked_singly(evaluator: Evaluator, records: ArrowTable, count: int) -> dict[str, Any]:
     """Expressions asked by `ask`, each with its frame read anew, and whether the answers are those of the records.
 
     An expression that is not read as the labels mean it has no answer in the records and is left out.
@@ -220,10 +220,6 @@ def _job(spec: EvalSpec, workers: int) -> dict[str, Any]:
 
 def _training(labels: Labels, count: int) -> dict[str, Any]:
     """A network of relative extents (rel14), with the default schedule, on the labels' pairs."""
-    from pipeline.language.relation_names import VOCABULARIES
-    from pipeline.training.label_data import pair_set, read_label_data
-    from pipeline.training.train import TrainConfig, train_pairs
-
     config = TrainConfig()
     start = process_time()
     data = read_label_data(labels, config.features, VOCABULARIES[config.vocabulary])

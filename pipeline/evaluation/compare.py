@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
+from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.summary import has_verdicts
-from pipeline.metrics.intervals import Estimate, mean_estimate
-from pipeline.metrics.significance import McNemar, mcnemar
+from pipeline.metrics.intervals import Estimate, McNemar, mcnemar, mean_estimate
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
 
@@ -73,7 +70,7 @@ class Comparison:
         }
 
 
-def read_records(run: Path) -> pa.Table:
+def read_records(run: Path) -> ArrowTable:
     """The records of a run folder.
 
     Raises
@@ -81,7 +78,6 @@ def read_records(run: Path) -> pa.Table:
     InputError
         There is no run, or it measured relations alone.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     path = Path(run) / "records.parquet"
@@ -91,11 +87,11 @@ def read_records(run: Path) -> pa.Table:
         if (Path(run) / "relation_records.parquet").is_file():
             raise InputError("this run has no expressions", cause="made with --tables relations", path=run) from error
         raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=run) from error
-    except (pa.ArrowInvalid, OSError) as error:
+    except (ValueError, OSError) as error:
         raise InputError("the records of the run cannot be read", got=str(error).split("\n")[0], path=path) from error
 
 
-def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> Comparison:
+def compare(before: ArrowTable, after: ArrowTable, measure: str = "set_correct") -> Comparison:
     """Compare two runs by the expressions that both have.
 
     Parameters
@@ -144,7 +140,7 @@ def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> 
     )
 
 
-def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str, int]] | None:
+def verdict_transitions(before: ArrowTable, after: ArrowTable) -> dict[str, dict[str, int]] | None:
     """How many of the same expressions, row by row, went from which verdict to which; None without verdicts."""
     if not (has_verdicts(before) and has_verdicts(after)):
         return None
@@ -154,5 +150,5 @@ def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str
     return {a: line for a, line in found.items() if line}
 
 
-def _named(records: pa.Table, chosen: np.ndarray) -> tuple[dict[str, Any], ...]:
+def _named(records: ArrowTable, chosen: np.ndarray) -> tuple[dict[str, Any], ...]:
     return tuple(records.select(["id", "frame", "text", "relation"]).take(np.flatnonzero(chosen)).to_pylist())

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import glob
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from pipeline.evaluation.records import ArrowTable
+from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.labels.reading import Labels
 from pipeline.labels.statistics import quoted
 from pipeline.labels.tables import read_table
@@ -17,12 +18,8 @@ from pipeline.metrics.tables import Row, Table
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
 OTHERS = (DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
-RELATION_RECORDS = "relation_records.parquet"
 
 
 @dataclass(frozen=True)
@@ -91,7 +88,7 @@ class Standings:
         return [columns[k] for k in self.cell.tolist()]
 
 
-def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Standings:
+def answer_standings(records: ArrowTable, labels: Labels, content_hash: str | None = None) -> Standings:
     """In which relation the two objects of each answer stand by their labels; see `answer_confusion`."""
     if content_hash is not None and labels.manifest.tables["expressions"].content_hash != content_hash:
         raise InputError("these are not the labels that the run was made with", path=labels.root)
@@ -114,7 +111,7 @@ def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None
     return Standings(names, meant, cell)
 
 
-def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Confusion:
+def answer_confusion(records: ArrowTable, labels: Labels, content_hash: str | None = None) -> Confusion:
     """The relation that was asked against the one in which the answer's two objects stand by their labels.
 
     Parameters
@@ -177,14 +174,13 @@ def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt:
 
 
 def _pairs_of_answers(
-    records: pa.Table, labels: Labels, names: tuple[str, ...]
+    records: ArrowTable, labels: Labels, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(P,) rows of the answers whose pair was judged, their (P, R) states and (P, R) margins."""
     import duckdb
-    import pyarrow as pa
 
     rows = records.select(["frame_index", "matched_target", "matched_reference"])
-    rows = rows.append_column("row", pa.array(np.arange(records.num_rows)))
+    rows = rows.append_column("row", [np.arange(records.num_rows)])
     with duckdb.connect(":memory:") as connection:
         for name in ("objects", "relations"):
             path = labels.root / f"{name}.parquet"
@@ -199,12 +195,12 @@ def _pairs_of_answers(
         try:
             # The records count the objects of a frame as the labels order them.
             found = connection.execute(
-                "WITH places AS (SELECT frame_index, object,"
-                " row_number() OVER (PARTITION BY frame_index ORDER BY object) - 1 AS place FROM objects"
+                "WITH numbered AS (SELECT frame_index, object,"
+                " row_number() OVER (PARTITION BY frame_index ORDER BY object) - 1 AS number FROM objects"
                 " WHERE frame_index IN (SELECT frame_index FROM run))"
                 f" SELECT r.row, {told} FROM run r"
-                " JOIN places a ON a.frame_index = r.frame_index AND a.place = r.matched_target"
-                " JOIN places b ON b.frame_index = r.frame_index AND b.place = r.matched_reference"
+                " JOIN numbered a ON a.frame_index = r.frame_index AND a.number = r.matched_target"
+                " JOIN numbered b ON b.frame_index = r.frame_index AND b.number = r.matched_reference"
                 " JOIN relations l ON l.frame_index = r.frame_index AND l.a = a.object AND l.b = b.object"
             ).fetchnumpy()
         except duckdb.Error as error:
@@ -215,61 +211,35 @@ def _pairs_of_answers(
     return found["row"].astype(np.int64), states, margins
 
 
-def network_confusion(path: Path) -> list[Confusion]:
-    """What each scorer takes the relations of labelled pairs for, from `relation_records.parquet`; empty without it.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read.
-    """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        file = pq.ParquetFile(path)
-    except FileNotFoundError:
+def network_confusion(records: RelationRecords | None) -> list[Confusion]:
+    """What each scorer takes the relations of labelled pairs for; empty without records of pairs."""
+    if records is None:
         return []
-    except (pa.ArrowInvalid, OSError) as error:
-        raise InputError("the relation records cannot be read", got=str(error).split("\n")[0], path=path) from error
-    counts: dict[str, np.ndarray] = {}
-    asked: dict[str, tuple[str, ...]] = {}
-    with file:
-        schema = file.schema_arrow
-        if "state" not in schema.names or "p" not in schema.names:
-            raise InputError("not a file of relation records", path=path)
-        relations = tuple(field.name for field in schema.field("state").type)
-        for field in schema.field("p").type:
-            text = {inner.name for inner in field.type}
-            asked[field.name] = tuple(r for r in relations if r in text)
-            counts[field.name] = np.zeros((len(asked[field.name]),) * 2, np.int64)
-        for batch in file.iter_batches(columns=["state", "p"]):
-            for system, names in asked.items():
-                if names:
-                    counts[system] += _taken_for(batch.column("state"), batch.column("p").field(system), names)
-    return [
-        Confusion(
-            f"confusion-{system}",
-            f"What {system} takes a relation for",
-            names,
-            names,
-            counts[system],
-            "Labelled pairs, a pair once for each relation that holds of it. The diagonal: the relation with the "
-            "highest probability holds; else the pair stands in the column of that relation.",
-        )
-        for system, names in asked.items()
-        if names
-    ]
+    found = []
+    for system in records.systems:
+        names = tuple(r for r in records.relations if r in system.relations)
+        if names:
+            counts = _taken_for(records.truth(names), system.p[:, [system.relations.index(r) for r in names]])
+            found.append(
+                Confusion(
+                    f"confusion-{system.name}",
+                    f"What {system.name} takes a relation for",
+                    names,
+                    names,
+                    counts,
+                    "Labelled pairs, a pair once for each relation that holds of it. The diagonal: the relation with "
+                    "the highest probability holds; else the pair stands in the column of that relation.",
+                )
+            )
+    return found
 
 
-def _taken_for(state: Any, text: Any, names: tuple[str, ...]) -> np.ndarray:
-    """(R, R) counts of a batch: a relation that holds against the most probable one where that one does not hold."""
-    holds = np.stack([state.field(n).fill_null(F).to_numpy(zero_copy_only=False) == T for n in names], axis=1)
-    p = np.stack([text.field(n).to_numpy(zero_copy_only=False) for n in names], axis=1).astype(np.float64)
-    known = np.isfinite(p).any(axis=1)
-    top = np.where(np.isfinite(p), p, -np.inf).argmax(axis=1)
-    pair, relation = np.nonzero(holds & np.asarray(known)[:, None])
+def _taken_for(states: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """(R, R) counts: a relation that holds against the most probable one where that one does not hold."""
+    holds, known = states == T, np.isfinite(p)
+    top = np.where(known, p, -np.inf).argmax(axis=1)
+    pair, relation = np.nonzero(holds & known.any(axis=1, keepdims=True))
     right = holds[pair, top[pair]]
-    counts = np.zeros((len(names),) * 2, np.int64)
+    counts = np.zeros((states.shape[1],) * 2, np.int64)
     np.add.at(counts, (relation, np.where(right, relation, top[pair])), 1)
     return counts

@@ -1,23 +1,27 @@
-"""Tables from records: the systems of the paper, relation by relation, and where the answers are lost."""
+"""Tables from records: the systems of the paper, by relation, where answers are lost, what calibration does."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
+from pipeline.answering.ask import AskConfig
+from pipeline.answering.opening import Pipeline
+from pipeline.evaluation.records import ArrowTable, DetectorScores, detector_scores, is_calibrated
 from pipeline.labels.cases import HIT
+from pipeline.labels.reading import Labels
+from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
-from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
-from pipeline.metrics.significance import McNemar, mcnemar
-from pipeline.metrics.tables import NOTHING_SHARED, Row, Table, in_blocks
+from pipeline.metrics.calibration_metrics import ECE_BINS
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, bootstrap, mcnemar, mean_estimate, ratio
+from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
+from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 FIGURES = Path(__file__).with_name("reported.json")
 
@@ -32,19 +36,19 @@ OPM_ONLY = ": OPM only"
 """Ends the name of a row of the detector's best target alone."""
 
 
-def has_opm(records: pa.Table) -> bool:
+def has_opm(records: ArrowTable) -> bool:
     """Whether the records tell of the detector's best target alone: systems that take whole expressions have none."""
     return records.column("opm_iou").null_count < records.num_rows
 
 
-def column(records: pa.Table, name: str) -> np.ndarray:
+def column(records: ArrowTable, name: str) -> np.ndarray:
     """A column of records as float64; null is NaN."""
     values = records.column(name)
     found = values.to_numpy() if not values.null_count else values.cast("float64").to_numpy()
     return np.asarray(found, np.float64)
 
 
-def clusters_of(records: pa.Table) -> tuple[np.ndarray, str]:
+def clusters_of(records: ArrowTable) -> tuple[np.ndarray, str]:
     """What resembles each other: the scene of each row; its frame where there is one scene only."""
     scenes = np.array(records.column("scene").to_pylist(), object)
     if len(set(scenes.tolist())) > 1:
@@ -52,13 +56,13 @@ def clusters_of(records: pa.Table) -> tuple[np.ndarray, str]:
     return np.array(records.column("frame").to_pylist(), object).astype(str), "frame"
 
 
-def full_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
+def full_row(name: str, records: ArrowTable, config: BootstrapConfig | None = None) -> Row:
     """The pipeline's line of the table of systems."""
     names = ("correct", "strict_correct", "set_correct", "iou", "set_iou", "reference_correct", "pair_correct")
     return _row(name, records, [column(records, measure) for measure in names], config)
 
 
-def opm_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
+def opm_row(name: str, records: ArrowTable, config: BootstrapConfig | None = None) -> Row:
     """The line of the detector's best target alone: it has no reference."""
     single, strict, lenient = (column(records, f"opm_{n}") for n in ("iou", "strict_iou", "set_iou"))
     hits = [(overlap >= HIT).astype(np.float64) for overlap in (single, strict, lenient)]
@@ -66,7 +70,7 @@ def opm_row(name: str, records: pa.Table, config: BootstrapConfig | None = None)
 
 
 def _row(
-    name: str, records: pa.Table, measures: Sequence[np.ndarray | None], config: BootstrapConfig | None
+    name: str, records: ArrowTable, measures: Sequence[np.ndarray | None], config: BootstrapConfig | None
 ) -> Row:
     clusters, _ = clusters_of(records)
     # A system that gives one box has no reference to be measured by.
@@ -88,7 +92,7 @@ def systems_table(systems: Sequence[Row], unit: str, shares: Mapping[str, str] =
 
 
 def relation_table(
-    systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
+    systems: Mapping[str, ArrowTable], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
 ) -> Table:
     """Set-valued accuracy of each system by relation; `shares` as in `systems_table`."""
     first = next(iter(systems.values()))
@@ -119,7 +123,7 @@ def relation_table(
     )
 
 
-def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NOTHING_SHARED) -> Table:
+def stages_table(systems: Mapping[str, ArrowTable], shares: Mapping[str, str] = NOTHING_SHARED) -> Table:
     """How many expressions get how far: what the next stage still could get right; `shares` as in `systems_table`."""
     rows = []
     for name, records in systems.items():
@@ -144,7 +148,7 @@ def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NO
     )
 
 
-def problem_warnings(records: pa.Table) -> tuple[str, ...]:
+def problem_warnings(records: ArrowTable) -> tuple[str, ...]:
     """What must be said where half of the expressions or more were not even asked: figures then measure little else."""
     problems = records.column("problem")
     unasked = len(problems) - problems.null_count
@@ -155,7 +159,7 @@ def problem_warnings(records: pa.Table) -> tuple[str, ...]:
 
 
 def relation_gain(
-    records: pa.Table, overlap: str = "iou", config: BootstrapConfig | None = None
+    records: ArrowTable, overlap: str = "iou", config: BootstrapConfig | None = None
 ) -> tuple[Estimate, McNemar]:
     """Accuracy of OPM+SRM+PRM less that of OPM alone, paired, with a clustered interval, and McNemar's exact test.
 
@@ -168,7 +172,7 @@ def relation_gain(
 
 
 def gain_table(
-    systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
+    systems: Mapping[str, ArrowTable], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
 ) -> Table | None:
     """The gain of every system that has both; None where none has. `shares` as in `systems_table`."""
     rows = []
@@ -190,10 +194,8 @@ def gain_table(
     )
 
 
-class Reported(BaseModel):
+class Reported(BaseModel, extra="forbid"):
     """One published line: figures by the measure's name, as shares, and where they stand."""
-
-    model_config = ConfigDict(extra="forbid")
 
     table: str
     name: str
@@ -201,10 +203,8 @@ class Reported(BaseModel):
     figures: dict[str, float]
 
 
-class Publications(BaseModel):
+class Publications(BaseModel, extra="forbid"):
     """The file."""
-
-    model_config = ConfigDict(extra="forbid")
 
     rows: list[Reported]
 
@@ -234,3 +234,133 @@ def reported_rows(table: str = "grounding", columns: tuple[str, ...] = MEASURES,
         for line in read_reported(path)
         if line.table == table
     ]
+
+
+BY_CALIBRATION = {
+    "Acc@0.5 single truth": "correct", "strict set": "strict_correct", "set-valued": "set_correct",
+    "reference": "reference_correct", "pair": "pair_correct",
+}  # fmt: skip
+
+
+def calibration_table(systems: Mapping[str, ArrowTable], config: BootstrapConfig | None = None) -> Table | None:
+    """Accuracy and detector scores by raw and by calibrated scores; None where no system's are calibrated.
+
+    Differences are paired, with clustered intervals; McNemar's exact test is of the answers.
+    """
+    calibrated = {name: records for name, records in systems.items() if is_calibrated(records)}
+    if not calibrated:
+        return None
+    rows: list[Row] = []
+    for name, records in calibrated.items():
+        prefix = f"{name}: " if len(systems) > 1 else ""
+        rows += [Row(f"{prefix}{what}", cells) for what, cells in _accuracies(records, config)]
+        rows += [Row(f"{prefix}{what}", cells) for what, cells in _score_figures(detector_scores(records), config)]
+    return Table(
+        "calibration",
+        "Score calibration",
+        ("raw scores", "calibrated", "difference", "only calibrated right", "only raw right", "McNemar p", "n"),
+        tuple(rows),
+        "Accuracies in percent of the expressions; Brier score and expected calibration error (15 bins), times 100, of "
+        "all detections against an IoU of at least 0.5 with a labelled object of the class asked for. Difference: "
+        "calibrated less raw, paired, with 95 % bootstrap intervals over scenes, or frames where there is one scene.",
+    )
+
+
+def _accuracies(records: ArrowTable, config: BootstrapConfig | None) -> list[tuple[str, tuple[Cell, ...]]]:
+    clusters, _ = clusters_of(records)
+    found: list[tuple[str, tuple[Cell, ...]]] = []
+    for title, name in BY_CALIBRATION.items():
+        raw, own = column(records, f"raw_{name}"), column(records, name)
+        test = mcnemar(own > 0, raw > 0)
+        estimates = (mean_estimate(values, clusters, config=config) for values in (raw, own))
+        difference = mean_estimate(own, clusters, other=raw, config=config)
+        found.append((title, (*estimates, difference, test.b, test.c, f"{test.p_value:.2g}", test.n)))
+    return found
+
+
+def _score_figures(scores: DetectorScores, config: BootstrapConfig | None) -> list[tuple[str, tuple[Cell, ...]]]:
+    sides = (scores.raw, scores.calibrated)
+    squared = [np.square(p - scores.hits) for p in sides]
+    brier = [mean_estimate(s, scores.clusters, config=config) for s in squared]
+    brier.append(mean_estimate(squared[1], scores.clusters, other=squared[0], config=config))
+    ece = [ece_estimate(p, scores.hits, scores.clusters, config=config) for p in sides]
+    ece.append(ece_estimate(sides[1], scores.hits, scores.clusters, other=sides[0], config=config))
+    blank: tuple[Cell, ...] = (None, None, None, len(scores.hits))
+    return [("Brier score of detections", (*brier, *blank)), ("ECE of detections", (*ece, *blank))]
+
+
+def ece_estimate(
+    p: np.ndarray,
+    hits: np.ndarray,
+    clusters: np.ndarray,
+    *,
+    other: np.ndarray | None = None,
+    config: BootstrapConfig | None = None,
+) -> Estimate:
+    """Expected calibration error of (N,) probabilities; with `other` (N,), that of `p` less that of `other`."""
+    second = None if other is None else _bin_gaps(other, hits)
+    return bootstrap(_bin_gaps(p, hits), clusters, _ece, other=second, config=config)[0]
+
+
+def _bin_gaps(p: np.ndarray, hits: np.ndarray) -> np.ndarray:
+    """(N, B + 1): p - [hit] in the column of its bin, and a one to count by."""
+    rows = np.zeros((len(p), ECE_BINS + 1))
+    rows[np.arange(len(p)), np.minimum((p * ECE_BINS).astype(np.int64), ECE_BINS - 1)] = p - hits
+    rows[:, -1] = 1.0
+    return rows
+
+
+def _ece(sums: np.ndarray) -> np.ndarray:
+    return ratio(np.abs(sums[:, :-1]).sum(axis=1, keepdims=True), sums[:, -1:])
+
+
+def calibration_warnings(source: Pipeline, labels: Labels, records: ArrowTable) -> tuple[str, ...]:
+    """Why the effect of the calibration in these records is not held out, or may not be; nothing where it is."""
+    calibration = source.config.score_calibration
+    if calibration is None or not is_calibrated(records):
+        return ()
+    rows = read_table(labels.root / "frames.parquet", "frames", ("frame", "scene", "rgb_hash")).to_pylist()
+    evaluated = set(records.column("frame").to_pylist())
+    frames = {row["frame"]: (row["scene"], row["rgb_hash"]) for row in rows if row["frame"] in evaluated}
+    found = held_out_warning(calibration, frames, source.dataset.root.resolve().name)
+    return () if found is None else (found,)
+
+
+def recorded_config(config: AskConfig) -> dict[str, Any]:
+    """The settings as a run's manifest has them: of a calibration how many frames it was fitted on, not which."""
+    found = asdict(config)
+    if found["score_calibration"] is not None:
+        found["score_calibration"]["frames"] = len(found["score_calibration"]["frames"])
+    return found
+
+
+def held_out_warning(
+    calibration: ScoreCalibration, frames: Mapping[str, tuple[str, str | None]], dataset: str
+) -> str | None:
+    """Why the figures of a calibration are not held out; None where they are.
+
+    Parameters
+    ----------
+    calibration : ScoreCalibration
+    frames : mapping of str to (scene, picture's hash or None)
+        Those that were evaluated, by id.
+    dataset : str
+        Its folder's name.
+    """
+    if not calibration.frames:
+        return "the score calibration does not say which frames it was fitted on: its effect may not be held out"
+    fitted = {f.rgb_hash for f in calibration.frames}
+    same = sum(rgb_hash in fitted for _, rgb_hash in frames.values())
+    if same:
+        return (
+            f"the score calibration was fitted on {same} of the {len(frames)} frames that are evaluated: its effect is "
+            "not held out; fit it on others (calibrate --frames FROM:TO)"
+        )
+    if calibration.dataset == dataset:
+        shared = {f.scene for f in calibration.frames} & {scene for scene, _ in frames.values()}
+        if shared:
+            return (
+                f"the score calibration was fitted on other frames of {len(shared)} of the scenes that are evaluated: "
+                "the same objects were seen"
+            )
+    return None

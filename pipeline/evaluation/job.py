@@ -1,51 +1,55 @@
-"""The evaluation job: run, tabulate, draw, and leave a run folder that another run can be compared with."""
+"""The evaluation job: run, tabulate, diagnose, draw, and leave a run folder that others can be compared with."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
+from pipeline.evaluation.confusion import Confusion, answer_confusion, network_confusion
 from pipeline.evaluation.grounding_tables import (
     OPM_ONLY,
+    calibration_table,
+    calibration_warnings,
     clusters_of,
     full_row,
     gain_table,
     has_opm,
     opm_row,
     problem_warnings,
+    recorded_config,
     relation_table,
     reported_rows,
     stages_table,
     systems_table,
 )
+from pipeline.evaluation.loss_plots import draw_diagnosis
 from pipeline.evaluation.paper_tables import tables_of_folder
-from pipeline.evaluation.records import is_calibrated, raw_records
+from pipeline.evaluation.plots import draw, draw_relations, need_plots
+from pipeline.evaluation.records import ArrowTable, is_calibrated, raw_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
+from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.evaluation.relation_report import shares_by_title
-from pipeline.evaluation.report import diagnose_run
-from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, median_confidence, write_records
+from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, median_confidence
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, other_systems, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
+from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
+from pipeline.evaluation.summary import RunSummary, has_verdicts, oracle_table, summarise_run, verdict_table
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
-from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
+from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 
 @dataclass(frozen=True)
@@ -119,6 +123,8 @@ def evaluate_dataset(
     InputError
         Dataset, labels or runs cannot be used, or `out` holds something else.
     """
+    import pyarrow.parquet as pq
+
     start = perf_counter()
     out = Path(out)
     for name_of, count_of in (("--limit", spec.limit), ("--workers", workers)):
@@ -126,11 +132,8 @@ def evaluate_dataset(
             raise InputError(f"{name_of} is a count", got=count_of, expected="at least 1")
     before = None if against is None else read_records(against)
     left_out: tuple[str, ...] = ()
-    if plots:
-        from pipeline.evaluation.plots import need_plots
-
-        if why := MissingExtra.missing(need_plots):
-            plots, left_out = False, (f"the plots are left out, as with --no-plots: {why}",)
+    if plots and (why := MissingExtra.missing(need_plots)):
+        plots, left_out = False, (f"the plots are left out, as with --no-plots: {why}",)
     if not spec.grounding and (against is not None or others or spec.relations is None):
         raise InputError("runs are compared by their expressions, and this one answers none")
     # Answers are judged by labels, and so in their axes.
@@ -154,19 +157,21 @@ def evaluate_dataset(
     of_others = other_systems(others, name, asked, makers)
     shares = {name: own, **{n: other.shares for n, other in of_others.items()}}
     with staged_folder(out, overwrite=overwrite, mark=RUN_FILE) as folder:
-        with relation_sink(spec, labels, folder) as sink:
-            count = write_records(
-                evaluate_labels(spec, workers=workers, progress=progress, relations=sink), folder / "records.parquet"
-            )
+        with (
+            relation_sink(spec, labels, folder) as sink,
+            pq.ParquetWriter(folder / "records.parquet", records_schema(), compression="zstd") as writer,
+        ):
+            for table in evaluate_labels(spec, workers=workers, progress=progress, relations=sink):
+                writer.write_table(table)
         evaluated = perf_counter() - start
         records = read_records(folder)
         systems = {name: records, **{n: other.records for n, other in of_others.items()}}
         tables = make_tables(systems, bootstrap, shares) if spec.grounding else []
         relations = None if sink is None else measure_relations(spec, source, labels, folder, bootstrap)
         tables += [] if relations is None else relations.tables
-        # After the relations' records, of which it makes confusion matrices.
         diagnosed = spec.grounding and spec.verdicts and spec.system == "pipeline"
-        diagnosis = diagnose_run(systems, labels, folder, bootstrap, shares) if diagnosed else None
+        pairs = None if relations is None else relations.records
+        diagnosis = diagnose_run(systems, labels, pairs, bootstrap, shares) if diagnosed else None
         tables += [] if diagnosis is None else diagnosis.tables
         shown = tables
         if paper:
@@ -176,17 +181,12 @@ def evaluate_dataset(
             answered = systems if spec.grounding else {}
             shown = tables_of_folder(folder, labels, answered, blocks, held_out=held_out, config=bootstrap)
             tables = [*shown, *tables]
-        (folder / "tables.md").write_text(markdown(tables), encoding="utf-8")
+        write_tables(tables, folder, "tables.md")
         (folder / "tables.tex").write_text(latex(tables), encoding="utf-8")
-        (folder / "tables").mkdir()
-        for table in tables:
-            (folder / "tables" / f"{table.key}.csv").write_text(as_csv(table), encoding="utf-8")
         comparison = None if before is None else compare(before, records)
         if comparison is not None:
             write_json(folder / "comparison.json", comparison.record())
         if plots:
-            from pipeline.evaluation.plots import draw, draw_relations
-
             if spec.grounding:
                 draw(systems, tables, folder / "plots", titles_of(shares))
             if relations is not None:
@@ -194,9 +194,9 @@ def evaluate_dataset(
                 draw_relations(relations.figures, relations.tables, folder / "plots", alike)
         if diagnosis is not None:
             diagnosis.write(folder, plots)
-        warnings = calibration_warnings(source, labels, records) if spec.grounding else ()
-        warnings = (*left_out, *warnings, *problem_warnings(records))
-        warnings = (*warnings, *(() if relations is None else relations.warnings))
+        of_calibration = calibration_warnings(source, labels, records) if spec.grounding else ()
+        of_relations = () if relations is None else relations.warnings
+        warnings = (*left_out, *of_calibration, *problem_warnings(records), *of_relations)
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
         config = {**recorded_config(source.config), "options": options}
         plain = json.loads(json.dumps(config, default=str))
@@ -217,7 +217,7 @@ def evaluate_dataset(
                 "recalled_confidence": {"median": spec.confidence, "of": seen},
                 "config": plain,
                 "config_hash": canonical_hash(plain),
-                "expressions": count,
+                "expressions": records.num_rows,
                 "warnings": list(warnings),
                 "makers": makers.record(),
                 "measured": None if measured is None else measured.record(),
@@ -231,8 +231,10 @@ def evaluate_dataset(
         )  # fmt: skip
         if not spec.grounding:
             (folder / "records.parquet").unlink()
-    pairs = 0 if relations is None else relations.pairs
-    return RunReport(out, tuple(shown), count, perf_counter() - start, comparison, pairs, warnings, own)
+    return RunReport(
+        out, tuple(shown), records.num_rows, perf_counter() - start, comparison,
+        0 if relations is None else relations.pairs, warnings, own,
+    )  # fmt: skip
 
 
 def evaluate(
@@ -286,8 +288,16 @@ def evaluate(
     return open_run(report.folder)
 
 
+def write_tables(tables: Sequence[Table], folder: Path, name: str) -> None:
+    """Write tables under each other into a file of Markdown of this name, and each as `tables/KEY.csv`."""
+    (folder / name).write_text(markdown(tables), encoding="utf-8")
+    (folder / "tables").mkdir(exist_ok=True)
+    for table in tables:
+        (folder / "tables" / f"{table.key}.csv").write_text(as_csv(table), encoding="utf-8")
+
+
 def make_tables(
-    systems: dict[str, pa.Table],
+    systems: dict[str, ArrowTable],
     bootstrap: BootstrapConfig | None = None,
     shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
 ) -> list[Table]:
@@ -316,3 +326,87 @@ def make_tables(
         calibration_table(systems, bootstrap),
     ]
     return [with_caveats(table, shares) for table in tables if table is not None]
+
+
+DIAGNOSIS_FILE = "diagnosis.json"
+MOST = 20
+"""Classes, scenes and frames of their own in files; the rest is one slice."""
+
+
+@dataclass(frozen=True)
+class RunDiagnosis:
+    """The diagnosis of a run and of those beside it.
+
+    Attributes
+    ----------
+    summaries : dict of str to RunSummary
+        By system; those without verdicts are left out.
+    slices : tuple of Slices
+        By every dimension that the runs have.
+    confusions : tuple of Confusion
+        That of the answers first, then of each network.
+    shares : mapping of str to sequence of Share
+        What systems have in common with what made the labels.
+    """
+
+    summaries: dict[str, RunSummary]
+    slices: tuple[Slices, ...]
+    confusions: tuple[Confusion, ...]
+    shares: Mapping[str, Sequence[Share]] = field(default_factory=dict)
+
+    @property
+    def tables(self) -> list[Table]:
+        """Verdicts and oracles, where there are verdicts."""
+        return self._shared([verdict_table(self.summaries), oracle_table(self.summaries)] if self.summaries else [])
+
+    def _shared(self, tables: Sequence[Table]) -> list[Table]:
+        return [with_caveats(table, {name: self.shares.get(name, ()) for name in self.summaries}) for table in tables]
+
+    def record(self) -> dict[str, Any]:
+        """As JSON: `diagnosis.json`."""
+        return {
+            "systems": {name: s.record() for name, s in self.summaries.items()},
+            "slices": {s.dimension.name: s.record() for s in self.slices},
+            "confusions": {c.key: c.record() for c in self.confusions},
+        }
+
+    def write(self, folder: Path, plots: bool = True) -> None:
+        """Write `diagnosis.json`, `slices.md` and tables into a run's folder; with `plots` also pictures and a page."""
+        write_json(folder / DIAGNOSIS_FILE, self.record())
+        tables = self._shared([*map(slice_table, self.slices), *(c.table() for c in self.confusions)])
+        write_tables(tables, folder, "slices.md")
+        if plots:
+            shares = {name: self.shares.get(name, ()) for name in self.summaries}
+            draw_diagnosis(
+                self.summaries, self.slices, self.confusions, folder / "plots", caveats_html(self.tables),
+                titles_of(shares),
+            )  # fmt: skip
+
+
+def diagnose_run(
+    systems: Mapping[str, ArrowTable],
+    labels: Labels | None = None,
+    relations: RelationRecords | None = None,
+    config: BootstrapConfig | None = None,
+    shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
+) -> RunDiagnosis:
+    """Summaries, slices and confusions of runs; the first is the run itself.
+
+    Parameters
+    ----------
+    systems : mapping of str to pyarrow.Table
+        Records by system.
+    labels : Labels, optional
+        Of the first run: needed for the confusion of its answers.
+    relations : RelationRecords, optional
+        Of the first run: they tell what the networks take for what.
+    config : BootstrapConfig, optional
+    shares : mapping of str to sequence of Share
+        As `RunDiagnosis.shares`.
+    """
+    confusions = [] if labels is None else [answer_confusion(next(iter(systems.values())), labels)]
+    confusions += network_confusion(relations)
+    summaries = {name: summarise_run(r, config) for name, r in systems.items() if has_verdicts(r)}
+    cuts = [d for d in DIMENSIONS.values() if all(not d.column or d.column in r.column_names for r in systems.values())]
+    slices = tuple(slice_by(systems, d, config, most=MOST) for d in cuts)
+    return RunDiagnosis(summaries, slices, tuple(confusions), shares)

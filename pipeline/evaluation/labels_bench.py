@@ -10,11 +10,12 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from time import perf_counter, process_time
+from time import process_time
 from typing import Any
 
 import numpy as np
 
+from pipeline.answering.bench import fastest
 from pipeline.geometry.camera import Camera, backproject
 from pipeline.geometry.fitting import extents_of
 from pipeline.geometry.lifting import depth_edges, lift
@@ -163,9 +164,8 @@ def open3d_recipe(view: BenchView) -> Extents:
         cloud, _ = cloud.remove_statistical_outlier(nb_neighbors=10, std_ratio=1.2)
         points = np.asarray(cloud.points)
         if not len(points):
-            lo.append(np.full(3, np.nan))
-            hi.append(np.full(3, np.nan))
-            centers.append(np.full(3, np.nan))
+            for part in (lo, hi, centers):
+                part.append(np.full(3, np.nan))
             continue
         spread = float(np.linalg.norm(points.std(axis=0))) * 3.0
         cloud = cloud.voxel_down_sample(voxel_size=max(0.01, spread / 40))
@@ -233,12 +233,7 @@ def pairs_per_second(repeat: int = 3) -> dict[str, int]:
             "states and margins": lambda lo=lo, hi=hi, c=center: judge_viewer_cone(lo, hi, c, None, DIRECTIONAL),
         }
         for name, job in jobs.items():
-            best = np.inf
-            for _ in range(max(repeat, 3)):
-                start = perf_counter()
-                for _ in range(20):
-                    job()
-                best = min(best, (perf_counter() - start) / 20)
+            best = fastest(lambda job=job: [job() for _ in range(20)], max(repeat, 3)) / 20
             found[f"{n} objects, {name}"] = int(n * (n - 1) / best)
     return found
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.confusion import Confusion
-from pipeline.evaluation.plot_parts import (
+from pipeline.evaluation.plots import (
     ADDS_UP,
     LOSS_COLORS,
     VERDICT_COLORS,
@@ -43,7 +43,7 @@ def draw_diagnosis(
     out: Path,
     caveats: str = "",
     caveat: str = "",
-) -> list[Path]:
+) -> None:
     """Write `verdicts.png`, `oracles.png`, `slices.png`, `confusion….png` and `diagnosis.html`.
 
     Without verdicts, only confusions are drawn.
@@ -61,22 +61,19 @@ def draw_diagnosis(
         What the figures are where truth and systems have a maker in common: before what stands below each title.
     """
     out.mkdir(parents=True, exist_ok=True)
-    written = []
     above = f"{caveat[0].upper()}{caveat[1:]}. " if caveat else ""
     with house_style():
         if summaries:
             first = next(iter(summaries))
-            written += [
-                _verdicts(summaries, above, out / "verdicts.png"),
-                _oracles(first, summaries[first], above, out / "oracles.png"),
-                _slices(first, slices, above, out / "slices.png"),
-            ]
-        written += [_confusion(c, above, out / f"{c.key}.png") for c in confusions]
-    written.append(write_page(summaries, slices, confusions, out / "diagnosis.html", caveats))
-    return written
+            _verdicts(summaries, above, out / "verdicts.png")
+            _oracles(first, summaries[first], above, out / "oracles.png")
+            _slices(first, slices, above, out / "slices.png")
+        for found in confusions:
+            _confusion(found, above, out / f"{found.key}.png")
+    write_page(summaries, slices, confusions, out / "diagnosis.html", caveats)
 
 
-def _verdicts(summaries: Mapping[str, RunSummary], above: str, path: Path) -> Path:
+def _verdicts(summaries: Mapping[str, RunSummary], above: str, path: Path) -> None:
     figure = new_figure(
         FULL, 90 + 34 * len(VERDICTS) * len(summaries),
         "Verdicts on every expression",
@@ -100,14 +97,12 @@ def _verdicts(summaries: Mapping[str, RunSummary], above: str, path: Path) -> Pa
             axes.text(end + 0.8, index, text, va="center", fontsize=8.5, color=QUIET)
     axes.set_yticks(y, VERDICTS)
     axes.invert_yaxis()
-    axes.set_xlim(0, 105)
-    axes.set_xlabel("share of expressions (%)")
+    axes.set(xlim=(0, 105), xlabel="share of expressions (%)")
     axes.grid(axis="x")
     save_figure(figure, path)
-    return path
 
 
-def _oracles(name: str, summary: RunSummary, caveat: str, path: Path) -> Path:
+def _oracles(name: str, summary: RunSummary, caveat: str, path: Path) -> None:
     figure = new_figure(FULL, 380, f"What each module costs: {name}", caveat + ADDS_UP)
     axes = figure.add_subplot()
     bars = waterfall(summary)
@@ -135,15 +130,13 @@ def _oracles(name: str, summary: RunSummary, caveat: str, path: Path) -> Path:
     least = min(100 * min(s, s + e.value) for _, s, e in bars[1:])
     alone = min((100 * (summary.deltas.value[0] + e.value) for e in summary.deltas.single.values()), default=least)
     start = max(0.0, min(least, alone) - 10)
-    axes.set_ylim(start, 104)
     axes.set_xticks(range(len(bars)), ["as answered", *(k for k, _, _ in bars[1:])])
-    axes.set_ylabel(f"set-valued accuracy (%){f', from {start:.0f} on' if start else ''}")
+    axes.set(ylim=(start, 104), ylabel=f"set-valued accuracy (%){f', from {start:.0f} on' if start else ''}")
     axes.grid(axis="y")
     save_figure(figure, path)
-    return path
 
 
-def _slices(system: str, slices: Sequence[Slices], above: str, path: Path) -> Path:
+def _slices(system: str, slices: Sequence[Slices], above: str, path: Path) -> None:
     chosen = [s for s in slices if s.dimension.name in SHOWN]
     figure = new_figure(
         FULL, 300 * ((len(chosen) + 1) // 2),
@@ -165,16 +158,13 @@ def _slices(system: str, slices: Sequence[Slices], above: str, path: Path) -> Pa
             axes.text(101, k, str(row.n), va="center", fontsize=8, color=QUIET)
         axes.set_yticks(range(len(rows)), [short(s.name, 18) for s in rows])
         axes.invert_yaxis()
-        axes.set_xlim(0, 110)
-        axes.set_xticks([0, 25, 50, 75, 100])
-        axes.set_title(cut.dimension.title)
+        axes.set(xticks=[0, 25, 50, 75, 100], xlim=(0, 110), title=cut.dimension.title)
     ordered = [v for v in VERDICTS if v in seen]
     figure.legend([seen[v] for v in ordered], ordered, loc="outside lower center", ncols=len(ordered))
     save_figure(figure, path)
-    return path
 
 
-def _confusion(found: Confusion, above: str, path: Path) -> Path:
+def _confusion(found: Confusion, above: str, path: Path) -> None:
     figure = new_figure(FULL, 90 + 36 * len(found.rows), found.title, above + found.note)
     axes = figure.add_subplot()
     shares = shares_of_rows(found)
@@ -188,7 +178,6 @@ def _confusion(found: Confusion, above: str, path: Path) -> Path:
     axes.set_yticks(range(len(found.rows)), [PHRASE.get(r, r) for r in found.rows])
     axes.spines[:].set_visible(False)
     save_figure(figure, path)
-    return path
 
 
 def write_page(
@@ -197,7 +186,7 @@ def write_page(
     confusions: Sequence[Confusion],
     path: Path,
     caveats: str = "",
-) -> Path:
+) -> None:
     """Write `diagnosis.html`, the `caveats` at its top; every bar says the search that finds its expressions."""
     parts: list[Any] = []
     if summaries:
@@ -208,7 +197,7 @@ def write_page(
         parts += [_slices_figure(system, cut) for system in dict.fromkeys(s.system for s in cut.slices if s.verdicts)]
     for found in confusions:
         parts += [_confusion_figure(found), _paragraph(found.note)]
-    return write_figures(parts, "Diagnosis", path, caveats, _STYLE)
+    write_figures(parts, "Diagnosis", path, caveats, _STYLE)
 
 
 def _paragraph(text: str) -> str:
@@ -230,8 +219,9 @@ def _verdicts_figure(summaries: Mapping[str, RunSummary]) -> Any:
             customdata=[[s.count, f"verdict:{v}"] for v, s in zip(VERDICTS, shares, strict=True)],
             hovertemplate="%{x}: %{y:.1f} %<br>%{customdata[0]} expressions<br>search: %{customdata[1]}",
         )  # fmt: skip
-    figure.update_layout(title="Verdicts", yaxis_title="share of expressions (%)", barmode="group", showlegend=False)
-    return figure
+    return figure.update_layout(
+        title="Verdicts", yaxis_title="share of expressions (%)", barmode="group", showlegend=False
+    )
 
 
 def _oracles_figure(name: str, summary: RunSummary) -> Any:
@@ -250,10 +240,9 @@ def _oracles_figure(name: str, summary: RunSummary) -> Any:
         error_y=_errors(list(single.values())), name="alone: does not add up", offsetgroup="1",
         customdata=[e.formatted(signed=True) for e in single.values()], hovertemplate="%{x} alone: %{customdata}",
     )  # fmt: skip
-    figure.update_layout(
+    return figure.update_layout(
         title=f"What each module costs: {plain(name)}", yaxis_title="set-valued accuracy (%)", barmode="group"
     )
-    return figure
 
 
 def _slices_figure(system: str, cut: Slices) -> Any:
@@ -275,11 +264,10 @@ def _slices_figure(system: str, cut: Slices) -> Any:
             hovertemplate="%{x}: %{y:.1f} % " + verdict + "<br>%{customdata[0]} of %{customdata[1]} expressions"
             "<br>set-valued accuracy %{customdata[3]}<br>search: %{customdata[2]}",
         )  # fmt: skip
-    figure.update_layout(
+    return figure.update_layout(
         title=f"Verdicts by {cut.dimension.title}: {plain(system)}", yaxis_title="share (%)", barmode="stack",
         xaxis={"type": "category"},
     )  # fmt: skip
-    return figure
 
 
 def _confusion_figure(found: Confusion) -> Any:
@@ -289,5 +277,4 @@ def _confusion_figure(found: Confusion) -> Any:
         y=[PHRASE.get(r, r) for r in found.rows], text=found.counts, texttemplate="%{text}", colorscale="Blues",
         zmin=0, zmax=100, hovertemplate="%{y} → %{x}: %{text} (%{z:.1f} %)<extra></extra>",
     )  # fmt: skip
-    figure.update_layout(title=plain(found.title), yaxis={"autorange": "reversed"})
-    return figure
+    return figure.update_layout(title=plain(found.title), yaxis={"autorange": "reversed"})

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,23 +12,20 @@ from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
 from pipeline.datasets.settings import read_settings
 from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.grounding_tables import OPM_ONLY, clusters_of, column, has_opm, read_reported
+from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_records import FILE, RelationRecords, read_pair_names, read_relation_records
 from pipeline.evaluation.relation_report import counted_pairs, relation_ranks
 from pipeline.evaluation.run_folder import RECORDS_FILE, open_run
 from pipeline.evaluation.shared_makers import shares_of_run, title_of
 from pipeline.labels.cases import HIT
 from pipeline.labels.profiles import GIVEN
+from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig, mean_estimate
 from pipeline.metrics.relation_metrics import cell_outcomes, relation_estimates
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from pipeline.labels.reading import Labels
 
 SA, AVD = "semantic-abstraction", "avd"
 PUBLISHED_ON = {SA: "Semantic Abstraction", AVD: "AVD-Spatial"}
@@ -96,7 +92,7 @@ class Evaluated:
 
 def paper_tables(
     evaluated: Evaluated,
-    systems: Mapping[str, pa.Table],
+    systems: Mapping[str, ArrowTable],
     relations: RelationRecords | None = None,
     pairs: Sequence[Names] = (),
     *,
@@ -173,8 +169,7 @@ def _top_table(
     truth = records.truth(tuple(r for r in VOCABULARIES[SA] if r in records.relations))
     one = counted & ((truth == T).sum(axis=1) == 1)
     shares = (truth[one] == T).mean(axis=0) if one.any() else np.full(truth.shape[1], 1 / max(truth.shape[1], 1))
-    frequent = relation_ranks(np.ones(truth.shape), shares, truth)
-    rows = [row(MOST_FREQUENT, frequent)]
+    rows = [row(MOST_FREQUENT, relation_ranks(np.ones(truth.shape), shares, truth))]
     for system in records.systems:
         if system.prior:
             rows.append(row(system.title, relation_ranks(system.p, system.prior, records.truth(system.relations))))
@@ -209,7 +204,7 @@ def _f1_table(
 
 
 def _pipeline_table(
-    evaluated: Evaluated, systems: Mapping[str, pa.Table], shape: str, config: BootstrapConfig | None
+    evaluated: Evaluated, systems: Mapping[str, ArrowTable], shape: str, config: BootstrapConfig | None
 ) -> Table:
     rows, heads = [], ("ACC", "mean IoU")
     columns: tuple[str, ...] = heads
@@ -256,7 +251,7 @@ def _listed(counts: Mapping[str, int]) -> str:
 def tables_of_folder(
     folder: Path,
     labels: Labels,
-    systems: Mapping[str, pa.Table],
+    systems: Mapping[str, ArrowTable],
     shares: Mapping[str, str] = NOTHING_SHARED,
     *,
     held_out: bool = False,

@@ -11,15 +11,19 @@ import numpy as np
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.pair_table import PairTable, ScoredPair
 from pipeline.answering.ranking import alone
+from pipeline.diagnosis.frame_evidence import matched
 from pipeline.diagnosis.substitution import CONF, LIFT, SRM
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.expression import Query
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from pipeline.diagnosis.verdict import Diagnosis
+    from pyarrow import Schema as ArrowSchema
+    from pyarrow import Table as ArrowTable
+else:
+    # Arrow is loaded where it is needed, and these stand in annotations alone.
+    ArrowSchema = ArrowTable = Any
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
     "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",
@@ -75,7 +79,7 @@ nothing fits; `right_…` is the best-scoring acceptable pair among the candidat
 columns of the diagnosis for systems that are not the pipeline."""
 
 
-def records_schema() -> pa.Schema:
+def records_schema() -> ArrowSchema:
     """The Arrow schema of `COLUMNS`; a box is four numbers in pixels."""
     import pyarrow as pa
 
@@ -90,18 +94,6 @@ def records_schema() -> pa.Schema:
 def overlaps(box: np.ndarray | None, truth: np.ndarray) -> float:
     """The best overlap of a predicted box with any of the true ones ((K, 4)); 0 where either is missing."""
     return 0.0 if box is None or not len(truth) else float(iou_2d(box[None], truth).max())
-
-
-def matched(overlap: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """(D,) int64: the labelled object that each detection is, by the best overlap of at least 0.5; -1 where none.
-
-    `overlap` is (D, N) float64; `labels` (D, N) bool: which labelled objects are of the class that was asked.
-    """
-    if not overlap.size:
-        return np.full(len(overlap), -1, np.int64)
-    overlap = np.where(labels, overlap, 0.0)
-    best = overlap.argmax(axis=1)
-    return np.where(overlap[np.arange(len(overlap)), best] >= HIT, best, -1)
 
 
 def record(
@@ -180,11 +172,10 @@ def _coverage(
 
 
 def _rank(scores: np.ndarray, right: np.ndarray) -> int | None:
-    """Place, from 1, of the best-scored right candidate."""
+    """Rank, from 1, of the best-scored right candidate."""
     if not right.any():
         return None
-    order = np.argsort(-scores, kind="stable")
-    return int(np.flatnonzero(right[order])[0]) + 1
+    return int(np.flatnonzero(right[np.argsort(-scores, kind="stable")])[0]) + 1
 
 
 def _right(row: dict[str, Any], table: PairTable, first: int, covered: np.ndarray) -> None:
@@ -208,7 +199,7 @@ def _answer(
     target: int | None,
     overlap: np.ndarray,
 ) -> None:
-    """The target that answers, a place in the frame's objects, and whether it is right."""
+    """The target that answers, an index of the frame's objects, and whether it is right."""
     row["iou"], row["strict_iou"], row["set_iou"] = _with_truth(target, case, overlap)
     row |= {
         "correct": row["iou"] >= HIT, "strict_correct": row["strict_iou"] >= HIT, "set_correct": row["set_iou"] >= HIT,
@@ -315,12 +306,12 @@ def raw_columns(
     return found
 
 
-def is_calibrated(records: pa.Table) -> bool:
+def is_calibrated(records: ArrowTable) -> bool:
     """Whether the records hold the answers by raw scores too; those of earlier releases do not."""
     return "raw_iou" in records.column_names and records.column("raw_iou").null_count < records.num_rows
 
 
-def raw_records(records: pa.Table) -> pa.Table:
+def raw_records(records: ArrowTable) -> ArrowTable:
     """The records with the answers by the detector's own scores in place of those that were given.
 
     Columns of the ranking itself (probabilities, margins) stay those of the calibrated one.
@@ -355,7 +346,7 @@ class DetectorScores:
         return self.scenes if len(np.unique(self.scenes)) > 1 else self.frames
 
 
-def detector_scores(records: pa.Table) -> DetectorScores:
+def detector_scores(records: ArrowTable) -> DetectorScores:
     """The detections that calibrated records tell of."""
     parts: dict[tuple[str, str], tuple[Any, Any, Any, str]] = {}
     for end in ("target", "reference"):

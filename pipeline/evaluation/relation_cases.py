@@ -6,7 +6,7 @@ import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,16 +19,14 @@ from pipeline.metrics.splits import FrameKey
 from pipeline.proposals import make_detector
 from pipeline.proposals.base import Detector
 from pipeline.relations import RULE, TRAINED, RelationScorer, make_scorer, shipped_network
-from pipeline.relations.contract import TrainedOn
+from pipeline.relations.contract import Contract, TrainedOn
 from pipeline.relations.features import geometry_of
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import metadata, open_session
 from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, object_rows, rows_of_frame
-
-if TYPE_CHECKING:
-    from pipeline.labels.reading import Labels
 
 _GEOMETRY = tuple(dict.fromkeys(name for names in GEOMETRY_COLUMNS.values() for name in names))
 PAPER_NAMES = {
@@ -355,9 +353,6 @@ def _system(name: str, which: str, scorer: RelationScorer, labels: Labels) -> Re
 
 def uses_language(which: str) -> bool:
     """Whether a relation scorer is given class names; InputError where it cannot be opened."""
-    from pipeline.relations.contract import Contract
-    from pipeline.system.onnx_session import metadata, open_session
-
     if which == RULE:
         return False
     path = shipped_network() if which == TRAINED else Path(which)

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
+from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_cases import RelationSystem, geometry_of_labels, open_systems, read_pairs
 from pipeline.evaluation.relation_records import (
     FILE,
     RelationRecords,
-    RelationWriter,
     SystemRecords,
     read_relation_records,
     relation_schema,
-    relation_writer,
 )
 from pipeline.evaluation.relation_report import (
     SystemFigures,
@@ -34,6 +33,8 @@ from pipeline.evaluation.relation_report import (
 )
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, relation_share
+from pipeline.evaluation.vlm.client import ChatClient
+from pipeline.evaluation.vlm.questions import RelationConfig, score_pairs
 from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
@@ -43,9 +44,6 @@ from pipeline.metrics.splits import DROPPED
 from pipeline.metrics.tables import Table
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 VLM_FILE = "relation_records_vlm.parquet"
 
@@ -60,6 +58,7 @@ class RelationRun:
         A scorer each, then the vision-language model.
     tables : tuple of Table
     warnings : tuple of str
+    records : RelationRecords
     record : dict
         For the manifest.
     pairs : int
@@ -71,21 +70,24 @@ class RelationRun:
     figures: tuple[SystemFigures, ...]
     tables: tuple[Table, ...]
     warnings: tuple[str, ...]
+    records: RelationRecords
     record: dict[str, Any]
     pairs: int
     shares: dict[str, Share]
 
 
 @contextmanager
-def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[RelationWriter | None]:
+def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[Callable[[ArrowTable], None] | None]:
     """Where relation records go while frames are evaluated; None where relations are not measured."""
+    import pyarrow.parquet as pq
+
     if spec.relations is None:
         yield None
         return
     geometry_of_labels(spec.relations, labels)
     systems = open_systems(spec.options, spec.relations, labels)
-    with relation_writer(folder / FILE, relation_schema(systems, labels)) as writer:
-        yield writer
+    with pq.ParquetWriter(folder / FILE, relation_schema(systems, labels), compression="zstd") as writer:
+        yield writer.write_table
 
 
 def measure_relations(
@@ -117,7 +119,7 @@ def measure_relations(
     figures = all_systems(records, held_out=held_out, config=bootstrap)
     clusters, unit = records.clusters(counted)
     geometry = geometry_of_labels(how, labels)
-    notes = [_said(records, counted, geometry, held_out)]
+    notes = [_about(records, counted, geometry, held_out)]
     asked: dict[str, Any] | None = None
     if spec.vlm is not None:
         rows = sample_pairs(records, counted, how.vlm_pairs, how.seed)
@@ -155,10 +157,10 @@ def measure_relations(
         "warnings": warnings,
         "shares": {title: share.record() for title, share in shares.items()},
     }
-    return RelationRun(tuple(figures), tuple(tables), tuple(warnings), record, int(counted.sum()), shares)
+    return RelationRun(tuple(figures), tuple(tables), tuple(warnings), records, record, int(counted.sum()), shares)
 
 
-def _said(records: RelationRecords, measured: np.ndarray, geometry: str, held_out: bool) -> str:
+def _about(records: RelationRecords, measured: np.ndarray, geometry: str, held_out: bool) -> str:
     frames, scenes = (len(np.unique(column[measured])) for column in (records.frame_index, records.scene))
     where = "lifted from the dataset's annotations" if geometry == "lifted" else "with boxes as the labels store them"
     left = f", without {int((~measured).sum())} of frames that a network learnt from" if held_out else ""
@@ -194,17 +196,14 @@ class VlmRecords:
 
     Attributes
     ----------
-    rows : (M,) int64
-        Places of its pairs in the relation records, rising.
     system : SystemRecords
-        Of these M pairs; 0.5, a no, where the answer is not known.
+        Of the M pairs that were asked; 0.5, a no, where the answer is not known.
     unknown : dict of str to int
         Why answers are not known, and how often.
     requests : int
         Sent to the server; the others stood in the cache.
     """
 
-    rows: np.ndarray
     system: SystemRecords
     unknown: dict[str, int]
     requests: int
@@ -237,16 +236,13 @@ def ask_relations(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from pipeline.evaluation.vlm.client import ChatClient
-    from pipeline.evaluation.vlm.questions import RelationConfig, score_pairs
-
     client = ChatClient(
         options.url, options.model, timeout_s=options.timeout_s, requests_per_minute=options.requests_per_minute
     )
     config = RelationConfig(workers=options.workers, keep_going=True)
     p = np.empty((len(rows), len(relations)), np.float32)
     reasons: Counter[str] = Counter()
-    tables: list[pa.Table] = []
+    tables: list[ArrowTable] = []
     for index in np.unique(records.frame_index[rows]):
         (pairs,) = read_pairs(labels, int(index), int(index) + 1)
         # The rows of a frame stand in one piece and in the order of its pairs.
@@ -283,4 +279,4 @@ def ask_relations(
     pq.write_table(pa.concat_tables(tables), path, compression="zstd")
     title = f"VLM {options.model}, yes/no question, {len(rows)} pairs"
     system = SystemRecords("vlm", title, relations, p, np.full(len(rows), DROPPED, np.int8))
-    return VlmRecords(rows, system, dict(reasons), client.usage.requests)
+    return VlmRecords(system, dict(reasons), client.usage.requests)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
+from pipeline.evaluation.records import ArrowSchema, ArrowTable
 from pipeline.evaluation.relation_cases import (
     FramePairs,
     RelationSpec,
@@ -29,9 +29,6 @@ from pipeline.metrics.splits import DROPPED, PARTS
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import parts_seen
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 FILE = "relation_records.parquet"
 SYSTEMS_KEY = b"spatialviz.relation_systems"
@@ -120,7 +117,7 @@ class RelationPass:
         """The labelled pairs of the chosen frames in this range, by index."""
         return {f.key.index: f for f in read_pairs(self.labels, first, stop, self._chosen)}
 
-    def table(self, source: Pipeline, pairs: FramePairs, context: PreparedFrame | None) -> pa.Table:
+    def table(self, source: Pipeline, pairs: FramePairs, context: PreparedFrame | None) -> ArrowTable:
         """The rows of one frame; `context` is needed where `needs_frames`."""
         if self.needs_frames:
             assert context is not None
@@ -130,7 +127,7 @@ class RelationPass:
         return _rows(self._schema, self.systems, pairs, found, self.labels)
 
 
-def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Schema:
+def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> ArrowSchema:
     """`state` holds a state for each relation; `p` for each scorer a probability for each of its relations, and
     `learnt_from` the part of its training ("train", "validation") that the frame belongs to, else null."""
     import pyarrow as pa
@@ -165,8 +162,12 @@ def _prior_of(system: RelationSystem) -> list[float]:
 
 
 def _rows(
-    schema: pa.Schema, systems: Sequence[RelationSystem], pairs: FramePairs, found: Sequence[np.ndarray], labels: Labels
-) -> pa.Table:
+    schema: ArrowSchema,
+    systems: Sequence[RelationSystem],
+    pairs: FramePairs,
+    found: Sequence[np.ndarray],
+    labels: Labels,
+) -> ArrowTable:
     import pyarrow as pa
 
     count = len(pairs.a)
@@ -201,31 +202,6 @@ def _part_of(system: RelationSystem, pairs: FramePairs, labels: Labels) -> str |
     return None if part == DROPPED else PARTS[part]
 
 
-class RelationWriter:
-    """Writes tables as they come; `rows` of them so far."""
-
-    def __init__(self, writer: Any) -> None:
-        self._writer = writer
-        self.rows = 0
-
-    def __call__(self, table: pa.Table) -> None:
-        self._writer.write_table(table)
-        self.rows += table.num_rows
-
-
-@contextmanager
-def relation_writer(path: Path, schema: pa.Schema) -> Iterator[RelationWriter]:
-    """A writer of `relation_records.parquet`; a failure leaves no file."""
-    import pyarrow.parquet as pq
-
-    try:
-        with pq.ParquetWriter(path, schema, compression="zstd") as writer:
-            yield RelationWriter(writer)
-    except BaseException:
-        path.unlink(missing_ok=True)
-        raise
-
-
 def read_pair_names(path: Path) -> list[tuple[str, str, str]]:
     """Frame and class names (of a, of b) of each pair, in the order of `read_relation_records`."""
     import pyarrow.parquet as pq
@@ -242,7 +218,6 @@ def read_relation_records(path: Path) -> RelationRecords:
     InputError
         The file is missing, or is something else.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
@@ -252,7 +227,7 @@ def read_relation_records(path: Path) -> RelationRecords:
     except FileNotFoundError as error:
         cause = "was eval run with --tables grounding?"
         raise InputError("no relation records here", cause=cause, path=path) from error
-    except (pa.ArrowInvalid, OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError("not a file of relation records", got=str(error).split("\n")[0], path=path) from error
     with file:
         count = file.metadata.num_rows

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from pipeline.evaluation.grounding_tables import reported_rows
 from pipeline.evaluation.relation_cases import RelationSystem
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.shared_makers import Share, with_caveats
+from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.calibration_metrics import CalibrationMetrics, calibration_metrics
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
@@ -21,16 +21,13 @@ from pipeline.metrics.relation_metrics import (
     cell_outcomes,
     multi_label_metrics,
     relation_estimates,
+    true_ranks,
     tuned_thresholds,
 )
-from pipeline.metrics.single_label_metrics import true_ranks
 from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T
 from pipeline.training.label_data import same_dataset
-
-if TYPE_CHECKING:
-    from pipeline.labels.reading import Labels
 
 SHOWN_SCENES = 5
 MEASURES = (
@@ -269,27 +266,31 @@ def leak_warnings(
     """
     found: dict[str, list[str]] = {}
     for own, system in zip(records.systems, systems, strict=True):
-        if system.unlabelled:
-            text = f"measured without {', '.join(system.unlabelled)}, which were not labelled"
-            found.setdefault(text + ("; hence no Top-1" if system.prior else ""), []).append(system.name)
-        if not system.recorded:
-            text = "the file does not say what it was trained on, so these pairs may be among it"
-            found.setdefault(text, []).append(system.name)
-        learnt = system.trained_on
-        if learnt is None or not same_dataset(learnt, labels):
-            continue
-        seen = own.part != DROPPED
-        shared = sorted(set(records.scenes) & set(learnt.scenes))
-        if seen.any() and not held_out:
-            train = int((own.part == TRAIN).sum())
-            text = (
-                f"{train} of {len(seen)} pairs are ones it was trained on and {int(seen.sum()) - train} "
-                f"ones it was calibrated on, in {len(shared)} of {len(records.scenes)} scenes "
-                f"({', '.join(shared[:SHOWN_SCENES])}{', ...' if len(shared) > SHOWN_SCENES else ''}): the figures say "
-                "how well it remembers; --relation-pairs held-out leaves these pairs out"
-            )
-            found.setdefault(text, []).append(system.name)
-        elif shared and learnt.split != "scene":
-            text = "the pairs are of other frames than it learnt from, but of the same scenes"
+        for text in _leaks(records, own, system, labels, held_out):
             found.setdefault(text, []).append(system.name)
     return [f"{', '.join(names)}: {text}" for text, names in found.items()]
+
+
+def _leaks(
+    records: RelationRecords, own: SystemRecords, system: RelationSystem, labels: Labels, held_out: bool
+) -> Iterator[str]:
+    """The warnings about one scorer."""
+    if system.unlabelled:
+        text = f"measured without {', '.join(system.unlabelled)}, which were not labelled"
+        yield text + ("; hence no Top-1" if system.prior else "")
+    if not system.recorded:
+        yield "the file does not say what it was trained on, so these pairs may be among it"
+    learnt = system.trained_on
+    if learnt is None or not same_dataset(learnt, labels):
+        return
+    seen, train = own.part != DROPPED, int((own.part == TRAIN).sum())
+    shared = sorted(set(records.scenes) & set(learnt.scenes))
+    if seen.any() and not held_out:
+        yield (
+            f"{train} of {len(seen)} pairs are ones it was trained on and {int(seen.sum()) - train} "
+            f"ones it was calibrated on, in {len(shared)} of {len(records.scenes)} scenes "
+            f"({', '.join(shared[:SHOWN_SCENES])}{', ...' if len(shared) > SHOWN_SCENES else ''}): the figures say "
+            "how well it remembers; --relation-pairs held-out leaves these pairs out"
+        )
+    elif shared and learnt.split != "scene":
+        yield "the pairs are of other frames than it learnt from, but of the same scenes"

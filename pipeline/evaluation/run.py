@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,7 +15,15 @@ from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.base import load_picture
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
-from pipeline.evaluation.records import COLUMNS, by_raw_scores, diagnosis_columns, raw_columns, record, records_schema
+from pipeline.evaluation.records import (
+    COLUMNS,
+    ArrowTable,
+    by_raw_scores,
+    diagnosis_columns,
+    raw_columns,
+    record,
+    records_schema,
+)
 from pipeline.evaluation.relation_cases import RelationSpec, frames_in, spread
 from pipeline.evaluation.relation_records import RelationPass
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
@@ -29,11 +35,6 @@ from pipeline.language.expression import Query
 from pipeline.proposals.base import reads_annotations
 from pipeline.system.errors import InputError
 from pipeline.system.worker_pool import results_of
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from pipeline.labels.reading import Labels
 
 LOOKED_AT = 64
 """Frames that are looked at, spread evenly over those with expressions: to detect in all would double the cost."""
@@ -102,11 +103,9 @@ class Evaluator:
         self.source, self.labels = spec.open()
         self.class_names = class_names_of(self.labels)
         self.whole: WholeExpression | None = None
-        if not spec.grounding:
-            pass
-        elif spec.system == "referring":
+        if spec.grounding and spec.system == "referring":
             self.whole = Referring(self.source.needed_detector())
-        elif spec.system == "vlm":
+        if spec.grounding and spec.system == "vlm":
             if spec.vlm is None:
                 raise InputError("no model is named", expected="the address of a server and a model")
             self.whole = Vlm(spec.vlm)
@@ -180,7 +179,7 @@ class Evaluator:
             diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"])
         )
 
-    def block(self, first: int, stop: int) -> tuple[pa.Table, pa.Table | None]:
+    def block(self, first: int, stop: int) -> tuple[ArrowTable, ArrowTable | None]:
         """The records of the frames from index `first` up to `stop`: of expressions, and of pairs where asked for."""
         import pyarrow as pa
 
@@ -217,7 +216,7 @@ def chosen_ids(labels: Labels, limit: int | None) -> set[tuple[int, str]] | None
     return set(zip(chosen.column("frame_index").to_pylist(), chosen.column("id").to_pylist(), strict=True))
 
 
-def table_of(rows: Sequence[dict[str, Any]]) -> pa.Table:
+def table_of(rows: Sequence[dict[str, Any]]) -> ArrowTable:
     """Records as an Arrow table."""
     import pyarrow as pa
 
@@ -235,9 +234,9 @@ def evaluate_labels(
     *,
     workers: int = 1,
     progress: Progress | None = None,
-    relations: Callable[[pa.Table], None] | None = None,
+    relations: Callable[[ArrowTable], None] | None = None,
     frames_a_block: int = FRAMES_A_BLOCK,
-) -> Iterator[pa.Table]:
+) -> Iterator[ArrowTable]:
     """The records of all expressions, block by block, in the labels' order.
 
     The rows do not depend on the number of workers, nor on how many frames make a block.
@@ -288,25 +287,8 @@ def _opened(spec: EvalSpec) -> tuple[Evaluator]:
     return (Evaluator(spec),)
 
 
-def _block(block: tuple[int, int], evaluator: Evaluator) -> tuple[pa.Table, pa.Table | None]:
+def _block(block: tuple[int, int], evaluator: Evaluator) -> tuple[ArrowTable, ArrowTable | None]:
     return evaluator.block(*block)
-
-
-def write_records(tables: Iterator[pa.Table], path: Path) -> int:
-    """Write records as they come, whole or not at all; how many."""
-    import pyarrow.parquet as pq
-
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    rows = 0
-    try:
-        with pq.ParquetWriter(temporary, records_schema(), compression="zstd") as writer:
-            for table in tables:
-                writer.write_table(table)
-                rows += table.num_rows
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    return rows
 
 
 def right_scores(source: Pipeline, context: PreparedFrame, truth: FrameCases) -> np.ndarray:

@@ -1,12 +1,14 @@
-"""What an evaluation was made of, written so that it can be opened again, here or elsewhere."""
+"""A run's folder opened again, here or elsewhere: what it was made of, its records, and both for questions in SQL."""
 
 from __future__ import annotations
 
 import csv
 import json
 import os
+import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,16 +21,19 @@ from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import read_records
+from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run
 from pipeline.labels.makers import Makers
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.schema import TABLES
+from pipeline.labels.tables import read_table
 from pipeline.proposals.registry import with_model
 from pipeline.system.errors import InputError
 from pipeline.system.model_files import parse_hub_id
 
 if TYPE_CHECKING:
-    import pyarrow as pa
+    import duckdb
 
 RUN_FILE = "run.json"
 """The manifest of a run; a folder that holds it may be overwritten by another run."""
@@ -77,7 +82,7 @@ class Run:
         return {name: counts[name] for name in VERDICTS if counts[name]}
 
     @cached_property
-    def records(self) -> pa.Table:
+    def records(self) -> ArrowTable:
         """One row an expression.
 
         Raises
@@ -122,16 +127,12 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
     What lies in or beside the run's folder is named as seen from it, so that
     both may be moved together; everything else by its absolute path.
     """
-    options = {k: v for k, v in spec.options.items() if k != "config" and v is not None}
-    for name in _files(options):
-        options[name] = _each(options[name], lambda path: _written_model(path, folder))
-    if "fuse" in options:
-        options["fuse"] = [with_model(text, lambda path: _written_model(path, folder)) for text in options["fuse"]]
+    given = {k: v for k, v in spec.options.items() if k != "config" and v is not None}
     config = spec.options.get("config")
     return {
         "dataset": spec.dataset if spec.dataset == DEMO_NAME else written_path(spec.dataset, folder),
         "labels": written_path(spec.labels, folder),
-        "options": options,
+        "options": _with_paths(given, lambda path: _written_model(path, folder)),
         "config": None if config is None else asdict(config),
         "system": spec.system,
         "limit": spec.limit,
@@ -166,13 +167,16 @@ def _resolved_model(written: str, folder: Path) -> Path:
     return Path(resolved_path(written, folder))
 
 
-def _each(value: Any, change: Callable[[Any], Any]) -> Any:
-    """A path, or an encoder's and a decoder's, changed."""
-    return tuple(change(path) for path in value) if isinstance(value, list | tuple) else change(value)
-
-
-def _files(options: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(k for k in _PATHS if options.get(k) is not None and str(options[k]) not in _WORDS)
+def _with_paths(options: Mapping[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:
+    """The options of a run with every path in them changed: a file's, an encoder's and a decoder's, fused models'."""
+    found = dict(options)
+    for name in _PATHS:
+        value = options.get(name)
+        if value is not None and str(value) not in _WORDS:
+            found[name] = tuple(map(change, value)) if isinstance(value, list | tuple) else change(value)
+    if "fuse" in options:
+        found["fuse"] = [with_model(str(text), change) for text in options["fuse"]]
+    return found
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -228,12 +232,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
 
 
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
-    options: dict[str, Any] = dict(record["options"])
-    for name in _files(options):
-        options[name] = _each(options[name], lambda path: _resolved_model(path, folder))
-    if "fuse" in options:
-        own = [str(text) for text in options["fuse"]]
-        options["fuse"] = [with_model(text, lambda path: _resolved_model(str(path), folder)) for text in own]
+    options = _with_paths(record["options"], lambda path: _resolved_model(str(path), folder))
     if isinstance(options.get("intrinsics"), list):
         options["intrinsics"] = tuple(options["intrinsics"])
     if record["config"] is not None:
@@ -261,7 +260,7 @@ class OtherSystem:
         What it has in common with what made the labels.
     """
 
-    records: pa.Table
+    records: ArrowTable
     shares: tuple[Share, ...]
 
 
@@ -302,3 +301,137 @@ def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Ma
         taken.add(own)
         found[own] = OtherSystem(read_records(run), shared_makers(makers, measured_of_run(manifest)))
     return found
+
+
+RECORDS = "records"
+LABELS = "labels_"
+AT_ONCE = 10_000
+"""Rows that are fetched at a time."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a query gives.
+
+    Attributes
+    ----------
+    columns : tuple of str
+    rows : iterator of tuple
+        As they are fetched; to be used while the database is open.
+    """
+
+    columns: tuple[str, ...]
+    rows: Iterator[tuple[Any, ...]]
+
+
+class RunDatabase:
+    """The view "records", and "labels_frames", "labels_objects", "labels_relations", "labels_expressions" where the
+    labels of the run are still where they were. Open it with `open_database`.
+
+    Attributes
+    ----------
+    views : tuple of str
+    labels : str or None
+        Where the labels of the run were.
+    """
+
+    def __init__(self, connection: duckdb.DuckDBPyConnection, views: Sequence[str], labels: str | None) -> None:
+        self._connection = connection
+        self.views, self.labels = tuple(views), labels
+
+    def select(self, sql: str, parameters: Sequence[Any] = ()) -> Answer:
+        """Run one SELECT.
+
+        Raises
+        ------
+        InputError
+            It is not one SELECT, or DuckDB refuses it.
+        """
+        import duckdb
+
+        try:
+            statements = self._connection.extract_statements(sql)
+        except duckdb.Error as error:
+            raise self._refused(error) from error
+        if len(statements) != 1 or statements[0].type not in (duckdb.StatementType.SELECT,):
+            got = f"{len(statements)} statements" if len(statements) != 1 else statements[0].type.name
+            raise InputError("a run is only read", got=got, expected="one SELECT")
+        try:
+            found = self._connection.execute(statements[0], list(parameters) or None)
+        except duckdb.Error as error:
+            raise self._refused(error) from error
+        return Answer(tuple(c[0] for c in found.description or ()), self._rows(found))
+
+    def _rows(self, found: duckdb.DuckDBPyConnection) -> Iterator[tuple[Any, ...]]:
+        import duckdb
+
+        while True:
+            try:
+                rows = found.fetchmany(AT_ONCE)
+            except duckdb.Error as error:
+                raise self._refused(error) from error
+            if not rows:
+                return
+            yield from rows
+
+    def _refused(self, error: Exception) -> InputError:
+        reason = str(error).split("\nLINE ")[0].split("\n\n")[0]
+        missing = LABELS in reason and len(self.views) == 1
+        cause = f"the labels of this run are not at {self.labels}" if missing else f"there is {', '.join(self.views)}"
+        return InputError("the query cannot be run", got=reason, cause=cause)
+
+
+@contextmanager
+def open_database(run: Path) -> Iterator[RunDatabase]:
+    """A run, and its labels, as views of a database that can touch nothing else.
+
+    Raises
+    ------
+    InputError
+        There is no run, or the tables of its labels are damaged.
+    """
+    import duckdb
+    from pyarrow import dataset
+
+    run = Path(run)
+    records = read_records(run)
+    root = labels_of(run)
+    with tempfile.TemporaryDirectory(prefix="spatialviz-") as spill:
+        connection = duckdb.connect(":memory:", config={"temp_directory": spill})
+        try:
+            connection.register(RECORDS, records)
+            views = [RECORDS]
+            for name in TABLES if root is not None and all((root / f"{n}.parquet").is_file() for n in TABLES) else ():
+                assert root is not None
+                path = root / f"{name}.parquet"
+                # Reads the footer alone, and checks it.
+                read_table(path, name, [])
+                # Arrow reads these files, piece by piece: DuckDB needs leave for no path, since a path that it may read
+                # is one that it may write, by a COPY within a SELECT.
+                connection.register(f"{LABELS}{name}", dataset.dataset(path, format="parquet"))
+                views.append(f"{LABELS}{name}")
+            for setting in ("python_enable_replacements", "autoinstall_known_extensions", "autoload_known_extensions",
+                            "enable_external_access"):  # fmt: skip
+                # Not every version has each of them; the last one, which they all have, is what shuts the door.
+                with suppress(duckdb.CatalogException):
+                    connection.execute(f"SET {setting} = false")
+            connection.execute("SET lock_configuration = true")
+            yield RunDatabase(connection, views, None if root is None else str(root))
+        finally:
+            connection.close()
+
+
+def manifest_of(run: Path) -> dict[str, Any]:
+    """The manifest of a run; empty where there is none that can be read."""
+    try:
+        return read_manifest(Path(run))
+    except InputError:
+        return {}
+
+
+def labels_of(run: Path) -> Path | None:
+    """Where the labels of a run are; None where its manifest does not say."""
+    try:
+        return Path(open_run(run).spec.labels)
+    except InputError:
+        return None

@@ -14,8 +14,8 @@ from __future__ import annotations
 import atexit
 import difflib
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -25,7 +25,7 @@ import numpy as np
 from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
 from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
+from pipeline.evaluation.records import DIAGNOSIS_COLUMNS, ArrowSchema, ArrowTable
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted
@@ -34,7 +34,6 @@ from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import duckdb
-    import pyarrow as pa
 
 Condition = tuple[str, list[Any]]
 _YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
@@ -98,25 +97,27 @@ class Search:
     about_right: bool = False
 
 
-def fields_of(schema: pa.Schema) -> dict[str, Field]:
-    """What a run's records can be searched by, short names first."""
-    import pyarrow as pa
+_KINDS: tuple[tuple[str, Kind], ...] = (
+    (r"(large_)?string", "text"), (r"bool", "flag"), (r"u?int\d+|halffloat|float|double", "number"),
+    (r"(large_)?list<\w+: string.*>", "names"),
+)  # fmt: skip
+"""Types of Arrow, as it writes them, and what can be asked of them."""
 
-    kinds: dict[str, Kind] = {}
-    for field in schema:
-        if pa.types.is_string(field.type) or pa.types.is_large_string(field.type):
-            kinds[field.name] = "words" if field.name in WORDS else "text"
-        elif pa.types.is_boolean(field.type):
-            kinds[field.name] = "flag"
-        elif pa.types.is_integer(field.type) or pa.types.is_floating(field.type):
-            kinds[field.name] = "number"
-        elif pa.types.is_list(field.type) and pa.types.is_string(field.type.value_type):
-            kinds[field.name] = "names"
+
+def fields_of(schema: ArrowSchema) -> dict[str, Field]:
+    """What a run's records can be searched by, short names first."""
+    types = {field.name: str(field.type) for field in schema}
+    kinds: dict[str, Kind] = {
+        name: "words" if name in WORDS else kind
+        for name, type_ in types.items()
+        for pattern, kind in _KINDS
+        if re.fullmatch(pattern, type_)
+    }
     short = {name: Field(name, c, kinds[c]) for name, c in ALIASES.items() if c in kinds}
     return short | {name: Field(name, name, kind) for name, kind in kinds.items()}
 
 
-def compile_search(query: str, schema: pa.Schema) -> Search:
+def compile_search(query: str, schema: ArrowSchema) -> Search:
     """Read a search against the columns of a run.
 
     Raises
@@ -124,8 +125,6 @@ def compile_search(query: str, schema: pa.Schema) -> Search:
     InputError
         It cannot be read, names an unknown field or verdict, or compares what has no order.
     """
-    import pyarrow as pa
-
     fields = fields_of(schema)
     parts, parameters, order, columns = [], [], [], []
     about_right = False
@@ -138,8 +137,7 @@ def compile_search(query: str, schema: pa.Schema) -> Search:
                 order.append((_field(name, fields).column, value.text.startswith("-")))
             continue
         field, term = _meant(term, fields)
-        single = field.kind == "number" and pa.types.is_float32(schema.field(field.column).type)
-        condition, values = _CONDITIONS[field.kind](field, term, single)
+        condition, values = _condition(field, term, str(schema.field(field.column).type) == "float")
         if (term.operator == "!=") != term.negated:
             condition = f"NOT {condition}"
         else:
@@ -152,7 +150,7 @@ def compile_search(query: str, schema: pa.Schema) -> Search:
     return Search(where, tuple(parameters), tuple(order), tuple(dict.fromkeys(columns)), about_right)
 
 
-def find(source: str | Path | pa.Table, query: str) -> pa.Table:
+def find(source: str | Path | ArrowTable, query: str) -> ArrowTable:
     """The rows of a run that a search asks for, in the order of the run or as it asks.
 
     Parameters
@@ -171,12 +169,12 @@ def find(source: str | Path | pa.Table, query: str) -> pa.Table:
     return _take(records, find_rows(records, query))
 
 
-def find_rows(records: pa.Table, query: str) -> np.ndarray:
+def find_rows(records: ArrowTable, query: str) -> np.ndarray:
     """(N,) int64: places of the rows that `find` gives; for a page that holds the records and shows a few of them."""
     return _rows(records, compile_search(query, records.schema))
 
 
-def find_failures(source: str | Path | pa.Table, query: str = "") -> pa.Table:
+def find_failures(source: str | Path | ArrowTable, query: str = "") -> ArrowTable:
     """Like `find`, but without what is CORRECT, unless the search asks for a verdict or for what is right (`lucky`).
 
     Raises
@@ -192,13 +190,11 @@ def find_failures(source: str | Path | pa.Table, query: str = "") -> pa.Table:
     return _take(records, _rows(records, search))
 
 
-def _take(records: pa.Table, rows: np.ndarray) -> pa.Table:
-    import pyarrow as pa
-
-    return records if len(rows) == records.num_rows and (np.diff(rows) > 0).all() else records.take(pa.array(rows))
+def _take(records: ArrowTable, rows: np.ndarray) -> ArrowTable:
+    return records if len(rows) == records.num_rows and (np.diff(rows) > 0).all() else records.take(rows)
 
 
-def records_of(source: str | Path | pa.Table) -> pa.Table:
+def records_of(source: str | Path | ArrowTable) -> ArrowTable:
     """The records of a run folder, of its file, or as they are given."""
     if not isinstance(source, (str, Path)):
         return source
@@ -206,19 +202,18 @@ def records_of(source: str | Path | pa.Table) -> pa.Table:
     return read_records(path.parent if path.name == "records.parquet" else path)
 
 
-def _rows(records: pa.Table, search: Search) -> np.ndarray:
-    import pyarrow as pa
-
+def _rows(records: ArrowTable, search: Search) -> np.ndarray:
     if not search.columns:
         return np.arange(records.num_rows)
     index = "row of the run"
-    rows = records.select(list(search.columns)).append_column(index, pa.array(np.arange(records.num_rows)))
+    rows = records.select(list(search.columns)).append_column(index, [np.arange(records.num_rows)])
     order = [f"{_defined(n, rows.schema)} {'DESC' if down else 'ASC'} NULLS LAST" for n, down in search.order]
-    sql = f"SELECT {quoted(index)} AS place FROM run WHERE {search.where} ORDER BY {', '.join([*order, quoted(index)])}"
+    order.append(quoted(index))
+    sql = f"SELECT {quoted(index)} AS location FROM run WHERE {search.where} ORDER BY {', '.join(order)}"
     with _database().cursor() as connection:
         connection.register("run", rows)
         found = connection.execute(sql, list(search.parameters)).fetchnumpy()
-    return np.asarray(found["place"], np.int64)
+    return np.asarray(found["location"], np.int64)
 
 
 @lru_cache(maxsize=1)
@@ -231,12 +226,10 @@ def _database() -> duckdb.DuckDBPyConnection:
     return duckdb.connect(":memory:", config={"threads": 1})
 
 
-def _defined(name: str, schema: pa.Schema) -> str:
+def _defined(name: str, schema: ArrowSchema) -> str:
     """A column in which what is not a number counts as missing."""
-    import pyarrow as pa
-
     column = quoted(name)
-    floating = pa.types.is_floating(schema.field(name).type)
+    floating = str(schema.field(name).type) in ("halffloat", "float", "double")
     return f"(CASE WHEN isnan({column}) THEN NULL ELSE {column} END)" if floating else column
 
 
@@ -270,35 +263,33 @@ def _none(value: Value) -> bool:
     return not value.quoted and value.text.lower() == "none"
 
 
+def _condition(field: Field, term: Term, single: bool) -> Condition:
+    """A term as SQL; `single` says that the column holds float32."""
+    if term.operator not in (":", "=", "!=") and field.kind != "number":
+        raise InputError(f"{field.name} has no order", got=repr(term.operator), expected=f"{field.name}:VALUE")
+    if field.kind == "names":
+        return _names(field, term)
+    one = {"number": _number, "flag": _flag}.get(field.kind, _text)
+    found = [one(field, term.operator, value, single) for given in term.values for value in _named(field, given)]
+    return _any([sql for sql, _ in found]), [value for _, values in found for value in values]
+
+
 def _any(parts: list[str]) -> str:
     return f"coalesce({' OR '.join(parts)}, false)"
 
 
-def _equality_only(field: Field, term: Term) -> None:
-    if term.operator not in (":", "=", "!="):
-        raise InputError(f"{field.name} has no order", got=repr(term.operator), expected=f"{field.name}:VALUE")
-
-
-def _text(field: Field, term: Term, _single: bool) -> Condition:
-    _equality_only(field, term)
-    column, parts, values = quoted(field.column), [], []
-    for value in (v for given in term.values for v in _named(field, given)):
-        if _none(value):
-            parts.append(f"{column} IS NULL")
-            continue
-        if term.operator != ":":
-            parts.append(f"{column} = ?")
-            values.append(value.text)
-        elif field.kind == "words":
-            parts.append(f"contains(lower({column}), lower(?))")
-            values.append(value.text)
-        elif "*" in value.text and not value.quoted:
-            parts.append(f"lower({column}) LIKE lower(?) ESCAPE '\\'")
-            values.append("".join({"*": "%", "%": "\\%", "_": "\\_", "\\": "\\\\"}.get(c, c) for c in value.text))
-        else:
-            parts.append(f"lower({column}) = lower(?)")
-            values.append(value.text)
-    return _any(parts), values
+def _text(field: Field, operator: str, value: Value, _single: bool) -> Condition:
+    column = quoted(field.column)
+    if _none(value):
+        return f"{column} IS NULL", []
+    if operator != ":":
+        return f"{column} = ?", [value.text]
+    if field.kind == "words":
+        return f"contains(lower({column}), lower(?))", [value.text]
+    if "*" in value.text and not value.quoted:
+        like = "".join({"*": "%", "%": "\\%", "_": "\\_", "\\": "\\\\"}.get(c, c) for c in value.text)
+        return f"lower({column}) LIKE lower(?) ESCAPE '\\'", [like]
+    return f"lower({column}) = lower(?)", [value.text]
 
 
 def _named(field: Field, value: Value) -> tuple[Value, ...]:
@@ -318,90 +309,70 @@ def _named(field: Field, value: Value) -> tuple[Value, ...]:
     return (Value(names[text], True),)
 
 
-def _number(field: Field, term: Term, single: bool) -> Condition:
-    column, parts, values = quoted(field.column), [], []
-    operator = {":": "=", "!=": "="}.get(term.operator, term.operator)
-    finite = f"NOT isnan(CAST({column} AS DOUBLE))"
-    for value in term.values:
-        if _none(value) and operator == "=":
-            parts.append(f"({column} IS NULL OR NOT {finite})")
-            continue
-        try:
-            number = float(value.text)
-        except ValueError:
-            number = np.nan
-        if np.isnan(number):
-            raise InputError(f"{field.name} is a number", got=repr(value.text), expected=f"such as {field.name}<0.1")
-        # 0.1 means the number nearest to it that the column can hold.
-        with np.errstate(over="ignore"):
-            values.append(float(np.float32(number)) if single else number)
-        parts.append(f"({finite} AND CAST({column} AS DOUBLE) {operator} CAST(? AS DOUBLE))")
-    return _any(parts), values
+def _number(field: Field, operator: str, value: Value, single: bool) -> Condition:
+    operator = {":": "=", "!=": "="}.get(operator, operator)
+    number = f"CAST({quoted(field.column)} AS DOUBLE)"
+    if _none(value) and operator == "=":
+        return f"({quoted(field.column)} IS NULL OR isnan({number}))", []
+    try:
+        asked = float(value.text)
+    except ValueError:
+        asked = np.nan
+    if np.isnan(asked):
+        raise InputError(f"{field.name} is a number", got=repr(value.text), expected=f"such as {field.name}<0.1")
+    # 0.1 means the number nearest to it that the column can hold.
+    with np.errstate(over="ignore"):
+        asked = float(np.float32(asked)) if single else asked
+    return f"(NOT isnan({number}) AND {number} {operator} CAST(? AS DOUBLE))", [asked]
 
 
-def _flag(field: Field, term: Term, _single: bool) -> Condition:
-    _equality_only(field, term)
-    column, parts = quoted(field.column), []
-    for value in term.values:
-        text = value.text.lower()
-        if _none(value):
-            parts.append(f"{column} IS NULL")
-        elif text in (*_YES, *_NO):
-            parts.append(column if text in _YES else f"NOT {column}")
-        else:
-            raise InputError(f"{field.name} is yes or no", got=repr(value.text), expected=f"{field.name}:yes")
-    return _any(parts), []
+def _flag(field: Field, _operator: str, value: Value, _single: bool) -> Condition:
+    column, text = quoted(field.column), value.text.lower()
+    shown = {**dict.fromkeys(_YES, column), **dict.fromkeys(_NO, f"NOT {column}")}
+    if not _none(value) and text not in shown:
+        raise InputError(f"{field.name} is yes or no", got=repr(value.text), expected=f"{field.name}:yes")
+    return f"{column} IS NULL" if _none(value) else shown[text], []
 
 
-def _names(field: Field, term: Term, _single: bool) -> Condition:
-    _equality_only(field, term)
-    column, parts, values = quoted(field.column), [], []
+def _names(field: Field, term: Term) -> Condition:
+    column = quoted(field.column)
     named = [v for v in term.values if not _none(v)]
     unknown = [v.text for v in named if v.text.upper() not in ORACLES]
     if unknown:
         raise InputError(f"no such {field.name}", got=repr(unknown[0]), expected=f"one of {', '.join(ORACLES)}")
     chosen = sorted({v.text.upper() for v in named})
-    if len(named) < len(term.values):
-        parts.append(f"len(coalesce({column}, [])) = 0")
+    parts = [f"len(coalesce({column}, [])) = 0"] if len(named) < len(term.values) else []
     if term.operator == ":":
         parts += [f"list_contains({column}, ?)" for _ in chosen]
-        values += chosen
     elif chosen:
         parts.append(f"list_sort({column}) = list_sort([{', '.join('?' for _ in chosen)}])")
-        values += chosen
-    return _any(parts), values
+    return _any(parts), list(chosen)
 
 
-_CONDITIONS: dict[Kind, Callable[[Field, Term, bool], Condition]] = {
-    "text": _text, "words": _text, "number": _number, "flag": _flag, "names": _names,
-}  # fmt: skip
-
-
-def completions(source: str | Path | pa.Table, most: int = 200) -> tuple[Field, ...]:
+def completions(source: str | Path | ArrowTable, most: int = 200) -> tuple[Field, ...]:
     """All fields of a run with the values that occur, for a field that completes what is typed."""
+    records = records_of(source)
+    found = fields_of(records.schema).values()
+    return tuple(replace(f, values=_occurring(f, records.column(f.column), most)) for f in found)
+
+
+def _occurring(field: Field, column: Any, most: int) -> tuple[str, ...]:
+    """The values of a field, as `Field.values`."""
     import pyarrow.compute as pc
 
-    records = records_of(source)
-    found = []
-    for field in fields_of(records.schema).values():
-        column = records.column(field.column)
-        values: tuple[str, ...] = ()
-        if field.kind == "text":
-            # Ids are not chosen from a list.
-            if field.column != "id":
-                counts = column.drop_null().value_counts()
-                by_count = sorted(counts.to_pylist(), key=lambda c: (-c["counts"], c["values"]))
-                values = tuple(quote(c["values"]) for c in by_count[:most])
-        elif field.kind == "flag":
-            values = ("yes", "no")
-        elif field.kind == "names":
-            flat = column.drop_null().combine_chunks().flatten()
-            values = tuple(sorted(str(v) for v in flat.unique().to_pylist() if v is not None))
-        elif field.kind == "number" and column.null_count < len(column):
-            ends = pc.min_max(column).as_py()  # pyright: ignore[reportAttributeAccessIssue]
-            values = (f"{ends['min']:.6g}", f"{ends['max']:.6g}")
-        found.append(Field(field.name, field.column, field.kind, values))
-    return tuple(found)
+    # Ids are not chosen from a list.
+    if field.kind == "text" and field.column != "id":
+        counts = column.drop_null().value_counts().to_pylist()
+        return tuple(quote(c["values"]) for c in sorted(counts, key=lambda c: (-c["counts"], c["values"]))[:most])
+    if field.kind == "flag":
+        return ("yes", "no")
+    if field.kind == "names":
+        flat = column.drop_null().combine_chunks().flatten()
+        return tuple(sorted(str(v) for v in flat.unique().to_pylist() if v is not None))
+    if field.kind == "number" and column.null_count < len(column):
+        ends = pc.min_max(column).as_py()  # pyright: ignore[reportAttributeAccessIssue]
+        return (f"{ends['min']:.6g}", f"{ends['max']:.6g}")
+    return ()
 
 
 def complete(typed: str, fields: Sequence[Field], most: int = 20) -> list[str]:

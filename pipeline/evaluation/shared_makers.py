@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
+from pipeline.answering.opening import Pipeline
+from pipeline.evaluation.relation_cases import RelationSystem
 from pipeline.labels.makers import (
     ANNOTATIONS,
     OF_ANNOTATIONS,
@@ -21,17 +23,13 @@ from pipeline.labels.makers import (
 from pipeline.labels.profiles import profile_of
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.second_opinion import NONE
+from pipeline.metrics.tables import Table
 from pipeline.relations import RULE, TRAINED, RelationScorer, RuleScorer
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import PROFILE
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash
 from pipeline.system.version import __version__
-
-if TYPE_CHECKING:
-    from pipeline.answering.opening import Pipeline
-    from pipeline.evaluation.relation_cases import RelationSystem
-    from pipeline.metrics.tables import Table
 
 AGREEMENT = "shares rule and cloud with the labels: agreement, not accuracy"
 SIMULATED = "errors are simulated out of the truth's own masks"

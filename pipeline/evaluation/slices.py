@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of
+from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
-from pipeline.metrics.counts import ratio
-from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, ratio
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 UNKNOWN = "unknown"
 MEASURES = ("set_correct", "correct", "lucky")
@@ -160,7 +157,7 @@ def dimension_named(name: str) -> Dimension:
 
 
 def slice_by(
-    systems: Mapping[str, pa.Table],
+    systems: Mapping[str, ArrowTable],
     dimension: str | Dimension,
     config: BootstrapConfig | None = None,
     most: int | None = None,
@@ -197,7 +194,7 @@ def slice_by(
 
 def _sliced(
     system: str,
-    records: pa.Table,
+    records: ArrowTable,
     clusters: np.ndarray,
     cut: Dimension,
     config: BootstrapConfig | None,
@@ -221,15 +218,14 @@ def _sliced(
 
 
 def _sums(
-    system: str, records: pa.Table, clusters: np.ndarray, cut: Dimension, judged: bool
+    system: str, records: ArrowTable, clusters: np.ndarray, cut: Dimension, judged: bool
 ) -> tuple[list[Any], list[str], list[str | None], np.ndarray]:
     """Values, their names and searches, and (C, V, 1 + measures + verdicts) float64 sums by cluster."""
     import duckdb
-    import pyarrow as pa
 
     _, index = np.unique(clusters, return_inverse=True)
     columns = ["set_correct", "correct", *(["lucky", "verdict"] if judged else [])]
-    rows = records.select(columns).append_column("cluster", pa.array(index.astype(np.int32)))
+    rows = records.select(columns).append_column("cluster", [index.astype(np.int32)])
     value, parameters = "''", []
     if cut.column:
         rows = rows.append_column("value", records.column(cut.column))
@@ -253,51 +249,38 @@ def _sums(
     sums = np.zeros((int(index.max()) + 1, len(keys), 1 + len(flags)))
     for cluster, key, *numbers in found:
         sums[cluster, at[key]] = numbers
-    return keys, [_name(cut, k, system) for k in keys], [_query(cut, k) for k in keys], sums
+    parts = [_part(cut, key, system) for key in keys]
+    return keys, [name for name, _ in parts], [query for _, query in parts], sums
 
 
-def _name(cut: Dimension, key: Any, system: str) -> str:
+def _part(cut: Dimension, key: Any, system: str) -> tuple[str, str]:
+    """The name of a value, and the search that finds it."""
     if not cut.column:
-        return system
+        return system, ""
     if key is None or (cut.edges and key < 0):
-        return UNKNOWN
+        return UNKNOWN, f"{cut.name}:none"
+    if cut.order == "relation":
+        return str(PHRASE.get(key, key)), f"{cut.name}:{key}"
     if not cut.edges:
-        return str(PHRASE.get(key, key)) if cut.order == "relation" else str(key)
-    unit = f" {cut.unit}" if cut.unit else ""
-    if key == 0:
-        return f"< {cut.edges[0]:g}{unit}"
-    low = cut.edges[key - 1]
-    if key == len(cut.edges):
-        return f"{low:g}+{unit}"
-    high = cut.edges[key]
-    if cut.column == "same_class":
-        return f"{low:g}" if high - low == 1 else f"{low:g}-{high - 1:g}"
-    return f"{low:g}-{high:g}{unit}"
-
-
-def _query(cut: Dimension, key: Any) -> str | None:
-    if not cut.column:
-        return ""
-    if key is None or (cut.edges and key < 0):
-        return f"{cut.name}:none"
-    if not cut.edges:
-        return f"{cut.name}={quote(key)}" if cut.order != "relation" else f"{cut.name}:{key}"
-    above = [] if key == 0 else [f"{cut.name}>={cut.edges[key - 1]:g}"]
-    below = [] if key == len(cut.edges) else [f"{cut.name}<{cut.edges[key]:g}"]
-    return " ".join([*above, *below])
+        return str(key), f"{cut.name}={quote(key)}"
+    unit, bounds = f" {cut.unit}" if cut.unit else "", (None, *cut.edges, None)
+    low, high = bounds[key], bounds[key + 1]
+    if low is None:
+        return f"< {high:g}{unit}", f"{cut.name}<{high:g}"
+    if high is None:
+        return f"{low:g}+{unit}", f"{cut.name}>={low:g}"
+    # Counts of objects are whole.
+    last = high - 1 if cut.column == "same_class" else high
+    return f"{low:g}" if low == last else f"{low:g}-{last:g}{unit}", f"{cut.name}>={low:g} {cut.name}<{high:g}"
 
 
 def _order(cut: Dimension, keys: Sequence[Any], names: Sequence[str], counts: np.ndarray) -> list[int]:
-    """Places of the values as they are shown; the unknown one comes last."""
-    indices = list(range(len(keys)))
+    """Indices of the values as they are shown; the unknown one comes last."""
     if cut.edges:
-        return sorted(indices, key=lambda k: keys[k] if keys[k] >= 0 else len(cut.edges) + 1)
-    if cut.order == "relation":
-        rank = {r: k for k, r in enumerate(PAIRWISE)}
-        return sorted(indices, key=lambda k: (keys[k] is None, rank.get(keys[k], len(rank)), names[k]))
-    if cut.order == "name":
-        return sorted(indices, key=lambda k: (keys[k] is None, names[k]))
-    return sorted(indices, key=lambda k: (keys[k] is None, -counts[k], names[k]))
+        return sorted(range(len(keys)), key=lambda k: keys[k] if keys[k] >= 0 else len(cut.edges) + 1)
+    rank = {r: k for k, r in enumerate(PAIRWISE)}
+    by = {"relation": lambda k: rank.get(keys[k], len(rank)), "name": lambda k: 0, "count": lambda k: -counts[k]}
+    return sorted(range(len(keys)), key=lambda k: (keys[k] is None, by[cut.order](k), names[k]))
 
 
 def _estimates(sums: np.ndarray, config: BootstrapConfig | None) -> list[Estimate]:

@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import factorial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.diagnosis.substitution import ORACLES, SUBSETS, names_of
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.metrics.counts import ratio
-from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate
+from pipeline.evaluation.records import ArrowTable
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 EXACT = 1e-9
 """Sums that must agree agree to this."""
@@ -107,13 +104,13 @@ class RunSummary:
         }
 
 
-def has_verdicts(records: pa.Table) -> bool:
+def has_verdicts(records: ArrowTable) -> bool:
     """Whether a run's expressions were diagnosed: runs of other systems, and older ones, were not."""
     names = records.column_names
     return "verdict" in names and "right_with" in names and records.column("verdict").null_count < records.num_rows
 
 
-def need_verdicts(records: pa.Table) -> None:
+def need_verdicts(records: ArrowTable) -> None:
     """Raise InputError where a run has none."""
     if "verdict" not in records.column_names or "right_with" not in records.column_names:
         raise InputError("this run has no verdicts", cause="it was made by an older release; run `eval` again")
@@ -126,7 +123,7 @@ def need_verdicts(records: pa.Table) -> None:
         )
 
 
-def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> RunSummary:
+def summarise_run(records: ArrowTable, config: BootstrapConfig | None = None) -> RunSummary:
     """Verdicts with clustered intervals, and where the accuracy goes.
 
     Parameters
@@ -228,20 +225,19 @@ def oracle_table(systems: Mapping[str, RunSummary]) -> Table:
     """The table "oracles": single deltas, and Shapley values with what completes them to one."""
     found = list(systems.values())
 
-    def line(name: str, cells: Sequence[tuple[Cell, Cell]]) -> Row:
-        return Row(name, tuple(c for pair in cells for c in pair))
-
-    rows = [line("as answered", [(None, s.accuracy) for s in found])]
-    rows.append(line("PARSE", [(s.parse, s.parse) for s in found]))
-    rows += [line(m, [(s.deltas.single[m], s.deltas.shapley[m]) for s in found]) for m in ORACLES]
-    rows.append(line("residual", [(None, s.residual) for s in found]))
-    rows.append(line("sum", [(None, float(sum(e.value for e in s.loss.values()))) for s in found]))
+    lines: dict[str, list[tuple[Cell, Cell]]] = {
+        "as answered": [(None, s.accuracy) for s in found],
+        "PARSE": [(s.parse, s.parse) for s in found],
+        **{m: [(s.deltas.single[m], s.deltas.shapley[m]) for s in found] for m in ORACLES},
+        "residual": [(None, s.residual) for s in found],
+        "sum": [(None, float(sum(e.value for e in s.loss.values()))) for s in found],
+    }
     causes = " ".join(f"{name}: {residual_words(s)}." for name, s in systems.items())
     return Table(
         "oracles",
         "What each module costs",
         tuple(c for name in systems for c in _heads(name, ("alone", "Shapley"), len(systems))),
-        tuple(rows),
+        tuple(Row(name, tuple(c for pair in cells for c in pair)) for name, cells in lines.items()),
         "Points of set-valued accuracy gained with a module replaced by the truth. Alone: by it only; these do not add "
         "up, since errors overlap and make up for each other, and one below 0 made up for another's. Shapley: its fair "
         "share over all orders of replacing; the second column adds up to 100 from top to bottom. PARSE: gained by the "

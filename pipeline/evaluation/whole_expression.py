@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from pipeline.evaluation.records import COLUMNS, matched, overlaps
+from pipeline.evaluation.vlm.client import ChatClient
+from pipeline.evaluation.vlm.questions import GroundingConfig, ground_many
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import HIT, Case, FrameCases
@@ -34,28 +36,14 @@ class Pointed:
     problem: str | None = None
 
 
-class WholeExpression(Protocol):
-    """Points at what expressions say, without taking them apart."""
-
-    @property
-    def name(self) -> str: ...
-
-    def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
-        """One answer for each expression, in order."""
-        ...
-
-
 @dataclass(frozen=True)
 class Referring:
     """The detector fed the whole expression, as a sentence or as a class name: its best box is the answer."""
 
     detector: Detector
 
-    @property
-    def name(self) -> str:
-        return f"{self.detector.name}, whole expression"
-
     def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
+        """One answer for each expression, in order."""
         found = []
         for text in texts:
             try:
@@ -108,23 +96,22 @@ class Vlm:
     """
 
     def __init__(self, options: VlmOptions) -> None:
-        from pipeline.evaluation.vlm.client import ChatClient
-        from pipeline.evaluation.vlm.questions import GroundingConfig
-
         self.client = ChatClient(
             options.url,
             options.model,
             timeout_s=options.timeout_s,
             requests_per_minute=options.requests_per_minute,
         )
-        self.name = f"VLM {options.model}"
         self._config = GroundingConfig(box_scale=options.box_scale, workers=options.workers, keep_going=True)
 
     def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
-        from pipeline.evaluation.vlm.questions import ground_many
-
+        """One answer for each expression, in order."""
         found = ground_many(self.client, frame, texts, config=self._config)
         return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]
+
+
+WholeExpression = Referring | Vlm
+"""Points at what expressions say, without taking them apart."""
 
 
 def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Functions of arrays: counts, intervals, significance, calibration, kappa, splits. They know no files.
 
-`relation_metrics` (relations that may hold together), `single_label_metrics`
-(one relation a pair), `calibration_metrics`, and for how sure they are
-`intervals` (clustered bootstrap) and `significance` (McNemar's exact test).
+`relation_metrics` (relations that may hold together, and one relation a pair),
+`calibration_metrics` (measured and fitted), and for how sure they are
+`intervals` (clustered bootstrap, McNemar's exact test).
 """

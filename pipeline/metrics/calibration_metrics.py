@@ -1,4 +1,4 @@
-"""Whether probabilities mean what they say: Brier score, expected calibration error, reliability diagrams."""
+"""Whether probabilities mean what they say (Brier score, ECE, reliability), and sigmoids that make them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.counts import ratio
+from pipeline.language.relation_names import DIRECTIONAL, INVERSE
 from pipeline.metrics.inputs import checked_cells, checked_flags, checked_names, checked_probabilities
+from pipeline.metrics.intervals import ratio
 from pipeline.system.errors import InputError
 
 ECE_BINS = 15
@@ -147,3 +147,179 @@ def _checked(p: Any, holds: Any) -> tuple[np.ndarray, np.ndarray]:
     if p.shape != holds.shape:
         raise InputError("there must be one truth for each probability", got=holds.shape, expected=p.shape)
     return p, holds
+
+
+Platt = tuple[float, float]
+"""a and b of P = 1 / (1 + exp(-(a * logit + b))), a > 0."""
+IDENTITY: Platt = (1.0, 0.0)
+FEWEST_POSITIVES = 50
+"""With fewer examples of either answer the sigmoid is left as it is."""
+
+
+def antisymmetric(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
+    """"a left of b" and "b right of a" get one and the same logit: the mean of the two.
+
+    Parameters
+    ----------
+    logits : (..., N, N, R) float
+        In the order of `vocabulary`; relations without their inverse in it stay as they are.
+    """
+    result = logits.copy()
+    for k, relation in enumerate(vocabulary):
+        inverse = INVERSE.get(relation)
+        if inverse in vocabulary:
+            other = vocabulary.index(inverse)
+            if k < other:
+                mean = (logits[..., k] + logits[..., other].swapaxes(-1, -2)) / 2
+                result[..., k], result[..., other] = mean, mean.swapaxes(-1, -2)
+    return result
+
+
+def antisymmetric_log_softmax(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
+    """Logarithms of class probabilities in which "a left of b" and "b right of a" mirror each other.
+
+    The logits of two pairs have no common zero, and so only what does not depend
+    on it is averaged: among the relations with an inverse, the logarithm of each
+    one's share. How much falls to these together and to each of the others (on,
+    in) stays as the network said it of that pair.
+
+    Parameters
+    ----------
+    logits : (N, N, R) float
+        In the order of `vocabulary`.
+
+    Returns
+    -------
+    (N, N, R) float64
+    """
+    result = log_softmax(logits)
+    mirrored = [k for k, relation in enumerate(vocabulary) if INVERSE.get(relation) in vocabulary]
+    if mirrored:
+        names = [vocabulary[k] for k in mirrored]
+        inside = result[..., mirrored]
+        together = _log_sum(inside)
+        result[..., mirrored] = log_softmax(antisymmetric(inside - together, names)) + together
+    return result
+
+
+def log_softmax(logits: np.ndarray) -> np.ndarray:
+    """Logarithm of the softmax over the last axis, float64."""
+    wide = np.asarray(logits, np.float64)
+    return wide - _log_sum(wide)
+
+
+def softmax(logits: np.ndarray) -> np.ndarray:
+    """Over the last axis, float64."""
+    return np.exp(log_softmax(logits))
+
+
+def _log_sum(x: np.ndarray) -> np.ndarray:
+    top = x.max(axis=-1, keepdims=True)
+    return top + np.log(np.exp(x - top).sum(axis=-1, keepdims=True))
+
+
+def sigmoid(x: np.ndarray) -> np.ndarray:
+    """The logistic function, without overflow."""
+    return 0.5 * (1.0 + np.tanh(0.5 * np.asarray(x, np.float64)))
+
+
+def fit_platt(logits: np.ndarray, holds: np.ndarray) -> Platt:
+    """Platt's sigmoid by Newton's method on held-out examples.
+
+    Targets are (n+ + 1) / (n+ + 2) and 1 / (n- + 2) as in Platt (1999), which
+    keeps the fit finite where the examples are separable.
+
+    Parameters
+    ----------
+    logits : (M,) float
+    holds : (M,) bool
+    """
+    positive, negative = int(holds.sum()), int((~holds).sum())
+    if min(positive, negative) < FEWEST_POSITIVES:
+        return IDENTITY
+    x = np.asarray(logits, np.float64)
+    target = np.where(holds, (positive + 1) / (positive + 2), 1 / (negative + 2))
+    design = np.stack([x, np.ones_like(x)], axis=1)
+    weights = np.array(IDENTITY)
+    loss = _cross_entropy(x, target, weights)
+    for _ in range(100):
+        p = sigmoid(design @ weights)
+        gradient = design.T @ (p - target)
+        curvature = design.T @ (design * (p * (1 - p))[:, None]) + 1e-9 * np.eye(2)
+        step = np.linalg.solve(curvature, gradient)
+        scale = 1.0
+        # A full Newton step may overshoot where the sigmoid is flat.
+        while scale > 1e-6 and _cross_entropy(x, target, weights - scale * step) > loss:
+            scale /= 2
+        weights = weights - scale * step
+        previous, loss = loss, _cross_entropy(x, target, weights)
+        if previous - loss < 1e-10 * max(previous, 1.0):
+            break
+    return (float(weights[0]), float(weights[1])) if weights[0] > 0 else IDENTITY
+
+
+def _cross_entropy(x: np.ndarray, target: np.ndarray, weights: np.ndarray) -> float:
+    z = weights[0] * x + weights[1]
+    return float((np.logaddexp(0.0, z) - target * z).sum())
+
+
+def fit_calibration(
+    logits: Sequence[np.ndarray], truth: Sequence[np.ndarray], vocabulary: Sequence[str]
+) -> dict[str, Platt]:
+    """A sigmoid for each relation; inverse relations share one, so that antisymmetry stays exact.
+
+    Parameters
+    ----------
+    logits : sequence of (N, N, R) float
+        Of each view, antisymmetric.
+    truth : sequence of (N, N, R) int8
+        States; U and the diagonal take no part.
+    """
+    found: dict[str, Platt] = {}
+    for k, relation in enumerate(vocabulary):
+        inverse = INVERSE.get(relation, relation)
+        if inverse in found:
+            found[relation] = found[inverse]
+            continue
+        values, holds = [], []
+        for view, states in zip(logits, truth, strict=True):
+            known = (states[..., k] != 0) & ~np.eye(len(states), dtype=np.bool_)
+            values.append(view[..., k][known])
+            holds.append(states[..., k][known] > 0)
+        found[relation] = fit_platt(np.concatenate(values), np.concatenate(holds))
+    return found
+
+
+def fit_temperature(
+    logits: Sequence[np.ndarray], truth: Sequence[np.ndarray], vocabulary: Sequence[str]
+) -> dict[str, Platt]:
+    """One temperature for all classes, by the likelihood of held-out pairs (Guo et al. 2017, section 4.2).
+
+    Parameters
+    ----------
+    logits : sequence of (N, N, R) float
+        Of each view, of a softmax network.
+    truth : sequence of (N, N) int
+        Place of the one true relation in `vocabulary`; -1 for pairs that take no part.
+
+    Returns
+    -------
+    dict of str to (1 / temperature, 0)
+        The identity with fewer than 50 pairs.
+    """
+    pairs = [(z[t >= 0], t[t >= 0]) for z, t in zip(logits, truth, strict=True)]
+    z = np.concatenate([np.zeros((0, len(vocabulary))), *(z for z, _ in pairs)])
+    t = np.concatenate([np.zeros(0, np.int64), *(t for _, t in pairs)]).astype(np.int64)
+    slope = 1.0
+    if len(t) >= FEWEST_POSITIVES:
+        # The likelihood is concave in the slope: golden sections of its logarithm, 1/16 to 16.
+        low, high, golden = np.log(1 / 16), np.log(16.0), (5**0.5 - 1) / 2
+
+        def loss(exponent: float) -> float:
+            return -float(log_softmax(z * np.exp(exponent))[np.arange(len(t)), t].sum())
+
+        for _ in range(40):
+            a, b = high - golden * (high - low), low + golden * (high - low)
+            low, high = (low, b) if loss(a) < loss(b) else (a, high)
+        slope = float(np.exp((low + high) / 2))
+    return dict.fromkeys(vocabulary, (slope, 0.0))

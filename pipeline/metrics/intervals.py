@@ -1,4 +1,4 @@
-"""Figures with confidence intervals, by a bootstrap over clusters (Field and Welsh, JRSS B 2007).
+"""Figures made of counts, with confidence intervals by a bootstrap over clusters (Field and Welsh, JRSS B 2007).
 
 Rows of one scene resemble each other, so that whole scenes are drawn again and
 not rows. Everything here is a function of sums over rows: a resample is a vector
@@ -8,14 +8,13 @@ of how often each cluster was drawn, and all resamples are one matrix product.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.metrics.counts import ratio
-from pipeline.metrics.inputs import checked_clusters, checked_numbers
+from pipeline.metrics.inputs import checked_clusters, checked_flags, checked_numbers
 from pipeline.system.errors import InputError
 
 FEWEST_CLUSTERS = 10
@@ -198,19 +197,17 @@ def _cluster_sums(rows: np.ndarray, index: np.ndarray, count: int) -> np.ndarray
 
 
 def _estimate(value: float, drawn: np.ndarray, n: int, clusters: int, config: BootstrapConfig) -> Estimate:
-    def without(note: str) -> Estimate:
-        return Estimate(value, math.nan, math.nan, n, clusters, note)
-
-    if n == 0:
-        return without("no row counts")
-    if not math.isfinite(value):
-        return without("undefined on these rows")
-    if clusters < 2:
-        return without("one cluster: no interval can be drawn from it")
     defined = drawn[~np.isnan(drawn)]
     missing = 1 - len(defined) / len(drawn)
-    if missing > MOST_UNDEFINED:
-        return without(f"undefined in {missing:.0%} of the resamples: no interval")
+    reasons = (
+        (n == 0, "no row counts"),
+        (not math.isfinite(value), "undefined on these rows"),
+        (clusters < 2, "one cluster: no interval can be drawn from it"),
+        (missing > MOST_UNDEFINED, f"undefined in {missing:.0%} of the resamples: no interval"),
+    )
+    note = next((text for given, text in reasons if given), None)
+    if note is not None:
+        return Estimate(value, math.nan, math.nan, n, clusters, note)
     tail = 50 * (1 - config.confidence)
     low, high = np.percentile(defined, [tail, 100 - tail])
     few = f"{clusters} clusters: with fewer than {FEWEST_CLUSTERS} an interval is unreliable"
@@ -251,3 +248,137 @@ def _columns(columns: tuple[Any, ...]) -> np.ndarray:
 
 def _ratio(sums: np.ndarray) -> np.ndarray:
     return ratio(sums[:, :1], sums[:, 1:])
+
+
+def ratio(part: Any, whole: Any) -> np.ndarray:
+    """`part` / `whole` of arrays of any shape, float64; NaN where `whole` is 0."""
+    part, whole = np.broadcast_arrays(np.asarray(part, np.float64), np.asarray(whole, np.float64))
+    return np.divide(part, whole, out=np.full(part.shape, np.nan), where=whole != 0)
+
+
+def f1_of(tp: Any, fp: Any, fn: Any) -> np.ndarray:
+    """F1 = 2 tp / (2 tp + fp + fn); NaN where nothing holds (tp + fn = 0), whatever was said: it has no support."""
+    doubled, support = 2.0 * np.asarray(tp, np.float64), np.asarray(tp, np.float64) + fn
+    return ratio(doubled, np.where(support > 0, doubled + fp + fn, 0.0))
+
+
+def mean_of_defined(values: np.ndarray) -> np.ndarray:
+    """Mean over the last axis of what is not NaN; NaN where all is."""
+    defined = ~np.isnan(values)
+    return ratio(np.where(defined, values, 0.0).sum(axis=-1), defined.sum(axis=-1))
+
+
+Key = TypeVar("Key", bound=Hashable)
+
+
+@dataclass(frozen=True)
+class McNemar:
+    """McNemar's exact test.
+
+    Attributes
+    ----------
+    n : int
+        Questions.
+    b, c : int
+        Questions that only the first, only the second system answered rightly.
+    p_value : float
+        Two-sided; 1 where the systems never disagree.
+    """
+
+    n: int
+    b: int
+    c: int
+    p_value: float
+
+
+def mcnemar(first: Any, second: Any) -> McNemar:
+    """McNemar's exact test: the binomial probability of a split of the b + c disagreements at least as uneven.
+
+    It takes the questions as independent. Questions about one scene are not, so
+    that its p-value is too small where scenes differ; the clustered interval of
+    the difference (`pipeline.metrics.intervals`) does not need that.
+
+    Parameters
+    ----------
+    first, second : (N,) bool
+        Whether each question was answered rightly.
+
+    Raises
+    ------
+    InputError
+        Lengths differ, or values are neither true nor false.
+    """
+    first, second = checked_flags(first, "answers of the first"), checked_flags(second, "answers of the second")
+    if first.shape != second.shape:
+        raise InputError("paired systems must have answered the same questions", got=second.shape, expected=first.shape)
+    b, c = int((first & ~second).sum()), int((~first & second).sum())
+    return McNemar(len(first), b, c, _two_sided(b, c))
+
+
+def _two_sided(b: int, c: int) -> float:
+    if b == c:
+        return 1.0
+    from scipy.special import bdtr
+
+    # Under one half the distribution is symmetric, so that both tails weigh the same.
+    return min(1.0, 2 * float(bdtr(min(b, c), b + c, 0.5)))
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Two reviewers' judgements of the same items.
+
+    Attributes
+    ----------
+    judgements : tuple of str
+        What either said, sorted: the order of rows and columns.
+    table : (J, J) int64
+        Items by what the first said (rows) and the second (columns).
+    observed, expected : float
+        Share of items judged alike, and the share by chance with each one's own habits; NaN without items.
+    kappa : float
+        (observed - expected) / (1 - expected); NaN where both always said the same one thing.
+    """
+
+    judgements: tuple[str, ...]
+    table: np.ndarray
+    observed: float
+    expected: float
+    kappa: float
+
+    @property
+    def items(self) -> int:
+        return int(self.table.sum())
+
+    def record(self) -> dict[str, Any]:
+        """As JSON; None where a figure has no meaning."""
+        figures = {name: float(getattr(self, name)) for name in ("observed", "expected", "kappa")}
+        return {
+            "items": self.items,
+            **{name: value if np.isfinite(value) else None for name, value in figures.items()},
+            "judgements": list(self.judgements),
+            "table": self.table.tolist(),
+        }
+
+
+def cohen_kappa(first: Sequence[str], second: Sequence[str]) -> Agreement:
+    """Agreement on items that both judged, in the same order.
+
+    Raises
+    ------
+    InputError
+        Not one judgement of each for every item.
+    """
+    if len(first) != len(second):
+        raise InputError("both reviewers must have judged the same items", got=f"{len(first)} and {len(second)}")
+    names, codes = np.unique(np.array([*first, *second], np.str_), return_inverse=True)
+    table = np.zeros((len(names), len(names)), np.int64)
+    np.add.at(table, (codes[: len(first)], codes[len(first) :]), 1)
+    judgements = tuple(str(name) for name in names)
+    if not len(first):
+        return Agreement(judgements, table, float("nan"), float("nan"), float("nan"))
+    share = table / table.sum()
+    observed = float(np.trace(share))
+    expected = float(share.sum(axis=1) @ share.sum(axis=0))
+    kappa = (observed - expected) / (1 - expected) if expected < 1 else float("nan")
+    return Agreement(judgements, table, observed, expected, kappa)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from pipeline.metrics.platt import IDENTITY, Platt, fit_platt, sigmoid
+from pipeline.metrics.calibration_metrics import IDENTITY, Platt, fit_platt, sigmoid
 from pipeline.proposals.base import Detector
 from pipeline.system.errors import InputError
 

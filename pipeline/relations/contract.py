@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.language.vectors.contract import LanguageContract
-from pipeline.metrics.platt import Platt
+from pipeline.metrics.calibration_metrics import Platt
 from pipeline.relations.features import FEATURES, FeatureSet, feature_set, geometry_of
 from pipeline.system.errors import InputError
 

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.metrics.platt import antisymmetric, antisymmetric_log_softmax, sigmoid, softmax
+from pipeline.metrics.calibration_metrics import antisymmetric, antisymmetric_log_softmax, sigmoid, softmax
 from pipeline.relations.class_vectors import ClassLookup
 from pipeline.relations.contract import Contract
 from pipeline.relations.features import Appearance

@@ -18,8 +18,7 @@ from pipeline.datasets.synthetic import choose_views, make_room
 from pipeline.datasets.synthetic.views import camera_at
 from pipeline.geometry.camera import Camera
 from pipeline.language.relation_names import DIRECTIONAL, HORIZONTAL
-from pipeline.metrics.counts import f1_of
-from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, f1_of
 from pipeline.metrics.relation_metrics import cell_outcomes
 from pipeline.metrics.tables import Row, Table
 from pipeline.relations.features import FEATURES, cli_features

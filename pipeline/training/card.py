@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.platt import fit_calibration
+from pipeline.metrics.calibration_metrics import fit_calibration
 from pipeline.relations.features import cli_features
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import rule_probabilities

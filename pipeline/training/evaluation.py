@@ -14,9 +14,8 @@ import numpy as np
 
 from pipeline.language.relation_names import DIRECTIONAL, RELATIONS
 from pipeline.metrics.calibration_metrics import calibration_metrics, expected_calibration_error
-from pipeline.metrics.counts import mean_of_defined, ratio
-from pipeline.metrics.relation_metrics import multi_label_metrics
-from pipeline.metrics.single_label_metrics import single_label_metrics
+from pipeline.metrics.intervals import mean_of_defined, ratio
+from pipeline.metrics.relation_metrics import multi_label_metrics, single_label_metrics
 from pipeline.relations.relations import measure_pairs
 
 CLEAR_GAP_M = 0.10

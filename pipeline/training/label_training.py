@@ -16,7 +16,7 @@ from pipeline.labels.profiles import GIVEN
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.language.vectors import LanguageContract, open_vectors
-from pipeline.metrics.platt import Platt, fit_calibration, fit_temperature
+from pipeline.metrics.calibration_metrics import Platt, fit_calibration, fit_temperature
 from pipeline.metrics.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, SplitPlan, split_frames
 from pipeline.relations.class_vectors import ClassVectors, vectors_beside
 from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geometry_of

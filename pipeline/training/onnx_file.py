@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.metrics.platt import Platt
+from pipeline.metrics.calibration_metrics import Platt
 from pipeline.relations.class_vectors import vectors_beside
 from pipeline.system.onnx_session import require_onnx
 

@@ -20,7 +20,7 @@ import xxhash
 
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE, VOCABULARIES
 from pipeline.language.vectors import LanguageContract
-from pipeline.metrics.platt import IDENTITY, Platt
+from pipeline.metrics.calibration_metrics import IDENTITY, Platt
 from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import Contract, Output
 from pipeline.relations.features import LANGUAGE, feature_set

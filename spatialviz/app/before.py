@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.answering.json_records import why_no_answer
-from pipeline.answering.told_answer import probability, told
+from pipeline.answering.json_records import probability, told, why_no_answer
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.geometry.palette import hex_color, palette

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pipeline.answering.json_records import why_no_answer
+from pipeline.answering.json_records import probability, told, why_no_answer
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
-from pipeline.answering.told_answer import probability, told
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette, second_color

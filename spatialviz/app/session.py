@@ -10,10 +10,10 @@ from datetime import datetime
 import viser
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.json_records import holds
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.answering.suggestions import suggest_expressions
-from pipeline.answering.told_answer import holds
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.datasets import has_moves
 from pipeline.datasets.base import dataset_notes

@@ -1,7 +1,7 @@
 """One self-contained page of an answer, to attach to an issue: why, the picture, the scene, all numbers.
 
-`picture_svg` says which object plays which role and draws them over the image,
-`tables` holds the numbers, `page` puts all on a page of the `style`.
+`picture` says which object plays which role and draws them over the image,
+`tables` holds the numbers, `page` puts all on one page.
 """
 
 from spatialviz.report.page import Subject, failure_page, write_page

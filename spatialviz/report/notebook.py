@@ -5,18 +5,14 @@ The elements are built as a tree and written by the standard library, which esca
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Iterable, Sequence
 from xml.etree.ElementTree import Element, tostring
 
-import cv2
-import numpy as np
-
+from pipeline.answering.json_records import probability
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.answering.told_answer import probability
 from pipeline.diagnosis.answer import Answer
 from pipeline.evaluation.run_folder import Run
-from spatialviz.report.picture import answer_picture
+from spatialviz.report.picture import answer_picture, jpeg_url
 
 SHOWN_PAIRS = 8
 SHOWN_ROWS = 12
@@ -45,7 +41,7 @@ def _answer(answer: Answer) -> Element:
     verdict = None if answer.verdict is None else element("b", f" {answer.verdict}")
     trace = answer.trace
     frame = None if trace is None else element("span", f" {trace.frame.id}", style=_QUIET)
-    picture = None if trace is None else _jpeg(answer_picture(trace))
+    picture = None if trace is None else jpeg_url(answer_picture(trace))
     return element(
         "div",
         element("p", element("b", f"“{answer.text}”"), frame, verdict),
@@ -103,8 +99,3 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Element:
 
 def _more(count: int, what: str) -> Element | None:
     return element("p", f"and {count} more {what}", style=_QUIET) if count > 0 else None
-
-
-def _jpeg(rgb: np.ndarray) -> str:
-    data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]))[1]
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import redirect_stdout
 from io import StringIO
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ from pipeline.geometry.palette import RGB, Role, palette
 from spatialviz.app.cloud import BAND_RATIO, FAR
 from spatialviz.app.origin import checked_origins
 from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
-from spatialviz.report.picture_svg import AnswerRoles, answer_roles
+from spatialviz.report.picture import AnswerRoles, answer_roles
 
 if TYPE_CHECKING:
     import viser
@@ -135,7 +135,7 @@ def _place_camera(server: viser.ViserServer, points: np.ndarray, context: Prepar
     forward = to_show @ np.array([0.0, 0.0, 1.0])
     middle = np.median(points, axis=0) if len(points) else forward * 2
     distance = float(np.linalg.norm(middle))
-    eye = middle - forward * distance * 1.12 + _offset((-0.32, 0.0, 0.30), distance)
+    eye = middle - forward * distance * 1.12 + np.array([-0.32, 0.0, 0.30]) * distance
     tall = context.frame.height / 2 / context.frame.camera.fy
     wide = context.frame.width / 2 / context.frame.camera.fx / ASPECT
     camera = server.initial_camera
@@ -143,7 +143,3 @@ def _place_camera(server: viser.ViserServer, points: np.ndarray, context: Prepar
     camera.position = (float(eye[0]), float(eye[1]), float(eye[2]))
     camera.look_at = (float(middle[0]), float(middle[1]), float(middle[2]))
     camera.fov = float(2 * np.arctan(max(tall, wide) * 0.92))
-
-
-def _offset(direction: Iterable[float], distance: float) -> np.ndarray:
-    return np.array(list(direction)) * distance

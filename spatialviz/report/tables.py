@@ -10,7 +10,7 @@ from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
 from pipeline.language.lexicon import wording
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
-from spatialviz.report.picture_svg import AnswerRoles
+from spatialviz.report.picture import AnswerRoles
 
 SHOWN_PAIRS = 8
 _MODULES = (

@@ -18,12 +18,13 @@ from pipeline.answering.agreement.agreement import (
     FrameAgreement,
     Layer,
     agree,
+    figures,
     layer_of_objects,
     layer_of_proposals,
     matched,
     overlaps,
+    rank_correlation,
 )
-from pipeline.answering.agreement.agreement_figures import figures, rank_correlation
 from pipeline.answering.agreement.frames import agree_frames, agreement_record, beside
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import open_pipeline

@@ -17,7 +17,6 @@ from pipeline.answering.bench import bench_source
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, same_object
 from pipeline.answering.opening import (
     Pipeline,
-    ask_frames,
     contexts,
     frame_ids,
     open_pipeline,
@@ -309,7 +308,7 @@ def test_a_network_answers_on_a_real_frame(shared_data: Path) -> None:
 
 def test_the_demo_answers_its_own_question() -> None:
     source = open_pipeline("demo")
-    (trace,) = ask_frames(source, 0, [DEMO_EXPRESSION])
+    trace = source.ask(source.prepare(0), DEMO_EXPRESSION)
     assert trace.ranking is not None
     assert trace.ranking.pairs[0].p_relation > 0.9
     assert trace.scorer == "rel26"
@@ -386,7 +385,7 @@ def test_a_frame_is_named_by_id_index_or_all(broken: Pipeline) -> None:
 def test_a_dataset_without_annotations_needs_a_detector(shared_data: Path) -> None:
     source = open_pipeline(shared_data / "real" / "7scenes-redkitchen")
     with pytest.raises(InputError, match=r"no detector was named.*--detector"):
-        next(iter(ask_frames(source, 0, ["cup on the table"])))
+        source.ask(source.prepare(0), "cup on the table")
 
 
 def test_a_model_without_its_kind_is_refused(tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.answering.missed_names import missed_names
 from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering.suggestions import missed_names
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
 

@@ -19,7 +19,7 @@ from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.boxes import iou_2d
 from pipeline.language.naming import match
-from pipeline.metrics.platt import IDENTITY, sigmoid
+from pipeline.metrics.calibration_metrics import IDENTITY, sigmoid
 from pipeline.proposals import top_k
 from pipeline.proposals.score_calibration import (
     ScoreCalibration,

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.geometry.boxes import paired_iou_2d
-from pipeline.metrics.counts import mean_of_defined, ratio
 from pipeline.metrics.inputs import checked_boxes
-from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_of_defined, ratio
 from pipeline.system.errors import InputError
 
 HIT_IOU = 0.5

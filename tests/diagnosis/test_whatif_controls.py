@@ -10,9 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.diagnosis.whatif import Edits
-from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
+from pipeline.diagnosis.whatif.box_numbers import (
+    MOST_PIXELS,
+    SMALLEST_SIDE,
+    box_numbers,
+    grown,
+    labelled_mask,
+    rectangle,
+    with_numbers,
+)
 from pipeline.diagnosis.whatif.changes import each_edit, without_edit
-from pipeline.diagnosis.whatif.masks import MOST_PIXELS, grown, labelled_mask, rectangle
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes

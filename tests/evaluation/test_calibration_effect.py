@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.calibrating import calibrate_scores
 from pipeline.answering.opening import open_pipeline
-from pipeline.evaluation.calibration_tables import calibration_table, ece_estimate, held_out_warning
+from pipeline.evaluation.grounding_tables import calibration_table, ece_estimate, held_out_warning
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.records import RAW, detector_scores, is_calibrated, raw_records
 from pipeline.evaluation.run import EvalSpec, evaluate_labels

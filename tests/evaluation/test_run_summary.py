@@ -20,10 +20,10 @@ from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import compare
 from pipeline.evaluation.confusion import answer_confusion, answer_standings, network_confusion, stands_in
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.evaluation.job import evaluate_dataset
-from pipeline.evaluation.report import diagnose_run
+from pipeline.evaluation.job import diagnose_run, evaluate_dataset
+from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_database import open_run
+from pipeline.evaluation.run_folder import open_database
 from pipeline.evaluation.search import find_rows
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.slices import DIMENSIONS, slice_by, slice_table
@@ -176,7 +176,7 @@ def test_a_run_leaves_its_diagnosis(run: Path) -> None:
     assert np.trace(counts[:, : len(counts)]) == states.count(1)
     assert "## Verdicts" in (run / "tables.md").read_text()
     assert (run / "tables" / "slice-relation.csv").is_file()
-    assert network_confusion(run / "relation_records.parquet") == []
+    assert network_confusion(None) == []
 
 
 def test_every_cell_of_the_confusion_is_a_search(run: Path) -> None:
@@ -196,11 +196,11 @@ def test_other_labels_are_refused(run: Path) -> None:
         answer_confusion(records, open_labels(run.parent / "labels"), "0" * 64)
 
 
-def test_what_networks_take_for_what(tmp_path: Path) -> None:
-    said = [{"left": 0.9, "on": 0.2}, {"left": 0.6, "on": 0.4}, {"left": 0.1, "on": 0.8}]
-    states = [{"left": 1, "on": 1}, {"left": -1, "on": 1}, {"left": -1, "on": 0}]
-    pq.write_table(pa.table({"state": states, "p": [{"net": s} for s in said]}), tmp_path / "r.parquet")
-    (found,) = network_confusion(tmp_path / "r.parquet")
+def test_what_networks_take_for_what() -> None:
+    p, none = np.array([[0.9, 0.2], [0.6, 0.4], [0.1, 0.8]], np.float32), np.zeros(3, np.int32)
+    states = np.array([[1, 1], [-1, 1], [-1, 0]], np.int8)
+    net = SystemRecords("net", "net", ("left", "on"), p, np.full(3, -1, np.int8))
+    (found,) = network_confusion(RelationRecords(("left", "on"), states, none, ("room",), none, (net,)))
     np.testing.assert_array_equal(found.counts, [[1, 0], [1, 1]])
 
 
@@ -209,7 +209,7 @@ def test_sql_reads_a_run_and_nothing_else(run: Path, tmp_path: Path) -> None:
     secret.write_text("secret")
     objects = run.parent / "labels" / "objects.parquet"
     before = objects.read_bytes()
-    with open_run(run) as database:
+    with open_database(run) as database:
         count = pq.read_table(run / "records.parquet").num_rows
         assert list(database.select("SELECT count(*) FROM records").rows) == [(count,)]
         joined = "SELECT count(*) FROM records r JOIN labels_expressions e ON e.id = r.id AND e.frame = r.frame"
@@ -230,17 +230,17 @@ def test_sql_reads_a_run_and_nothing_else(run: Path, tmp_path: Path) -> None:
         assert list(database.select("SELECT 1 AS one").rows) == [(1,)]
     assert [p.name for p in tmp_path.iterdir()] == ["secret.txt"]
     assert objects.read_bytes() == before
-    with pytest.raises(InputError, match="no evaluation run"), open_run(tmp_path):
+    with pytest.raises(InputError, match="no evaluation run"), open_database(tmp_path):
         pass
 
 
 def test_sql_finds_labels_that_moved_with_the_run(run: Path, tmp_path: Path) -> None:
     shutil.copytree(run, tmp_path / "run")
-    with open_run(tmp_path / "run") as database:
+    with open_database(tmp_path / "run") as database:
         assert database.views == ("records",)
         with pytest.raises(InputError, match=f"are not at {re.escape(str(tmp_path / 'labels'))}"):
             database.select("SELECT * FROM labels_objects")
     shutil.copytree(run.parent / "labels", tmp_path / "labels")
-    with open_run(tmp_path / "run") as database:
+    with open_database(tmp_path / "run") as database:
         found = list(database.select("SELECT count(*) FROM labels_objects").rows)
     assert found == [(pq.read_metadata(tmp_path / "labels" / "objects.parquet").num_rows,)]

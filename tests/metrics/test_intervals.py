@@ -14,11 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.counts import f1_of
 from pipeline.metrics.intervals import (
     BootstrapConfig,
     Estimate,
     bootstrap,
+    f1_of,
     mean_estimate,
     ratio_estimate,
     resample_weights,

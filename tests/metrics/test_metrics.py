@@ -18,15 +18,16 @@ from pipeline.metrics.calibration_metrics import (
     expected_calibration_error,
     reliability_diagram,
 )
+from pipeline.metrics.intervals import mcnemar
 from pipeline.metrics.relation_metrics import (
     RelationMetrics,
     average_precision,
     cell_outcomes,
     multi_label_metrics,
+    single_label_metrics,
+    true_ranks,
     tuned_thresholds,
 )
-from pipeline.metrics.significance import mcnemar
-from pipeline.metrics.single_label_metrics import single_label_metrics, true_ranks
 from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)

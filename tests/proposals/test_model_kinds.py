@@ -293,7 +293,7 @@ def test_the_command_lists_what_there_is(tmp_path: Path) -> None:
 
 
 def test_a_long_run_is_counted_and_keeps_its_memory(files: dict[str, Path], tmp_path: Path) -> None:
-    from pipeline.answering.endurance import run_endurance
+    from pipeline.answering.bench import run_endurance
     from pipeline.answering.opening import open_pipeline
 
     source = open_pipeline("demo", detector="yolo-seg", model=files["yolo-seg"], srm="rule")

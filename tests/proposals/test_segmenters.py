@@ -18,7 +18,7 @@ from pycocotools import mask as coco
 from scenes import camera_of, frame_of, upright
 
 from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.answering.opening import ask_frames, open_pipeline, relate_frames
+from pipeline.answering.opening import open_pipeline, relate_frames
 from pipeline.datasets import open_dataset
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.camera import Camera
@@ -671,7 +671,7 @@ def test_jobs_use_the_segmenter(tmp_path: Path) -> None:
         source = open_pipeline("demo", detector="recorded", model=recording, segmenter=segmenter)
         (related,) = relate_frames(source, frame.id)
         sources[segmenter] = {o.lifted.quality.mask_source for o in related.objects}
-        (trace,) = ask_frames(source, frame.id, [f"{names[0]} left of the {names[1]}"])
+        trace = source.ask(source.prepare(frame.id), f"{names[0]} left of the {names[1]}")
         assert trace.detector == ("recorded" if segmenter is None else "recorded+depth")
     assert sources[None] == {"box"}
     assert "segmenter" in sources["depth"]

@@ -14,7 +14,7 @@ from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import open_pipeline
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE, VOCABULARIES
-from pipeline.metrics.platt import antisymmetric_log_softmax, fit_temperature, log_softmax, softmax
+from pipeline.metrics.calibration_metrics import antisymmetric_log_softmax, fit_temperature, log_softmax, softmax
 from pipeline.relations import make_scorer
 from pipeline.relations.class_vectors import ClassVectors, vectors_beside
 from pipeline.relations.contract import Contract

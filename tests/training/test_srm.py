@@ -26,8 +26,14 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject, Quality, extents, fit_box
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
-from pipeline.metrics.calibration_metrics import expected_calibration_error
-from pipeline.metrics.platt import IDENTITY, antisymmetric, fit_calibration, fit_platt, sigmoid
+from pipeline.metrics.calibration_metrics import (
+    IDENTITY,
+    antisymmetric,
+    expected_calibration_error,
+    fit_calibration,
+    fit_platt,
+    sigmoid,
+)
 from pipeline.proposals import AnnotationDetector
 from pipeline.relations import RuleScorer, make_scorer, shipped_network
 from pipeline.relations.features import FEATURES, feature_set

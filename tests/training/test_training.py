@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from pipeline.datasets.synthetic import choose_views, make_room, render_view, sense_view
 from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.platt import fit_calibration, fit_platt, sigmoid
+from pipeline.metrics.calibration_metrics import fit_calibration, fit_platt, sigmoid
 from pipeline.relations.features import FEATURES
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError, MissingExtra
@@ -160,7 +160,7 @@ def test_training_lowers_the_loss(name: str, samples: tuple[FrameSamples, ...]) 
 
 
 def test_the_file_computes_what_was_trained(samples: tuple[FrameSamples, ...], tmp_path: Path) -> None:
-    from pipeline.metrics.platt import antisymmetric
+    from pipeline.metrics.calibration_metrics import antisymmetric
 
     model = train_srm(samples, TrainConfig(hidden=16, epochs=2))
     save_onnx(tmp_path / "m.onnx", model)

@@ -8,13 +8,14 @@ from typing import Any
 
 from pipeline.answering.agreement.agreement import (
     MIN_IOU,
+    AgreementFigures,
     FrameAgreement,
     Layer,
     agree,
+    figures,
     layer_of_objects,
     layer_of_proposals,
 )
-from pipeline.answering.agreement.agreement_figures import AgreementFigures, figures
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
 from pipeline.answering.opening import ALL_FRAMES, Pipeline, Skipped, frame_range, skip_or_raise
 from pipeline.geometry.frame import Frame

@@ -22,7 +22,7 @@ from pipeline.corrections.review.out_of_fold import (
     unstacked,
 )
 from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.counts import f1_of
+from pipeline.metrics.intervals import f1_of
 from pipeline.metrics.relation_metrics import cell_outcomes
 from pipeline.metrics.splits import FrameKey
 from pipeline.relations.relations import U

@@ -23,7 +23,7 @@ import xxhash
 
 from pipeline.corrections.review.confident import Noise, estimate_noise, probability_wrong
 from pipeline.language.relation_names import VOCABULARIES
-from pipeline.metrics.platt import antisymmetric, sigmoid
+from pipeline.metrics.calibration_metrics import antisymmetric, sigmoid
 from pipeline.metrics.splits import FEWEST_SCENES, FRAME_GAP, GAP_M, FrameKey, along_spread
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T, U

@@ -19,9 +19,8 @@ import numpy as np
 from pipeline.corrections.review.out_of_fold import stacked
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
-from pipeline.metrics.intervals import BootstrapConfig
+from pipeline.metrics.intervals import BootstrapConfig, McNemar, mcnemar
 from pipeline.metrics.relation_metrics import RelationEstimates, cell_outcomes, relation_estimates
-from pipeline.metrics.significance import McNemar, mcnemar
 from pipeline.metrics.splits import PARTS, TEST, SplitKind, SplitPlan, split_frames
 from pipeline.metrics.tables import Row, Table, markdown
 from pipeline.relations.features import LANGUAGE

@@ -44,7 +44,7 @@ from pipeline.corrections.review.out_of_fold import unstacked
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest, labels_version
-from pipeline.metrics.significance import Agreement, cohen_kappa
+from pipeline.metrics.intervals import Agreement, cohen_kappa
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import require
 from pipeline.training.label_data import LabelData

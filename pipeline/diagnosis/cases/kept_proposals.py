@@ -15,41 +15,36 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
-from pipeline.datasets.saved_case import Four, damaged
+from pipeline.answering.recording import detection_record, finding_of
+from pipeline.datasets.saved_case import damaged
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import RunLength, decode_run_length, encode_run_length
+from pipeline.geometry.masks import RunLength, decode_run_length
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, no_proposals
+from pipeline.proposals.recorded import RecordedDetection
 from pipeline.system.errors import InputError, UnknownClass
 
 
-class KeptDetection(BaseModel):
+class KeptDetection(RecordedDetection, extra="forbid"):
     """One detection; `id` is left out where the detector gives none, `mask` where it gives a box only."""
 
-    model_config = ConfigDict(extra="forbid")
-    label: str = Field(min_length=1)
-    score: float = Field(ge=0, le=1)
-    bbox: Four
-    mask: RunLength | None = None
-    id: int | None = Field(default=None, ge=0, lt=2**63)
+    mask: RunLength | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     segmented: bool = False
 
 
-class KeptAnswer(BaseModel):
+class KeptAnswer(BaseModel, extra="forbid"):
     """Places of the detections of one name, in the detector's order, or why it refused the name."""
 
-    model_config = ConfigDict(extra="forbid")
     given: tuple[int, ...] = ()
     unfiltered: tuple[int, ...] = ()
     refused: str | None = None
 
 
-class KeptProposals(BaseModel):
+class KeptProposals(BaseModel, extra="forbid"):
     """The file."""
 
-    model_config = ConfigDict(extra="forbid")
     frames: dict[str, list[KeptDetection]] = Field(min_length=1, max_length=1)
     asked: dict[str, KeptAnswer]
 
@@ -61,7 +56,8 @@ def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names
     asked: dict[str, Any] = {}
 
     def keep(found: Proposals) -> list[int]:
-        rows = [_detection_record(frame, found, i) for i in range(len(found))]
+        by_segmenter = np.zeros(len(found), np.bool_) if found.segmented is None else found.segmented
+        rows = [detection_record(frame, finding_of(found, i), bool(s)) for i, s in enumerate(by_segmenter)]
         index = []
         for row in rows:
             # Without an identity two equal detections are two things.
@@ -83,20 +79,6 @@ def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names
         every = given if unfiltered is detector else keep(unfiltered.detect(frame, [name]))
         asked[name] = {"given": given, "unfiltered": every}
     return {"frames": {frame.id: detections}, "asked": asked}
-
-
-def _detection_record(frame: Frame, found: Proposals, i: int) -> dict[str, Any]:
-    row: dict[str, Any] = {
-        "label": found.label(i), "score": float(found.scores[i]), "bbox": [float(v) for v in found.boxes[i]],
-    }  # fmt: skip
-    masked = found.masks is not None and (found.has_mask is None or bool(found.has_mask[i]))
-    if found.masks is not None and masked:
-        row["mask"] = {"size": (frame.height, frame.width), "counts": encode_run_length(found.masks[i])}
-        if found.segmented is not None and bool(found.segmented[i]):
-            row["segmented"] = True
-    if found.ids[i] >= 0:
-        row["id"] = int(found.ids[i])
-    return row
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, Valida
 from pipeline.answering.ask import AskConfig
 from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, Four, SavedFrame, Three, damaged
 from pipeline.labels.cases import Case, FrameCases
+from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
@@ -69,17 +70,9 @@ Config = Annotated[AskConfig, BeforeValidator(_of_any_detector)]
 """`config_record`, read again; a setting that an earlier release did not have is as by default."""
 
 
-class SynonymsRecord(_Strict):
-    """A table of synonyms that is not the program's own."""
-
-    groups: tuple[tuple[str, ...], ...]
-    exceptions: tuple[str, ...]
-
-
 class ExpectedObject(BaseModel):
     """An object of the kept answer; what else is kept of it is not compared."""
 
-    model_config = ConfigDict(extra="ignore")
     id: int
     label: str
     score: FiniteFloat
@@ -89,7 +82,6 @@ class ExpectedObject(BaseModel):
 class ExpectedAnswer(BaseModel):
     """The kept answer."""
 
-    model_config = ConfigDict(extra="ignore")
     target: ExpectedObject
     reference: ExpectedObject | None
     second_reference: ExpectedObject | None = None
@@ -103,7 +95,6 @@ class ExpectedAnswer(BaseModel):
 class ExpectedDiagnosis(BaseModel):
     """The kept verdict."""
 
-    model_config = ConfigDict(extra="ignore")
     verdict: str
     detail: str | None
     lucky: bool
@@ -113,7 +104,6 @@ class ExpectedDiagnosis(BaseModel):
 class Expected(BaseModel):
     """The kept record of `answer_record`, as far as it is compared."""
 
-    model_config = ConfigDict(extra="ignore")
     answer: ExpectedAnswer | None
     judgement: ExpectedDiagnosis | None
     reason: str | None = None
@@ -131,7 +121,7 @@ class Manifest(_Strict):
     frame: SavedFrame
     dataset: dict[str, str]
     class_names: tuple[str, ...]
-    synonyms: SynonymsRecord | None
+    synonyms: Synonyms | None
     detector: DetectorRecord
     scorer: ScorerRecord
     config: Config

@@ -18,8 +18,7 @@ from pipeline.answering.objects import SAME_BOX_IOU
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
 from pipeline.diagnosis.cases.manifest import Expected, ExpectedObject, checked_expected
-from pipeline.diagnosis.cases.opening import OpenedCase, open_case
-from pipeline.diagnosis.cases.saving import write_expected
+from pipeline.diagnosis.cases.saving import OpenedCase, open_case, write_expected
 from pipeline.geometry.boxes import iou_2d
 from pipeline.relations import make_scorer
 from pipeline.system.errors import InputError

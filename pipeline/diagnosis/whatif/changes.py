@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.json_records import why_no_answer
+from pipeline.answering.json_records import present, why_no_answer
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.whatif.edits import Edits
+from pipeline.diagnosis.whatif.edits import Edits, checked_lift, checked_profile, checked_rank
 from pipeline.diagnosis.whatif.rerun import Outcome
-from pipeline.diagnosis.whatif.settings_check import checked_lift, checked_profile, checked_rank
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError
 
@@ -99,23 +98,14 @@ def _winner(outcome: Outcome) -> _Names | None:
 
 
 def _answer(outcome: Outcome, verdict: str | None) -> Record:
-    ranking, reason = outcome.trace.ranking, why_no_answer(outcome.trace)
-    record: Record = {"verdict": verdict}
-    if reason is not None:
-        record["reason"] = reason
+    ranking = outcome.trace.ranking
+    record = {"verdict": verdict, **present(reason=why_no_answer(outcome.trace))}
     if ranking is None:
         return record
     pair = ranking.pairs[0]
-    record |= {
-        role: _object(outcome, index)
-        for role, index in (
-            ("target", pair.target),
-            ("reference", pair.reference),
-            ("second_reference", pair.second_reference),
-        )
-        if index is not None
-    }
+    ends = present(target=pair.target, reference=pair.reference, second_reference=pair.second_reference)
     return record | {
+        **{role: _object(outcome, index) for role, index in ends.items()},
         "p_target": pair.p_target,
         "p_reference": pair.p_reference,
         "p_relation": pair.p_relation,

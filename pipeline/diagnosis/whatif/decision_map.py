@@ -198,8 +198,7 @@ def _pair_probabilities(
             np.stack([e[moved] + shift, np.broadcast_to(o, (count, 3))], axis=1)
             for e, o in ((lo, other_lo), (hi, other_hi))
         )
-        measures = measure_pairs(both_lo, both_hi, profile)
-        measured = Measured(measures, profile, given=(surface, share))
+        measured = Measured(measure_pairs(both_lo, both_hi, profile), profile, given=(surface, share))
         states = pair_states(measured, np.broadcast_to([True, known], (count, 2)), PAIRWISE)
         network = None
         if isinstance(scorer, OnnxScorer):

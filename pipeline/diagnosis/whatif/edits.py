@@ -15,21 +15,24 @@ An edit refers to objects by the keys of `pipeline.diagnosis.whatif.pair_tables`
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
-from pipeline.diagnosis.whatif.settings_check import checked_lift, checked_profile, checked_rank
+from pipeline.answering.ranking import RankConfig
 from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.masks import decode_run_length, encode_run_length
+from pipeline.relations.relations import Profile
 from pipeline.system.errors import InputError
 
 Record = dict[str, Any]
+_T = TypeVar("_T")
 
 FORMAT = "spatialviz-edits-1"
 MOST_EDITS = 2000
@@ -47,6 +50,90 @@ Three = tuple[float, float, float]
 Axis = tuple[Number, Number, Number]
 
 
+_LARGEST_LENGTH = 100.0
+_ANGLES = ("cone", "doubtful_cone", "elevation", "elevation_doubtful")
+_LIFT_BOUNDS: dict[str, tuple[float, float]] = {
+    "near": (0, _LARGEST_LENGTH),
+    "far": (0, _LARGEST_LENGTH),
+    "edge": (0, _LARGEST_LENGTH),
+    "edge_relative": (0, _LARGEST_LENGTH),
+    "erode": (0, 50),
+    "erode_keep": (0, 1),
+    "part": (0, 1),
+    "min_pixels": (1, 1_000_000),
+    "max_points": (1, 100_000),
+}
+
+
+def checked_rank(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of RankConfig; InputError for an unknown one, or a weight outside 0..1000."""
+    return _checked(RankConfig, values, "rank", lambda name: None if name == "aggregate" else (0, 1000))
+
+
+def checked_profile(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of Profile; InputError for an unknown one, one out of range, or bands the wrong way round."""
+    found = _checked(
+        Profile,
+        values,
+        "profile",
+        lambda name: (1e-6 if name == "min_extent" else 0.0, 90.0 if name in _ANGLES else _LARGEST_LENGTH),
+    )
+    whole = Profile(**found)
+    for wider, narrower in (
+        ("doubtful_cone", "cone"),
+        ("elevation", "elevation_doubtful"),
+        ("overlap_excludes", "overlap_doubts"),
+        ("plan_overlap", "plan_overlap_doubtful"),
+        ("in_share", "in_share_doubtful"),
+        ("near_diagonals_doubtful", "near_diagonals"),
+    ):
+        if getattr(whole, wider) < getattr(whole, narrower):
+            raise InputError(f"{wider} must be at least {narrower}", got=f"{getattr(whole, wider)}")
+    if whole.gap_switch_band[0] > whole.gap_switch_band[1]:
+        raise InputError("gap_switch_band must be from low to high", got=list(whole.gap_switch_band))
+    return found
+
+
+def checked_lift(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of LiftConfig; InputError for an unknown one, or one out of range."""
+    found = _checked(LiftConfig, values, "lift", _LIFT_BOUNDS.get)
+    whole = LiftConfig(**found)
+    if whole.near >= whole.far:
+        raise InputError("near must be less than far", got=f"{whole.near} and {whole.far}")
+    return found
+
+
+def _checked(
+    kind: type, values: Mapping[str, Any], where: str, bounds: Callable[[str], tuple[float, float] | None]
+) -> dict[str, Any]:
+    """The fields of a dataclass, each within its bounds, if it has any."""
+    known = [f.name for f in fields(kind)]
+    for name in values:
+        if name not in known:
+            raise InputError(f"{where} has no setting {name!r}", expected=", ".join(known))
+    try:
+        whole = adapter(kind).validate_json(json.dumps(dict(values), allow_nan=False), strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        index = ".".join(str(p) for p in first["loc"])
+        got = repr(first["input"])[:80]
+        raise InputError(f"{where}: {index} cannot be this", got=got, expected=first["msg"]) from error
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: a value is no finite number", got=str(error)) from error
+    found = {name: getattr(whole, name) for name in values}
+    for name, value in found.items():
+        least, most = bounds(name) or (-np.inf, np.inf)
+        for number in value if isinstance(value, tuple) else (value,):
+            if bounds(name) and not least <= number <= most:
+                raise InputError(f"{name} is out of range", got=number, expected=f"{least:g} to {most:g}")
+    return found
+
+
+@cache
+def adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
 @dataclass(frozen=True)
 class PlacedBox:
     """A 3D box as plain numbers, camera frame, metres; `R` row by row.
@@ -60,6 +147,9 @@ class PlacedBox:
     center: Axis
     R: tuple[Axis, Axis, Axis]
     size: tuple[Length, Length, Length]
+
+    def __post_init__(self) -> None:
+        self.box()
 
     @staticmethod
     def of(box: Box3D) -> PlacedBox:
@@ -101,6 +191,45 @@ class RunLengthMask:
 
 
 @dataclass(frozen=True)
+class _Confidence:
+    """P(object | name), as it stands in a file."""
+
+    name: Key
+    object: Key
+    p: Share
+
+
+@dataclass(frozen=True)
+class _Relation:
+    """P("a RELATION b"), as it stands in a file."""
+
+    relation: Key
+    a: Key
+    b: Key
+    p: Share
+
+    def __post_init__(self) -> None:
+        if self.a == self.b:
+            raise InputError("a relation is between two objects", got=f"{self.a} twice")
+
+
+def _each_once(entries: Sequence[_Confidence | _Relation]) -> dict[tuple[str, ...], float]:
+    """The probabilities by what they are of."""
+    found = {tuple(vars(entry).values())[:-1]: entry.p for entry in entries}
+    if len(found) < len(entries):
+        raise InputError("the edits give one and the same probability twice")
+    return found
+
+
+if TYPE_CHECKING:
+    _Confidences = Mapping[tuple[str, str], float]
+    _Relations = Mapping[tuple[str, str, str], float]
+else:
+    _Confidences = Annotated[list[_Confidence], Field(max_length=MOST_EDITS), AfterValidator(_each_once)]
+    _Relations = Annotated[list[_Relation], Field(max_length=MOST_EDITS), AfterValidator(_each_once)]
+
+
+@dataclass(frozen=True)
 class Edits:
     """All edits of a view; `Edits()` has none. Made by `read_edits` or by the functions below, which check.
 
@@ -119,21 +248,24 @@ class Edits:
     scorer : str or None
     """
 
-    boxes: Mapping[str, PlacedBox] = field(default_factory=dict)
-    masks: Mapping[str, RunLengthMask] = field(default_factory=dict)
-    hidden: frozenset[str] = frozenset()
-    confidences: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    relations: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
-    k: int | None = None
-    min_score: float | None = None
-    rank: Mapping[str, Any] = field(default_factory=dict)
-    profile: Mapping[str, Any] = field(default_factory=dict)
-    lift: Mapping[str, Any] = field(default_factory=dict)
-    scorer: str | None = None
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    format: Literal["spatialviz-edits-1"] = FORMAT
+    boxes: Annotated[Mapping[Key, PlacedBox], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
+    masks: Annotated[Mapping[Key, RunLengthMask], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
+    hidden: Annotated[frozenset[Key], Field(max_length=MOST_EDITS)] = frozenset()
+    confidences: _Confidences = field(default_factory=dict)
+    relations: _Relations = field(default_factory=dict)
+    k: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    min_score: Share | None = None
+    rank: Annotated[Mapping[str, Any], AfterValidator(checked_rank)] = field(default_factory=dict)
+    profile: Annotated[Mapping[str, Any], AfterValidator(checked_profile)] = field(default_factory=dict)
+    lift: Annotated[Mapping[str, Any], AfterValidator(checked_lift)] = field(default_factory=dict)
+    scorer: Annotated[str, Field(min_length=1, max_length=4096)] | None = None
 
     def __bool__(self) -> bool:
         """Whether anything is edited."""
-        return any(getattr(self, f.name) not in (None, {}, frozenset()) for f in fields(self))
+        return self != Edits()
 
     @property
     def keys(self) -> frozenset[str]:
@@ -214,72 +346,6 @@ def probability(p: float) -> float:
     return float(p)
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _Confidence(_Strict):
-    name: Key
-    object: Key
-    p: Share
-
-
-class _Relation(_Strict):
-    relation: Key
-    a: Key
-    b: Key
-    p: Share
-
-
-class EditsModel(_Strict):
-    """Edits as they stand in a file or in a view's state."""
-
-    format: Literal["spatialviz-edits-1"] = FORMAT
-    boxes: Annotated[dict[Key, PlacedBox], Field(max_length=MOST_EDITS)] = {}
-    masks: Annotated[dict[Key, RunLengthMask], Field(max_length=MOST_EDITS)] = {}
-    hidden: Annotated[list[Key], Field(max_length=MOST_EDITS)] = []
-    confidences: Annotated[list[_Confidence], Field(max_length=MOST_EDITS)] = []
-    relations: Annotated[list[_Relation], Field(max_length=MOST_EDITS)] = []
-    k: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    min_score: Share | None = None
-    rank: dict[str, Any] = {}
-    profile: dict[str, Any] = {}
-    lift: dict[str, Any] = {}
-    scorer: Annotated[str, Field(min_length=1, max_length=4096)] | None = None
-
-    def edits(self) -> Edits:
-        """The same, checked in what the fields alone do not say."""
-        for box in self.boxes.values():
-            box.box()
-        confidences = {(c.name, c.object): c.p for c in self.confidences}
-        relations = {(r.relation, r.a, r.b): r.p for r in self.relations}
-        if len(confidences) < len(self.confidences) or len(relations) < len(self.relations):
-            raise InputError("the edits give one and the same probability twice")
-        same = next((r for r in self.relations if r.a == r.b), None)
-        if same is not None:
-            raise InputError("a relation is between two objects", got=f"{same.a} twice")
-        return Edits(
-            boxes=self.boxes,
-            masks=self.masks,
-            hidden=frozenset(self.hidden),
-            confidences=confidences,
-            relations=relations,
-            k=self.k,
-            min_score=self.min_score,
-            rank=checked_rank(self.rank),
-            profile=checked_profile(self.profile),
-            lift=checked_lift(self.lift),
-            scorer=self.scorer,
-        )
-
-
-if TYPE_CHECKING:
-    EditsField = Edits
-    """Edits as a field of a model, read from `EditsModel`."""
-else:
-    EditsField = Annotated[EditsModel, AfterValidator(EditsModel.edits)]
-
-
 def edits_record(edits: Edits) -> Record:
     """Edits as a JSON object; what is not edited is left out."""
     record: Record = {
@@ -311,7 +377,7 @@ def read_edits(record: Record | str | bytes) -> Edits:
     InputError
         It is not JSON, has an unknown field, or a value out of range.
     """
-    return validated(EditsField, EditsModel.model_fields, record, "the edits")
+    return validated(Edits, record, "the edits")
 
 
 def load_edits(path: str | Path) -> Edits:
@@ -329,16 +395,8 @@ def load_edits(path: str | Path) -> Edits:
         raise InputError(str(error), path=path) from error
 
 
-@cache
-def _adapter(kind: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
-
-
-def validated(kind: Any, names: Iterable[str], record: Record | str | bytes, what: str) -> Any:
-    """A JSON object, or the text of one, as something with fields of these names; InputError in one line if it is none.
-
-    `kind` is what pydantic takes for a type.
-    """
+def validated(kind: type[_T], record: Record | str | bytes, what: str) -> _T:
+    """A JSON object, or the text of one, as a dataclass; InputError in one line if it is none."""
     try:
         value = json.loads(record) if isinstance(record, str | bytes) else record
         # Once more through JSON: infinities (1e999) and what is not JSON end here.
@@ -346,7 +404,7 @@ def validated(kind: Any, names: Iterable[str], record: Record | str | bytes, wha
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{what} cannot be read as JSON", got=str(error)[:120]) from error
     try:
-        return _adapter(kind).validate_json(text, strict=True)
+        return adapter(kind).validate_json(text, strict=True)
     except ValidationError as error:
         first = error.errors()[0]
         told = first.get("ctx", {}).get("error")
@@ -355,6 +413,6 @@ def validated(kind: Any, names: Iterable[str], record: Record | str | bytes, wha
         index = ".".join(str(p)[:60] for p in first["loc"])
         where = f"{what}: {index}" if index else what
         if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-            fields = ", ".join(names) if len(first["loc"]) == 1 else None
-            raise InputError(f"{what}: there is no field {index!r}", expected=fields) from error
+            names = ", ".join(f.name for f in fields(kind)) if len(first["loc"]) == 1 else None  # pyright: ignore
+            raise InputError(f"{what}: there is no field {index!r}", expected=names) from error
         raise InputError(f"{where} cannot be this", got=repr(first["input"])[:80], expected=first["msg"]) from error

@@ -172,8 +172,7 @@ def _renewed(
         block = np.ix_(old[kept], old[kept])
         states[np.ix_(kept, kept)] = before.scores.states[block]
         probabilities[np.ix_(kept, kept)] = before.scores.probabilities[block]
-    pair = np.stack([first, second], axis=1)
-    found = of_pairs(pair, extents, clouds, rows, scorer, profile)
+    found = of_pairs(np.stack([first, second], axis=1), extents, clouds, rows, scorer, profile)
     states[first, second], states[second, first] = found.states[:, 0, 1], found.states[:, 1, 0]
     probabilities[first, second] = found.probabilities[:, 0, 1]
     probabilities[second, first] = found.probabilities[:, 1, 0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
 from pipeline.relations.contact import Measured, in_measures, near_measures, on_measures
 from pipeline.relations.predicates import pair_margins, pair_states
-from pipeline.relations.relations import PairMeasures, Profile, known_extents, letter, measure_pairs
+from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
 from pipeline.relations.scorer import stacked_extents
 from pipeline.system.errors import InputError
 
@@ -67,32 +66,29 @@ def place_in_region(
         return Placement(relation, 0, "One of the two has no place in space: U", {})
     axes = viewer.matrix.T.astype(np.float32)
     measured = Measured(measure_pairs(lo, hi, profile), profile, [o.points @ axes for o in (target, reference)])
-    states = pair_states(measured, np.ones(2, np.bool_), (relation,))
-    state = int(states[0, 1, 0])
-    if relation in HORIZONTAL:
-        measures, reason = _horizontal(measured.pairs, relation, profile)
-    elif relation in ("above", "below"):
-        measures, reason = _vertical(measured.pairs, relation, profile)
-    elif relation in _REASONS:
-        measures, reason = _REASONS[relation](measured)
-    else:
-        measures, reason = _by_margin(float(pair_margins(measured, states, (relation,))[0, 1, 0]))
-    return Placement(relation, state, f"{reason(state)}: {letter(state)}", measures)
+    state = int(pair_states(measured, np.ones(2, np.bool_), (relation,))[0, 1, 0])
+    why = _horizontal if relation in HORIZONTAL else _REASONS.get(relation, _by_margin)
+    measures, reason = why(measured, relation, state)
+    return Placement(relation, state, f"{reason}: {letter(state)}", measures)
 
 
-_Reason = Callable[[int], str]
+def _first(*reasons: tuple[bool, str]) -> str:
+    """The first reason that is given."""
+    return next(text for given, text in reasons if given)
 
 
-def _horizontal(pairs: PairMeasures, relation: str, profile: Profile) -> tuple[Measures, _Reason]:
+def _horizontal(measured: Measured, relation: str, state: int) -> tuple[Measures, str]:
+    pairs, profile = measured.pairs, measured.profile
     axis, side = HORIZONTAL[relation]
     gap, delta = pairs.gap[0, 1], pairs.delta[0, 1]
     widest = float(np.abs(gap[[0, 2]]).max())
     by_gap, by_center = _off_axis(gap, axis), _off_axis(delta, axis)
-    alpha = by_center if widest < profile.gap_switch else by_gap
+    alpha, read = (by_center, "centres") if widest < profile.gap_switch else (by_gap, "gaps")
     offset, rho = float(side * delta[axis]), float(pairs.overlap_share[0, 1, axis])
     farther = float(np.abs(pairs.center[:, 2]).max())
     deep = max(profile.dead_zone_depth, profile.dead_zone_depth_relative * farther)
-    dead = profile.dead_zone if axis == 0 else deep
+    dead, along = (profile.dead_zone, "right") if axis == 0 else (deep, "forward")
+    cone, doubtful = profile.cone, profile.doubtful_cone
     measures = {
         "alpha_deg": alpha,
         "alpha_by_gaps_deg": by_gap,
@@ -102,30 +98,20 @@ def _horizontal(pairs: PairMeasures, relation: str, profile: Profile) -> tuple[M
         "offset_m": offset,
         "dead_zone_m": dead,
         "rho": rho,
-        "cone_deg": profile.cone,
-        "doubtful_cone_deg": profile.doubtful_cone,
+        "cone_deg": cone,
+        "doubtful_cone_deg": doubtful,
     }
-    along = "right" if axis == 0 else "forward"
-    read = "centres" if widest < profile.gap_switch else "gaps"
-
-    def reason(state: int) -> str:
-        if offset <= 0:
-            return f"It lies on the other side, by {-offset:.2f} m"
-        if rho >= profile.overlap_excludes:
-            return f"The two overlap by {rho:.0%} along {along}, {profile.overlap_excludes:.0%} or more"
-        if state < 0:
-            return f"{alpha:.0f}° off the axis by {read}, beyond {profile.doubtful_cone:g}°"
-        if state > 0:
-            return f"{alpha:.0f}° off the axis by {read}, within {profile.cone:g}°"
-        if offset < dead:
-            return f"Only {offset:.2f} m to that side, within the dead zone of {dead:.2f} m"
-        if rho >= profile.overlap_doubts:
-            return f"The two overlap by {rho:.0%} along {along}, {profile.overlap_doubts:.0%} or more"
-        if alpha > profile.cone and alpha <= profile.doubtful_cone:
-            return f"{alpha:.0f}° off the axis by {read}, between {profile.cone:g}° and {profile.doubtful_cone:g}°"
-        return f"At a gap of {widest:.2f} m gaps ({by_gap:.0f}°) and centres ({by_center:.0f}°) disagree"
-
-    return measures, reason
+    off, overlap = f"{alpha:.0f}° off the axis by {read}", f"The two overlap by {rho:.0%} along {along}"
+    return measures, _first(
+        (offset <= 0, f"It lies on the other side, by {-offset:.2f} m"),
+        (rho >= profile.overlap_excludes, f"{overlap}, {profile.overlap_excludes:.0%} or more"),
+        (state < 0, f"{off}, beyond {doubtful:g}°"),
+        (state > 0, f"{off}, within {cone:g}°"),
+        (offset < dead, f"Only {offset:.2f} m to that side, within the dead zone of {dead:.2f} m"),
+        (rho >= profile.overlap_doubts, f"{overlap}, {profile.overlap_doubts:.0%} or more"),
+        (cone < alpha <= doubtful, f"{off}, between {cone:g}° and {doubtful:g}°"),
+        (True, f"At a gap of {widest:.2f} m gaps ({by_gap:.0f}°) and centres ({by_center:.0f}°) disagree"),
+    )
 
 
 def _off_axis(displacement: np.ndarray, axis: int) -> float:
@@ -134,8 +120,9 @@ def _off_axis(displacement: np.ndarray, axis: int) -> float:
     return angle if axis == 0 else 90 - angle
 
 
-def _vertical(pairs: PairMeasures, relation: str, profile: Profile) -> tuple[Measures, _Reason]:
-    upper, lower = (0, 1) if relation == "above" else (1, 0)
+def _vertical(measured: Measured, relation: str, state: int) -> tuple[Measures, str]:
+    pairs, profile = measured.pairs, measured.profile
+    upper, lower, end = (0, 1, "The target's") if relation == "above" else (1, 0, "The reference's")
     area = pairs.extent[:, 0] * pairs.extent[:, 2]
     plan = float(pairs.overlap[0, 1, 0] * pairs.overlap[0, 1, 2] / area.min())
     clearance = float(pairs.lo[upper, 1] - pairs.hi[lower, 1])
@@ -152,82 +139,77 @@ def _vertical(pairs: PairMeasures, relation: str, profile: Profile) -> tuple[Mea
         "offset_m": offset,
         "dead_zone_m": profile.dead_zone,
     }
-    end = "The target's" if relation == "above" else "The reference's"
-
-    def reason(state: int) -> str:
-        resting, raised = clearance >= -sink, clearance > profile.clear_height
-        if offset <= 0:
-            return f"Its centre lies on the other side, by {-offset:.2f} m"
-        if not resting:
-            return f"{end} bottom is {-clearance:.2f} m below the other's top, more than {sink:.2f} m"
-        holds = plan >= profile.plan_overlap or (raised and elevation >= profile.elevation)
-        if state == 0 and holds:
-            return f"Only {offset:.2f} m between the centres, within the dead zone of {profile.dead_zone:.2f} m"
-        if plan >= (profile.plan_overlap if state > 0 else profile.plan_overlap_doubtful):
-            more = "at least" if state > 0 else "less than"
-            return f"In plan the two overlap by {plan:.0%}, {more} {profile.plan_overlap:.0%}"
-        if raised:
-            return f"In plan the two overlap by {plan:.0%}, and the line between them rises by {elevation:.0f}°"
-        return f"In plan the two overlap by only {plan:.0%}"
-
-    return measures, reason
+    raised = clearance > profile.clear_height
+    holds = plan >= profile.plan_overlap or (raised and elevation >= profile.elevation)
+    least, more = (profile.plan_overlap, "at least") if state > 0 else (profile.plan_overlap_doubtful, "less than")
+    overlap = f"In plan the two overlap by {plan:.0%}"
+    return measures, _first(
+        (offset <= 0, f"Its centre lies on the other side, by {-offset:.2f} m"),
+        (clearance < -sink, f"{end} bottom is {-clearance:.2f} m below the other's top, more than {sink:.2f} m"),
+        (
+            state == 0 and holds,
+            f"Only {offset:.2f} m between the centres, within the dead zone of {profile.dead_zone:.2f} m",
+        ),
+        (plan >= least, f"{overlap}, {more} {profile.plan_overlap:.0%}"),
+        (raised, f"{overlap}, and the line between them rises by {elevation:.0f}°"),
+        (True, f"In plan the two overlap by only {plan:.0%}"),
+    )
 
 
-def _on(measured: Measured) -> tuple[Measures, _Reason]:
+def _on(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
     profile = measured.profile
     covered, ratio, gap = (float(m[0, 1]) for m in on_measures(measured))
     touching = max(profile.on_gap, profile.on_gap_relative * float(measured.pairs.extent[0, 1]))
     measures = {"covered": covered, "area_ratio": ratio, "gap_m": gap, "touching_m": touching}
+    above, doubtful = f"{gap:.2f} m between its bottom and the surface below", profile.on_gap_doubtful
+    return measures, _first(
+        (
+            covered < profile.on_overlap,
+            f"{covered:.0%} of its footprint lies over the reference, less than {profile.on_overlap:.0%}",
+        ),
+        (
+            ratio >= profile.on_area_ratio,
+            f"Its footprint is {ratio:.1f} times the reference's, too large to stand on it",
+        ),
+        (state > 0, f"{above}, within {touching:.2f} m"),
+        (state == 0, f"{above}, up to {doubtful:.2f} m"),
+        (gap <= max(touching, doubtful), "Each could be on the other, and its middle is not the higher one"),
+        (True, f"{above}, more than {doubtful:.2f} m"),
+    )
 
-    def reason(state: int) -> str:
-        if covered < profile.on_overlap:
-            return f"{covered:.0%} of its footprint lies over the reference, less than {profile.on_overlap:.0%}"
-        if ratio >= profile.on_area_ratio:
-            return f"Its footprint is {ratio:.1f} times the reference's, too large to stand on it"
-        if state > 0:
-            return f"{gap:.2f} m between its bottom and the surface below, within {touching:.2f} m"
-        if state == 0:
-            return f"{gap:.2f} m between its bottom and the surface below, up to {profile.on_gap_doubtful:.2f} m"
-        if gap <= max(touching, profile.on_gap_doubtful):
-            return "Each could be on the other, and its middle is not the higher one"
-        return f"{gap:.2f} m between its bottom and the surface below, more than {profile.on_gap_doubtful:.2f} m"
 
-    return measures, reason
-
-
-def _in(measured: Measured) -> tuple[Measures, _Reason]:
+def _in(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
     profile = measured.profile
     share, below_rim = (float(m[0, 1]) for m in in_measures(measured))
+    return {"share": share, "below_rim": below_rim}, _first(
+        (
+            below_rim < profile.in_below_rim,
+            f"It reaches {below_rim:.0%} of its height below the rim, less than {profile.in_below_rim:.0%}",
+        ),
+        (state > 0, f"{share:.0%} of it lies inside, at least {profile.in_share:.0%}"),
+        (state == 0, f"{share:.0%} of it lies inside, less than {profile.in_share:.0%}"),
+        (True, f"{share:.0%} of it lies inside, less than {profile.in_share_doubtful:.0%}"),
+    )
 
-    def reason(state: int) -> str:
-        if below_rim < profile.in_below_rim:
-            return f"It reaches {below_rim:.0%} of its height below the rim, less than {profile.in_below_rim:.0%}"
-        bound = {1: f"at least {profile.in_share:.0%}", 0: f"less than {profile.in_share:.0%}"}
-        return f"{share:.0%} of it lies inside, {bound.get(state, f'less than {profile.in_share_doubtful:.0%}')}"
 
-    return {"share": share, "below_rim": below_rim}, reason
-
-
-def _near(measured: Measured) -> tuple[Measures, _Reason]:
+def _near(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
     profile = measured.profile
     gap, mean = (float(m[0, 1]) for m in near_measures(measured.pairs))
     close, doubtful = profile.near_diagonals * mean, profile.near_diagonals_doubtful * mean
+    between = f"{gap:.2f} m between the two"
+    return {"gap_m": gap, "mean_diagonal_m": mean, "near_m": close, "doubtful_m": doubtful}, _first(
+        (state > 0, f"{between}, within {close:.2f} m"),
+        (state == 0, f"{between}, between {close:.2f} m and {doubtful:.2f} m"),
+        (True, f"{between}, more than {doubtful:.2f} m"),
+    )
 
-    def reason(state: int) -> str:
-        bound = {1: f"within {close:.2f} m", 0: f"between {close:.2f} m and {doubtful:.2f} m"}
-        return f"{gap:.2f} m between the two, {bound.get(state, f'more than {doubtful:.2f} m')}"
 
-    return {"gap_m": gap, "mean_diagonal_m": mean, "near_m": close, "doubtful_m": doubtful}, reason
-
-
-def _by_margin(margin: float) -> tuple[Measures, _Reason]:
+def _by_margin(measured: Measured, relation: str, state: int) -> tuple[Measures, str]:
     """For a relation of which only its rule is known."""
-
-    def reason(state: int) -> str:
-        sure = {1: f"It holds by {margin:.2f} m", -1: f"It fails by {-margin:.2f} m"}
-        return sure.get(state, "It is too close to call")
-
-    return {"margin_m": margin}, reason
+    states = pair_states(measured, np.ones(2, np.bool_), (relation,))
+    margin = float(pair_margins(measured, states, (relation,))[0, 1, 0])
+    sure = {1: f"It holds by {margin:.2f} m", -1: f"It fails by {-margin:.2f} m"}
+    return {"margin_m": margin}, sure.get(state, "It is too close to call")
 
 
-_REASONS = {"on": _on, "in": _in, "near": _near}
+_REASONS = {"above": _vertical, "below": _vertical, "on": _on, "in": _in, "near": _near}

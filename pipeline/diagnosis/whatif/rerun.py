@@ -17,10 +17,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.answering.ask import Trace, joined, relation_lookup
+from pipeline.answering.ask import Trace, joined, ranked, timed
 from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
 from pipeline.answering.opening import Pipeline
-from pipeline.answering.ranking import Candidates, RelationLookup, rank
+from pipeline.answering.ranking import Candidates, RelationLookup
 from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
 from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
@@ -179,40 +179,25 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
     config, detector = baseline.source.config, baseline.detector
     context = _context(baseline, edits)
     stages = {"parse": baseline.seconds["parse"], "frame": context.seconds}
-    laps = [perf_counter()]
-
-    def took(stage: str) -> None:
-        laps.append(perf_counter())
-        stages[stage] = laps[-1] - laps[-2]
-
-    indices = {name: _selected(baseline, edits, name) for name in baseline.found}
-    took("opm")
     found = {}
     keys: dict[int, str] = {}
-    for name, at in indices.items():
-        entries = [_edited(baseline, context, edits, name, int(k)) for k in at]
-        for entry, k in zip(entries, at.tolist(), strict=True):
-            keys[id(entry)] = baseline.keys[name][k]
-        # Masks are megabytes, and joining looks only at who is who.
-        found[name] = replace(baseline.found[name], masks=None, has_mask=None, segmented=None).take(at), entries
+    with timed(stages, "opm"):
+        indices = {name: _selected(baseline, edits, name) for name in baseline.found}
     calibration = None if detector.exact else config.score_calibration
-    objects, candidates = joined(found, calibration)
-    object_keys = tuple(keys[id(o)] for o in objects)
-    candidates = _with_confidences(candidates, object_keys, edits)
-    took("lift")
+    with timed(stages, "lift"):
+        for name, at in indices.items():
+            entries = [_edited(baseline, context, edits, name, int(k)) for k in at]
+            keys |= {id(entry): baseline.keys[name][k] for entry, k in zip(entries, at.tolist(), strict=True)}
+            # Masks are megabytes, and joining looks only at who is who.
+            bare = replace(baseline.found[name], masks=None, has_mask=None, segmented=None)
+            found[name] = bare.take(at), entries
+        objects, candidates = joined(found, calibration)
+        object_keys = tuple(keys[id(o)] for o in objects)
+        candidates = _with_confidences(candidates, object_keys, edits)
     scorer = baseline.scorer(edits.scorer)
-    tables = _tables(baseline, context, edits, scorer, objects)
-    scores = _with_relations(tables.scores, object_keys, edits)
-    took("srm")
-    missing = tuple(name for name in baseline.query.labels if not len(candidates[name].index))
-    ranking = None
-    if not missing:
-        same = baseline.same(objects)
-        lookup = with_superlatives(relation_lookup(scores, objects, same), object_keys, edits)
-        sizes = np.array([o.lifted.quality.mask_pixels for o in objects])
-        rank_config = replace(config.rank, **edits.rank)
-        ranking = rank(baseline.query.readings, candidates, lookup, same, sizes, rank_config)
-        took("prm")
+    with timed(stages, "srm"):
+        tables = _tables(baseline, context, edits, scorer, objects)
+        scores = _with_relations(tables.scores, object_keys, edits)
     trace = Trace(
         frame=context.frame,
         viewer=context.viewer,
@@ -220,14 +205,14 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
         objects=objects,
         candidates=candidates,
         scores=scores,
-        ranking=ranking,
-        missing=missing,
         timings=stages,
         detector=detector.name,
         scorer=scorer.name,
         exact=detector.exact,
         score_calibration=calibration,
     )
+    rank_config = replace(config.rank, **edits.rank)
+    trace = ranked(trace, rank_config, baseline.same, lambda lookup: with_superlatives(lookup, object_keys, edits))
     return Outcome(trace, object_keys, tables.scored)
 
 

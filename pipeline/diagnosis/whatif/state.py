@@ -13,12 +13,12 @@ import json
 import re
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field
 
-from pipeline.diagnosis.whatif.edits import Edits, EditsField, edits_record, validated
+from pipeline.diagnosis.whatif.edits import Edits, edits_record, validated
 from pipeline.system.errors import InputError
 
 VERSION = 1
@@ -83,7 +83,7 @@ class ViewState:
     pair: tuple[Text, Text] | None = None
     camera: CameraView | None = None
     toggles: Annotated[Mapping[Text, Toggle], Field(max_length=200)] = field(default_factory=dict)
-    edits: EditsField = field(default_factory=Edits)
+    edits: Edits = field(default_factory=Edits)
     run: Text | None = None
     expression_id: Text | None = None
     colors: Text | None = None
@@ -112,7 +112,7 @@ def state_record(state: ViewState) -> dict[str, Any]:
 
 def read_state(record: dict[str, Any] | str | bytes) -> ViewState:
     """A view from a JSON object; InputError where it is none."""
-    return validated(ViewState, [f.name for f in fields(ViewState)], record, "the state")
+    return validated(ViewState, record, "the state")
 
 
 def encode(state: ViewState) -> str:

@@ -14,10 +14,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pipeline.evaluation.vlm.pool import map_ordered
 from pipeline.evaluation.vlm.protocol import (
     PICTURE_TOKENS,
-    Alternatives,
     AnswerCache,
     Completion,
     Parameters,
@@ -28,7 +26,7 @@ from pipeline.evaluation.vlm.protocol import (
     read_models,
     request_body,
 )
-from pipeline.evaluation.vlm.transport import Failure, checked_base, send
+from pipeline.evaluation.vlm.transport import Failure, checked_base, map_ordered, send
 from pipeline.evaluation.vlm.view import Picture
 from pipeline.proposals.base import listed
 from pipeline.system.errors import InputError
@@ -75,34 +73,23 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What a model said.
+class Answer(Completion):
+    """What a model said, and what it cost.
 
     Attributes
     ----------
-    text : str
-    prompt_tokens, completion_tokens : int
     estimated : bool
-        The server does not count tokens, and these are guesses from the length.
+        The server does not count tokens, and those of this answer are guesses from the length.
     seconds : float
         From the request to its whole reply, when it was asked.
     cached : bool
-    finish : str or None
-        Why the answer ends: "stop", or "length" where it was cut off.
-    logprobs : tuple of Alternatives
-        For each token what could stand there, with log-probabilities; empty where not asked for or not given.
     failure : str or None
         Why there is no answer: only where a run was told to go on without it.
     """
 
-    text: str
-    prompt_tokens: int
-    completion_tokens: int
-    estimated: bool
-    seconds: float
-    cached: bool
-    finish: str | None = None
-    logprobs: tuple[Alternatives, ...] = ()
+    estimated: bool = False
+    seconds: float = 0.0
+    cached: bool = False
     failure: str | None = None
 
 
@@ -128,6 +115,11 @@ class ChatClient:
         Whether answers are kept, in the user's cache folder (or SPATIALVIZ_CACHE) or in one's own.
     clock, sleep : callable
         Seconds, and waiting for some.
+
+    Attributes
+    ----------
+    usage : Usage
+        What was asked so far.
 
     Raises
     ------
@@ -160,21 +152,11 @@ class ChatClient:
         self._key = (api_key if api_key is not None else os.environ.get(KEY_VARIABLE, "")).strip()
         if not (self._key.isascii() and self._key.isprintable()) or " " in self._key:
             raise InputError("the API key holds characters that no key has", cause="was more than the key copied?")
-        self._cache: AnswerCache | None = None
-        if cache is not False:
-            self._cache = AnswerCache(cache_folder() / "vlm" if cache is True else cache)
+        folder = cache_folder() / "vlm" if cache is True else cache
+        self._cache = AnswerCache(folder) if folder else None
         self._clock, self._sleep = clock, sleep
         self._pace = Pace(requests_per_minute, clock, sleep)
-        self._usage, self._lock = Usage(), threading.Lock()
-
-    @property
-    def model(self) -> str:
-        return self.parameters.model
-
-    @property
-    def usage(self) -> Usage:
-        """What was asked so far."""
-        return self._usage
+        self.usage, self._lock = Usage(), threading.Lock()
 
     def ask(
         self,
@@ -244,7 +226,7 @@ class ChatClient:
             except ServerError as error:
                 if not keep_going or error.everywhere:
                     raise
-                return Answer("", 0, 0, False, 0.0, False, failure=str(error))
+                return Answer("", None, 0, 0, failure=str(error))
 
         return map_ordered(answer, questions, workers, progress)
 
@@ -262,11 +244,8 @@ class ChatClient:
             self._give_up(failure, url, 1, failure.cause)
 
     def _answer(self, question: Question, stop: threading.Event) -> Answer:
-        parameters = self.parameters
-        if question.max_tokens is not None:
-            parameters = replace(parameters, max_tokens=question.max_tokens)
-        if question.top_logprobs is not None:
-            parameters = replace(parameters, top_logprobs=question.top_logprobs)
+        own = {"max_tokens": question.max_tokens, "top_logprobs": question.top_logprobs}
+        parameters = replace(self.parameters, **{k: v for k, v in own.items() if v is not None})
         _check(parameters, self.timeout_s, self.retries)
         if not question.prompt.strip():
             raise InputError("a question without words")
@@ -291,9 +270,9 @@ class ChatClient:
                 completion = read_completion(send(url, body, self._headers(), self.timeout_s))
                 return completion, self._clock() - start
             except Failure as failure:
-                wait = min(FIRST_WAIT_S * 2 ** (tries - 1), LONGEST_WAIT_S)
-                if failure.wait_s is not None:
-                    wait = failure.wait_s
+                wait = failure.wait_s
+                if wait is None:
+                    wait = min(FIRST_WAIT_S * 2 ** (tries - 1), LONGEST_WAIT_S)
                 if not failure.again or tries > self.retries:
                     self._give_up(failure, url, tries, self._likely_cause(failure))
                 if wait > LONGEST_WAIT_S:
@@ -327,8 +306,8 @@ class ChatClient:
                 names = self.models()
             except ServerError as error:
                 return "does the base address end in /v1?" if error.status == 404 else failure.cause
-            if names and self.model not in names:
-                return f"the server has no model {self.model!r}, only: {listed(names)}"
+            if names and self.parameters.model not in names:
+                return f"the server has no model {self.parameters.model!r}, only: {listed(names)}"
         return failure.cause
 
     def _counted(self, question: Question, found: Completion, seconds: float, *, cached: bool) -> Answer:
@@ -342,11 +321,11 @@ class ChatClient:
             )
         else:
             self._count(answers=1, prompt_tokens=tokens_in, completion_tokens=tokens_out, estimated=estimated)
-        return Answer(found.text, tokens_in, tokens_out, estimated, seconds, cached, found.finish, found.logprobs)
+        return Answer(found.text, found.finish, tokens_in, tokens_out, found.logprobs, estimated, seconds, cached)
 
     def _count(self, **more: int) -> None:
         with self._lock:
-            self._usage = replace(self._usage, **{name: getattr(self._usage, name) + n for name, n in more.items()})
+            self.usage = replace(self.usage, **{name: getattr(self.usage, name) + n for name, n in more.items()})
 
 
 def _check(parameters: Parameters, timeout_s: float, retries: int) -> None:

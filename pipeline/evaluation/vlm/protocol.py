@@ -6,15 +6,17 @@ import hashlib
 import http
 import json
 import math
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field, TypeAdapter
 
 from pipeline.evaluation.vlm.transport import Failure, Reply, wait_asked
 from pipeline.system.errors import InputError
+from pipeline.system.whole_files import write_whole
 
 _VERSION = "1"
 """Part of every key: a change of what is made of a reply must change it."""
@@ -26,6 +28,8 @@ PICTURE_TOKENS = 576
 
 Alternatives = tuple[tuple[str, float], ...]
 """Tokens that could stand at one place of an answer, the one that does first, with their log-probabilities."""
+
+Tokens = Annotated[int, Field(strict=True, ge=0)]
 
 
 @dataclass(frozen=True)
@@ -83,9 +87,12 @@ class Completion:
 
     text: str
     finish: str | None
-    prompt_tokens: int | None
-    completion_tokens: int | None
+    prompt_tokens: Tokens | None
+    completion_tokens: Tokens | None
     logprobs: tuple[Alternatives, ...] = ()
+
+
+_COMPLETION = TypeAdapter(Completion)
 
 
 def request_body(parameters: Parameters, prompt: str, data_url: str) -> bytes:
@@ -331,21 +338,13 @@ class AnswerCache:
         """The answer, and the seconds that it took; None where it is not known."""
         try:
             table = json.loads(self._path(key).read_text(encoding="utf-8"))
-            answer: dict[str, Any] = table["answer"]
-            tokens = [answer[name] for name in ("prompt_tokens", "completion_tokens")]
-            seconds = float(table["seconds"])
-            finish = answer["finish"]
-            sound = isinstance(answer["text"], str) and all(n is None or (type(n) is int and n >= 0) for n in tokens)
-            if table["key"] != key or not sound or not (finish is None or isinstance(finish, str)):
-                return None
-            logprobs = tuple(tuple((str(t), float(p)) for t, p in index) for index in answer["logprobs"])
-            return Completion(answer["text"], finish, tokens[0], tokens[1], logprobs), seconds
+            answer = _COMPLETION.validate_python(table["answer"])
+            return (answer, float(table["seconds"])) if table["key"] == key else None
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
 
     def store(self, key: str, prompt: str, parameters: Parameters, answer: Completion, seconds: float) -> None:
         """Keep an answer; the question stands beside it for people who look into the file."""
-        path = self._path(key)
         table = {
             "key": key,
             "request": parameters.fields(),
@@ -353,13 +352,5 @@ class AnswerCache:
             "answer": asdict(answer),
             "seconds": seconds,
         }
-        temporary: Path | None = None
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-                temporary = Path(file.name)
-                file.write(json.dumps(table).encode("ascii"))
-            os.replace(temporary, path)
-        except OSError:
-            if temporary is not None:
-                temporary.unlink(missing_ok=True)
+        with suppress(InputError):
+            write_whole(self._path(key), json.dumps(table).encode("ascii"), "the answer")

@@ -1,4 +1,4 @@
-"""One HTTP request: the server's reply, or why there is none and whether asking again may help.
+"""HTTP requests, many at once: the server's reply, or why there is none and whether asking again may help.
 
 `urllib` is enough: an answer takes seconds, so that a connection kept open would save nothing.
 """
@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import http.client
 import ipaddress
+import queue
 import re
 import socket
 import ssl
+import threading
 import urllib.error
 import urllib.request
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from time import monotonic
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from pipeline.system.errors import InputError
@@ -167,21 +169,27 @@ def _failure(error: BaseException, timeout_s: float) -> Failure:
     reason = getattr(error, "reason", None)
     inner = reason if isinstance(error, urllib.error.URLError) and isinstance(reason, BaseException) else error
     text = " ".join(str(inner).split())[:200] or type(inner).__name__
-    if isinstance(inner, TimeoutError):
-        return _late(timeout_s)
-    if isinstance(inner, ConnectionRefusedError):
-        return Failure("no server listens there", cause="is it running, on this port?", again=True, everywhere=True)
-    if isinstance(inner, socket.gaierror):
-        return Failure("the host is not known", detail=text, everywhere=True)
-    if isinstance(inner, ssl.SSLCertVerificationError):
-        return Failure("the server's certificate is not trusted", detail=text, everywhere=True)
-    if isinstance(inner, ssl.SSLError):
-        return Failure("no secure connection", detail=text, cause="is it http, not https?", everywhere=True)
-    if isinstance(inner, http.client.RemoteDisconnected | http.client.IncompleteRead | ConnectionError):
-        return Failure("the connection was closed midway", again=True)
-    if isinstance(inner, http.client.HTTPException):
-        return Failure("what answers there speaks no HTTP", detail=type(inner).__name__, everywhere=True)
-    return Failure("the connection failed", detail=text, again=True)
+    closed = (http.client.RemoteDisconnected, http.client.IncompleteRead, ConnectionError)
+    kinds: tuple[tuple[type | tuple[type, ...], Failure], ...] = (
+        (TimeoutError, _late(timeout_s)),
+        (
+            ConnectionRefusedError,
+            Failure("no server listens there", cause="is it running, on this port?", again=True, everywhere=True),
+        ),
+        (socket.gaierror, Failure("the host is not known", detail=text, everywhere=True)),
+        (
+            ssl.SSLCertVerificationError,
+            Failure("the server's certificate is not trusted", detail=text, everywhere=True),
+        ),
+        (ssl.SSLError, Failure("no secure connection", detail=text, cause="is it http, not https?", everywhere=True)),
+        (closed, Failure("the connection was closed midway", again=True)),
+        (
+            http.client.HTTPException,
+            Failure("what answers there speaks no HTTP", detail=type(inner).__name__, everywhere=True),
+        ),
+        (BaseException, Failure("the connection failed", detail=text, again=True)),
+    )
+    return next(failure for kind, failure in kinds if isinstance(inner, kind))
 
 
 def _late(timeout_s: float) -> Failure:
@@ -207,3 +215,71 @@ def wait_asked(headers: Mapping[str, str]) -> float | None:
         return max((parsedate_to_datetime(value) - parsedate_to_datetime(headers["date"])).total_seconds(), 0.0)
     except (ValueError, TypeError, KeyError):
         return None
+
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def map_ordered(
+    function: Callable[[Item, threading.Event], Result],
+    items: Iterable[Item],
+    workers: int,
+    done: Callable[[int], None] = lambda _: None,
+) -> list[Result]:
+    """function(item, stop) of every item, in the order of the items.
+
+    The threads are daemons, which the interpreter does not wait for when it ends: those of `concurrent.futures` would
+    hold Ctrl-C up until the last answer comes.
+
+    Parameters
+    ----------
+    function : callable
+        Its second argument is set once nobody waits for results any more.
+    items : iterable
+        Taken one by one as workers come free, by one thread at a time.
+    done : callable
+        Called in the calling thread with the number of results so far.
+
+    Raises
+    ------
+    Exception
+        The first that a function, or the iteration, raises; what is not begun by then is not begun.
+    """
+    source, lock, stop = enumerate(items), threading.Lock(), threading.Event()
+    results: queue.SimpleQueue[tuple[int, Result] | BaseException | None] = queue.SimpleQueue()
+
+    def work() -> None:
+        try:
+            while not stop.is_set():
+                with lock:
+                    index, item = next(source, (-1, None))
+                if index < 0:
+                    break
+                results.put((index, function(item, stop)))  # type: ignore[arg-type]
+        except BaseException as error:
+            results.put(error)
+        else:
+            results.put(None)
+
+    found: dict[int, Result] = {}
+    running = workers
+    try:
+        for _ in range(workers):
+            threading.Thread(target=work, daemon=True).start()
+        while running:
+            try:
+                # A wait without an end cannot be interrupted everywhere.
+                result = results.get(timeout=0.5)
+            except queue.Empty:
+                continue
+            if result is None:
+                running -= 1
+            elif isinstance(result, BaseException):
+                raise result
+            else:
+                found[result[0]] = result[1]
+                done(len(found))
+    finally:
+        stop.set()
+    return [found[index] for index in range(len(found))]
