@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,11 @@ import numpy as np
 
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.base import FrameRows, iterate_frames
-from pipeline.labels.exports.provenance import open_provenance
+from pipeline.labels.exports.provenance import load_json, open_provenance
 from pipeline.labels.exports.vqa import boxed_by_people
 from pipeline.labels.exports.vqa_geometry import Depths, Figures, figures_of
 from pipeline.labels.exports.vqa_questions import SIZE_AXES, distance
-from pipeline.labels.exports.vqa_records import Question, VqaConfig, read_questions
+from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, IMAGE_TOKEN, KINDS, Question, VqaConfig
 from pipeline.labels.reading import Labels, labelled_dataset
 from pipeline.language.naming import same_class
 from pipeline.language.noun_phrase import readable
@@ -137,3 +138,51 @@ def _measure(
         return f"said to rest on {question.rests_on}, rests on {rests_on}"
     number, unit = question.answer.split(" ")
     return None if unit == "m" and abs(float(number) - value) <= 0.00501 else f"answered {number}, is {value:.3f}"
+
+
+def question_of(record: Mapping[str, Any]) -> Question:
+    """The question of a record.
+
+    Raises
+    ------
+    InputError
+        The record is not one of ours.
+    """
+    try:
+        human, model = record["conversations"]
+        start = f"{IMAGE_TOKEN}\n"
+        if (human["from"], model["from"]) != ("human", "gpt") or not human["value"].startswith(start):
+            raise ValueError("another conversation")
+        meta = record["metadata"]
+        if meta["kind"] not in KINDS:
+            raise ValueError(f"kind {meta['kind']!r}")
+        return Question(
+            record["id"],
+            record["image"],
+            meta["kind"],
+            meta["frame"],
+            int(meta["frame_index"]),
+            tuple(int(n) for n in meta["objects"]),
+            meta["about"],
+            human["value"][len(start) :],
+            model["value"],
+            meta["source"],
+            meta.get("rests_on"),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError("not a question of an export", got=f"{type(error).__name__}: {error}"[:120]) from error
+
+
+def read_questions(root: Path) -> Iterator[Question]:
+    """The questions of an exported folder, in the order in which they were written.
+
+    Raises
+    ------
+    InputError
+        The file is missing or damaged.
+    """
+    path = root / CONVERSATIONS_FILE
+    records = load_json(path)
+    if not isinstance(records, list):
+        raise InputError("a file of conversations is a list", got=type(records).__name__, path=path)
+    return map(question_of, records)

@@ -23,8 +23,8 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases, read_query
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
+from pipeline.labels.profiles import open_second_opinion
 from pipeline.labels.reading import Labels
-from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.language.expression import Query
 from pipeline.language.naming import match
 from pipeline.proposals.annotations import AnnotationDetector

@@ -20,9 +20,8 @@ from pipeline.labels.makers import (
     makers_of,
     mask_makers,
 )
-from pipeline.labels.profiles import profile_of
+from pipeline.labels.profiles import NONE, profile_of
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.second_opinion import NONE
 from pipeline.metrics.tables import Table
 from pipeline.relations import RULE, TRAINED, RelationScorer, RuleScorer
 from pipeline.relations.model import OnnxScorer

@@ -29,9 +29,9 @@ class Case:
     target, relation, reference : str
         The gold triple.
     target_object, reference_object : int
-        Places in the frame's objects.
+        Indices in the frame's objects.
     strict, acceptable : (K,) int64
-        Places of the right targets: beyond doubt, and with the doubtful ones.
+        Indices of the right targets: beyond doubt, and with the undecided ones.
     ambiguous : bool
     margin : float
         Of the labelled pair, metres.
@@ -150,11 +150,11 @@ def frame_cases(
 ) -> FrameCases:
     """One frame's rows of the tables of labels, as columns, made ready; `names` are the relations that were judged."""
     numbers = list(objects["object"])
-    place = {number: k for k, number in enumerate(numbers)}
+    index_of = {number: k for k, number in enumerate(numbers)}
     states = {name: np.full((len(numbers), len(numbers)), -1, np.int8) for name in names}
     judged = np.zeros((len(numbers), len(numbers)), np.bool_)
     if relations:
-        a, b = (np.array([place[n] for n in relations[end]], np.int64) for end in ("a", "b"))
+        a, b = (np.array([index_of[n] for n in relations[end]], np.int64) for end in ("a", "b"))
         judged[a, b] = True
         for name in names:
             states[name][a, b] = relations[name]
@@ -165,10 +165,10 @@ def frame_cases(
             target=expressions["target"][k],
             relation=expressions["relation"][k],
             reference=expressions["reference"][k],
-            target_object=place[expressions["target_object"][k]],
-            reference_object=place[expressions["reference_object"][k]],
-            strict=np.array([place[n] for n in expressions["targets"][k]], np.int64),
-            acceptable=np.array([place[n] for n in expressions["acceptable"][k]], np.int64),
+            target_object=index_of[expressions["target_object"][k]],
+            reference_object=index_of[expressions["reference_object"][k]],
+            strict=np.array([index_of[n] for n in expressions["targets"][k]], np.int64),
+            acceptable=np.array([index_of[n] for n in expressions["acceptable"][k]], np.int64),
             ambiguous=expressions["ambiguous"][k],
             margin=expressions["margin"][k],
         )

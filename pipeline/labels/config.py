@@ -42,7 +42,7 @@ class LabelConfig:
     seed : int
         Of the row hashes, which choose wordings and, in the merge, expressions.
     second_opinion : str
-        "trained", "none", or the path of a network: see `labels.second_opinion`.
+        "trained", "none", or the path of a network: see `labels.profiles`.
         Published geometry is taken as published, without one.
     """
 
@@ -121,6 +121,3 @@ class SelectConfig:
                 raise InputError(f"{name} must be at least 1", got=value)
         if self.balance is not None and not 1 <= self.balance < inf:
             raise InputError("balance must be a number of at least 1", got=self.balance)
-
-    def record(self) -> dict[str, Any]:
-        return asdict(self)

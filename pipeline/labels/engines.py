@@ -24,8 +24,7 @@ from pipeline.datasets.base import scene_of
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
 from pipeline.labels.plan import Plan, Shard, SourceSpec
-from pipeline.labels.profiles import GIVEN
-from pipeline.labels.second_opinion import open_second_opinion
+from pipeline.labels.profiles import GIVEN, open_second_opinion
 from pipeline.labels.store import Store
 from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_table
 from pipeline.proposals.base import Proposals
@@ -90,7 +89,7 @@ def open_labeller(spec: SourceSpec, config: LabelConfig) -> Labeller:
 def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Proposals | None = None) -> FrameLabels:
     """The rows of one frame; one that cannot be used is a row with the reason.
 
-    `found` is what the detector said of the frame, where another process ran it.
+    `found` is what the detector found in the frame, where another process ran it.
     """
     source, config = labeller.source, labeller.config
     scene = scene_of(source.dataset, frame_id)
@@ -147,10 +146,7 @@ def finished(shard: Shard, store: Store) -> ShardReport | None:
         return None
     record = store.part_record(shard.name)
     rows = {name: int(record["files"].get(name, {}).get("rows", 0)) for name in PART_TABLES}
-    broken = int(record.get("broken", 0))
-    return ShardReport(
-        shard.name, rows["frames"], rows["objects"], rows["relations"], rows[CANDIDATES], broken, reused=True
-    )
+    return ShardReport(shard.name, *rows.values(), broken=int(record.get("broken", 0)), reused=True)
 
 
 def label_shard(
@@ -159,7 +155,7 @@ def label_shard(
     """Label the frames of a shard and write its part; one that is there already is left alone.
 
     The rows depend on the plan alone: not on the engine, nor on what else runs.
-    `found` is what the detector said of its frames, where another process ran it.
+    `found` is what the detector found in its frames, where another process ran it.
     """
     there = finished(shard, store)
     if there is not None:

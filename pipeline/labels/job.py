@@ -12,9 +12,9 @@ from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.engines import ShardReport, run_local
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import SourceSpec, input_changed, make_plan, part_of, save_plan
+from pipeline.labels.profiles import NONE, TRAINED, open_second_opinion
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest
-from pipeline.labels.second_opinion import NONE, TRAINED, open_second_opinion
 from pipeline.labels.store import Store
 from pipeline.system.errors import InputError
 

@@ -1,4 +1,4 @@
-"""Labelling one frame: its objects, every relation between them, and what can truly be said of them."""
+"""Labelling one frame: its objects, every relation between them, and the expressions that are true of them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from pipeline.geometry.lifting import Evidence, LiftedObject, Pixel
 from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.config import LabelConfig
-from pipeline.labels.profiles import GIVEN, Judged, as_given
-from pipeline.labels.second_opinion import doubted
+from pipeline.labels.profiles import GIVEN, Judged, as_given, doubted
 from pipeline.labels.tables import PART_TABLES, Columns
 from pipeline.labels.wording import can_be_worded
 from pipeline.language.noun_phrase import same_names
@@ -69,7 +68,7 @@ def label_objects(
         In any order; those of one detector.
     config : LabelConfig
     frame_index : int
-        The frame's place in the dataset.
+        The frame's index in the dataset.
     scene : str
     exact : bool
         The objects are the dataset's own: their numbers are its annotations'.

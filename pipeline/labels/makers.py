@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass
 from pathlib import PurePath
 from typing import Any
 
-from pipeline.labels.profiles import canonical_hash
+from pipeline.labels.profiles import NONE, canonical_hash
 from pipeline.labels.schema import Manifest
-from pipeline.labels.second_opinion import NONE
 
 ANNOTATIONS = "annotations"
 RECORDED = "recorded"
@@ -72,15 +71,15 @@ class MaskMakers:
         return {"detectors": [asdict(m) for m in self.detectors], "segmenters": [asdict(m) for m in self.segmenters]}
 
 
-def mask_makers(said: str) -> MaskMakers | None:
+def mask_makers(text: str) -> MaskMakers | None:
     """What a manifest's "name: fingerprint" of a detector means; None where it says nothing.
 
     Parameters
     ----------
-    said : str
+    text : str
         `models["detector"]` of labels, `detector` of a run; see `Detector.fingerprint`.
     """
-    name, colon, fingerprint = said.partition(": ")
+    name, colon, fingerprint = text.partition(": ")
     if not colon or not name:
         return None
     segmenters: tuple[Model, ...] = ()
@@ -204,9 +203,9 @@ class Makers:
 
 def makers_of(manifest: Manifest) -> Makers:
     """What made the labels of this manifest, of any release; what it does not tell is None."""
-    config, said = manifest.config, manifest.corrections
+    config, made = manifest.config, manifest.corrections
     lift = config.get("lift")
-    counted = (said or {}).get("decided")
+    counted = (made or {}).get("decided")
     name = config.get("second_opinion")
     return Makers(
         mask_makers(str(manifest.models.get("detector", ""))),
@@ -215,6 +214,6 @@ def makers_of(manifest: Manifest) -> Makers:
         manifest.profile_hash or None,
         manifest.models.get("second_opinion", NONE if name == NONE else None),
         None if name is None else str(name),
-        said is not None,
+        made is not None,
         None if counted is None else Decided(**{k: (int(n), int(of)) for k, (n, of) in counted.items()}),
     )

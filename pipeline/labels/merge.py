@@ -6,6 +6,7 @@ import json
 import os
 import platform
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,7 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
         config_hash=plan.config.hash,
         profile={"name": plan.config.profile, "parameters": plan.config.rules.parameters},
         profile_hash=plan.config.rules.hash,
-        selection=selection.record(),
+        selection=asdict(selection),
         dataset={
             "path": plan.spec.path,
             "options": {k: str(v) for k, v in plan.spec.options.items() if v is not None},

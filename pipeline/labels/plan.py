@@ -13,8 +13,7 @@ from typing import Any
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
 from pipeline.labels.config import LabelConfig
-from pipeline.labels.profiles import canonical_hash
-from pipeline.labels.second_opinion import fingerprint
+from pipeline.labels.profiles import canonical_hash, fingerprint
 from pipeline.labels.store import PLAN_FILE, Store
 from pipeline.proposals.registry import with_model
 from pipeline.system.errors import InputError
@@ -67,9 +66,9 @@ class Shard:
     Attributes
     ----------
     index : int
-        Its place among the shards.
+        Its index among the shards.
     first : int
-        Place of its first frame in the dataset.
+        Index of its first frame in the dataset.
     frames : tuple of str
     key : str
         Hash of everything its rows depend on: configuration, models, input.
@@ -98,7 +97,7 @@ class Plan:
         All frames of the dataset, in order.
     models : dict of str to str
         Fingerprints of detector and segmenter, of the second opinion, and of
-        what was said about camera and names.
+        what was declared of camera and names.
     input_hash : str
         Hash of the dataset's files by name, size and time of change.
     format : str
@@ -161,7 +160,7 @@ def make_plan(
     frames_of : sequence of str
         Only the frames of these splits of the dataset's own, in their order.
     out : str or Path, optional
-        Where the labels go: within the dataset's folder, that place is not part of the input.
+        Where the labels go: within the dataset's folder, that folder is not part of the input.
 
     Raises
     ------
@@ -229,7 +228,7 @@ def _input_hash(source: Pipeline, out: str | Path | None) -> str:
 
 
 def _declared(options: dict[str, Any]) -> dict[str, str]:
-    """What a person said of the camera and of names, by content: the rows depend on it."""
+    """What a person declared of the camera and of names, by content: the rows depend on it."""
     found = {n: json.dumps(options[n]) for n in _CAMERA if options.get(n) is not None}
     if options.get("synonyms") is not None:
         found["synonyms"] = hashlib.sha256(Path(options["synonyms"]).read_bytes()).hexdigest()

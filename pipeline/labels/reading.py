@@ -167,7 +167,7 @@ def labelled_dataset(
     up: str | None = None,
     level_at: str | None = None,
 ) -> Dataset:
-    """Open it where it was when it was labelled, or where it is now; its camera is the one that was said then.
+    """Open it where it was when it was labelled, or where it is now; its camera is the one that was declared then.
 
     Parameters
     ----------
@@ -176,50 +176,46 @@ def labelled_dataset(
     path : str, optional
         Where it is now.
     intrinsics : tuple of float, optional
-        fx, fy, cx, cy in pixels, instead of what was said then.
+        fx, fy, cx, cy in pixels, instead of what was declared then.
     depth_scale : float, optional
-        Depth units in one metre, instead of what was said then.
+        Depth units in one metre, instead of what was declared then.
     up, level_at : str, optional
-        As for `open_dataset`, instead of what was said then.
+        As for `open_dataset`, instead of what was declared then.
 
     Raises
     ------
     InputError
         The labels do not name it, or it cannot be opened.
     """
-    said = manifest.dataset
-    where = path or said.get("path")
+    record = manifest.dataset
+    where = path or record.get("path")
     if not where:
         raise InputError("the labels do not say which dataset they are of")
     if where == DEMO_NAME and not Path(where).exists():
         where = demo_path()
-    options = dict(said.get("options") or {})
+    options = dict(record.get("options") or {})
     if intrinsics is None and options.get("intrinsics"):
-        intrinsics = _four(options["intrinsics"])
+        fx, fy, cx, cy = _numbers(options["intrinsics"], 4, "camera")
+        intrinsics = fx, fy, cx, cy
     if depth_scale is None and options.get("depth_scale") is not None:
-        depth_scale = _number(options["depth_scale"])
-    told = labelled_up(manifest, {"up": up, "level_at": level_at})
-    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale, **told)
+        (depth_scale,) = _numbers(options["depth_scale"], 1, "depth scale")
+    known = labelled_up(manifest, {"up": up, "level_at": level_at})
+    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale, **known)
 
 
 def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of `open_dataset`, with the up vector that was said when the labels were made where none is said."""
-    said = manifest.dataset.get("options") or {}
-    told = {n: str(said[n]) for n in ("up", "level_at") if said.get(n) is not None}
-    return dict(options) if any(options.get(n) is not None for n in ("up", "level_at")) else {**options, **told}
+    """Arguments of `open_dataset`, with the up vector of when the labels were made where none is given."""
+    declared = manifest.dataset.get("options") or {}
+    known = {n: str(declared[n]) for n in ("up", "level_at") if declared.get(n) is not None}
+    return dict(options) if any(options.get(n) is not None for n in ("up", "level_at")) else {**options, **known}
 
 
-def _four(said: Any) -> Intrinsics:
-    numbers = said.strip("()[] ").split(",") if isinstance(said, str) else said
+def _numbers(value: Any, count: int, what: str) -> list[float]:
+    """So many numbers, of a list or of its text."""
     try:
-        fx, fy, cx, cy = (float(n) for n in numbers)
-    except (TypeError, ValueError) as error:
-        raise InputError("the labels name a camera that is none", got=repr(said)[:60]) from error
-    return fx, fy, cx, cy
-
-
-def _number(said: Any) -> float:
-    try:
-        return float(said)
-    except (TypeError, ValueError) as error:
-        raise InputError("the labels name a depth scale that is none", got=repr(said)[:60]) from error
+        numbers = [float(n) for n in str(value).strip("()[] ").split(",")]
+        if len(numbers) != count:
+            raise ValueError(f"{len(numbers)} numbers")
+    except ValueError as error:
+        raise InputError(f"the labels name a {what} that is none", got=repr(value)[:60]) from error
+    return numbers

@@ -49,11 +49,10 @@ def reword(folder: Path, sentences: Mapping[tuple[str, str], str]) -> int:
     if unknown:
         raise InputError("the labels have no such expression", got=" ".join(min(unknown)), path=folder)
     texts = [sentences.get(key, text) for key, text in zip(keys, table.column("text").to_pylist(), strict=True)]
-    place = table.schema.get_field_index("text")
-    table = table.set_column(place, table.schema.field(place), pa.array(texts, pa.string()))
+    index = table.schema.get_field_index("text")
+    table = table.set_column(index, table.schema.field(index), pa.array(texts, pa.string()))
     with temporary_folder(folder / "reworded") as staging:
-        written = write_merged(staging, "expressions", iter([table]))
-        tables = {**labels.manifest.tables, "expressions": written}
+        tables = {**labels.manifest.tables, "expressions": write_merged(staging, "expressions", iter([table]))}
         manifest = labels.manifest.model_copy(update={"tables": tables})
         # Without a manifest there are no labels: a crash in between leaves nothing half new.
         (folder / MANIFEST_FILE).unlink()

@@ -1,7 +1,7 @@
 """The schema of labels: one pydantic model a table, and the manifest of a run.
 
 A labels folder holds four tables. Rows are keyed by (frame, object) and
-(frame, a, b); `frame_index` is the frame's place in the dataset, and the rows'
+(frame, a, b); `frame_index` is the frame's index in the dataset, and the rows'
 canonical order is that of these keys. Lengths are metres, angles do not occur.
 Vectors named `center`, `R`, `size` are in the camera frame (OpenCV); `lo`, `hi`
 and `centroid` along the viewer's (right, up, forward).
@@ -228,15 +228,14 @@ KEYS: dict[str, tuple[str, ...]] = {
 def json_schemas() -> dict[str, dict[str, Any]]:
     """JSON Schema of each table's row and of the manifest, by name."""
     models: dict[str, type[BaseModel]] = {**TABLES, "manifest": Manifest}
-    found = {}
-    for name, model in models.items():
-        schema = model.model_json_schema(by_alias=True)
-        found[name] = {
+    return {
+        name: {
             "$schema": "https://json-schema.org/draft/2020-12/schema",
             "$id": f"spatialviz/labels/{SCHEMA_VERSION}/{name}.json",
-            **schema,
+            **model.model_json_schema(by_alias=True),
         }
-    return found
+        for name, model in models.items()
+    }
 
 
 def labels_version(manifest: Manifest) -> str:

@@ -117,7 +117,7 @@ def _counts(database: Database) -> dict[str, Any]:
 
 
 def _relations(database: Database, relations: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Any]]:
-    said = {
+    asked = {
         str(name): (int(count), int(ambiguous))
         for name, count, ambiguous in database.rows(
             "SELECT relation, count(*), count(*) FILTER (ambiguous) FROM expressions GROUP BY 1"
@@ -127,11 +127,12 @@ def _relations(database: Database, relations: tuple[str, ...]) -> tuple[dict[str
     tallies = ", ".join(f"count(*) FILTER ({c} = {state})" for c in columns for state in (1, 0, -1))
     # Of several nulls the greatest is null.
     most = f"coalesce(greatest({', '.join(columns)}), -1)"
-    totals = database.rows(f"SELECT count(*), count(*) FILTER ({most} < 1), {tallies} FROM relations")
-    pairs, without, *cells = totals[0]
+    ((pairs, without, *cells),) = database.rows(
+        f"SELECT count(*), count(*) FILTER ({most} < 1), {tallies} FROM relations"
+    )
     found = {}
     for name, (t, u, f) in zip(relations, np.reshape(cells, (-1, 3)).tolist(), strict=True):
-        expressions, ambiguous = said.get(name, (0, 0))
+        expressions, ambiguous = asked.get(name, (0, 0))
         found[name] = {
             "T": t,
             "U": u,
@@ -177,8 +178,7 @@ def _margins(database: Database, relation: str) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for letter, state in (("T", 1), ("F", -1)):
         rows = counted["state"] == state
-        n = counted["n"][rows]
-        found[letter] = None
+        n, found[letter] = counted["n"][rows], None
         if len(n):
             at = quantiles(counted["mm"][rows], n, MARGIN_SHARES)
             named = {f"p{round(100 * q):02d}": mm / 1000 for q, mm in zip(MARGIN_SHARES, at, strict=True)}
@@ -201,38 +201,38 @@ def _classes(database: Database) -> dict[str, dict[str, int]]:
 
 
 def _bin_of(distance: str) -> str:
-    whens = [f"WHEN {distance} < {end} THEN {place}" for place, end in enumerate(DISTANCE_EDGES[1:])]
+    whens = [f"WHEN {distance} < {end} THEN {k}" for k, end in enumerate(DISTANCE_EDGES[1:])]
     last = len(DISTANCE_EDGES) - 1
     unknown = f"{distance} IS NULL OR NOT isfinite({distance})"
     return f"CASE WHEN {unknown} THEN {last + 1} {' '.join(whens)} ELSE {last} END"
 
 
 def _distances(database: Database, relations: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-    # objects, cells, doubtful cells, expressions
+    # objects, cells, undecided cells, expressions
     table = np.zeros((len(DISTANCE_BINS), 4), np.int64)
-    for place, count in database.rows(f"SELECT {_bin_of('distance')}, count(*) FROM objects GROUP BY 1"):
-        table[place, 0] = count
+    for k, count in database.rows(f"SELECT {_bin_of('distance')}, count(*) FROM objects GROUP BY 1"):
+        table[k, 0] = count
     columns = [quoted(name) for name in relations]
     cells = " + ".join(f"count(r.{c})" for c in columns)
-    doubtful = " + ".join(f"count(*) FILTER (r.{c} = 0)" for c in columns)
+    undecided = " + ".join(f"count(*) FILTER (r.{c} = 0)" for c in columns)
     for first, last in database.frame_ranges():
         within = "{0}.frame_index BETWEEN $first AND $last AND o.frame_index BETWEEN $first AND $last"
-        for place, some, doubted in database.rows(
-            f"SELECT {_bin_of('o.distance')}, {cells}, {doubtful} FROM relations r"
+        for k, some, doubted in database.rows(
+            f"SELECT {_bin_of('o.distance')}, {cells}, {undecided} FROM relations r"
             f" JOIN objects o ON o.frame_index = r.frame_index AND o.object = r.a"
             f" WHERE {within.format('r')} GROUP BY 1",
             first=first,
             last=last,
         ):
-            table[place, 1:3] += (some, doubted)
-        for place, count in database.rows(
+            table[k, 1:3] += (some, doubted)
+        for k, count in database.rows(
             f"SELECT {_bin_of('o.distance')}, count(*) FROM expressions e"
             f" JOIN objects o ON o.frame_index = e.frame_index AND o.object = e.target_object"
             f" WHERE {within.format('e')} GROUP BY 1",
             first=first,
             last=last,
         ):
-            table[place, 3] += count
+            table[k, 3] += count
     return {
         name: {"objects": objects, "cells": cells, "u_share": share(doubted, cells), "expressions": expressions}
         for name, (objects, cells, doubted, expressions) in zip(DISTANCE_BINS, table.tolist(), strict=True)

@@ -68,7 +68,7 @@ Several = tuple[bool, bool]
 
 @dataclass(frozen=True)
 class _Template:
-    """A sentence with places for the two names, its relation phrase already in it."""
+    """A sentence with blanks for the two names, its relation phrase already in it."""
 
     frame: str
     phrase: str
@@ -152,16 +152,13 @@ def expression_text(
     if style not in STYLES:
         raise InputError("unknown style of expressions", got=repr(style), expected="one of " + ", ".join(STYLES))
     number = _checked(relation, key)
-    if style == "varied":
-        frames = SEEN_FRAMES if RELATIONS[relation].viewer_dependent else VARIED_FRAMES
-        phrases, plain = VARIED_PHRASES, PLAIN_FRAME
-    elif style == "plain":
-        frames, phrases, plain = (PLAIN_FRAME,), {relation: (PHRASE[relation],)}, PLAIN_FRAME
-    else:
-        said = SEMANTIC_ABSTRACTION_PHRASES[relation]
-        frames, phrases, plain = (SEMANTIC_ABSTRACTION_FRAME,), {relation: (said,)}, PLAIN_FRAME
-    chosen = _chosen(frames, phrases[relation], number)
-    return _worded(chosen, _Template(plain, PHRASE[relation]), target, relation, reference, class_names, several)
+    frames, phrases = {
+        "varied": (SEEN_FRAMES if RELATIONS[relation].viewer_dependent else VARIED_FRAMES, VARIED_PHRASES[relation]),
+        "plain": ((PLAIN_FRAME,), (PHRASE[relation],)),
+        "semantic-abstraction": ((SEMANTIC_ABSTRACTION_FRAME,), (SEMANTIC_ABSTRACTION_PHRASES[relation],)),
+    }[style]
+    templates = _chosen(frames, phrases, number), _Template(PLAIN_FRAME, PHRASE[relation])
+    return _worded(templates, target, relation, reference, class_names, several)
 
 
 def question_text(relation: str, target: str, reference: str, key: int, *, class_names: Sequence[str] = ()) -> str:
@@ -171,8 +168,8 @@ def question_text(relation: str, target: str, reference: str, key: int, *, class
     """
     number = _checked(relation, key)
     frames = SEEN_QUESTION_FRAMES if RELATIONS[relation].viewer_dependent else QUESTION_FRAMES
-    chosen = _chosen(frames, VARIED_PHRASES[relation], number)
-    return _worded(chosen, _Template(PLAIN_QUESTION, PHRASE[relation]), target, relation, reference, class_names)
+    templates = _chosen(frames, VARIED_PHRASES[relation], number), _Template(PLAIN_QUESTION, PHRASE[relation])
+    return _worded(templates, target, relation, reference, class_names)
 
 
 @lru_cache(maxsize=65536)
@@ -194,20 +191,19 @@ def _checked(relation: str, key: int) -> int:
 
 
 def _chosen(frames: Sequence[str], phrases: Sequence[str], key: int) -> _Template:
-    rest, place = divmod(key, len(frames))
-    return _Template(frames[place], phrases[rest % len(phrases)])
+    rest, index = divmod(key, len(frames))
+    return _Template(frames[index], phrases[rest % len(phrases)])
 
 
 def _worded(
-    chosen: _Template,
-    plain: _Template,
+    templates: tuple[_Template, _Template],
     target: str,
     relation: str,
     reference: str,
     class_names: Sequence[str],
     several: Several = (False, False),
 ) -> str:
-    """The chosen sentence, or the nearest to it that is read back as meant."""
+    """The sentence of the first template, or the nearest to it that is read back as meant, last of the plain one."""
     known = _known(class_names)
     for name in (target, reference):
         if not (isinstance(name, str) and _forms(name, known)):
@@ -216,7 +212,7 @@ def _worded(
     settled = settled and (target == reference or words_of(target) != words_of(reference))
     rivals = known.rivals or _rivals((target, reference))
     targets, references = _forms(target, known), _forms(reference, known)
-    for template in (chosen, plain):
+    for template in templates:
         for i, j in _by_preference(len(targets), len(references)):
             text = template.filled(noun_phrase(targets[i]), noun_phrase(references[j]), several)
             if len(text) > MAX_LENGTH:

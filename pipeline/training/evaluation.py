@@ -43,7 +43,7 @@ def evaluate(
         gets that always says no), `positives_per_pair`, `doubtful_share`,
         `brier`, `ece`, `pairs`, and with `rule` `differing` (cells, errors,
         rule_errors, rule_opposite: see `differing_cells`). None where a figure
-        has no meaning, as precision where nothing was said to hold.
+        has no meaning, as precision where no relation was found to hold.
     """
     p, t = _cells(probabilities).astype(np.float64), _cells(truth).astype(np.int8)
     metrics, calibration = multi_label_metrics(p, t), calibration_metrics(p, t)

@@ -48,7 +48,7 @@ class LabelledFrame:
     rows : (N, K) float64
         Geometry of each object by the feature contract; objects of which it is not known are left out.
     classes : (N,) int32
-        Places of the class names in the data's list.
+        Indices of the class names in the data's list.
     states : (N, N, R) int8
         Relations in the order of the vocabulary; U for pairs that were not judged, and on the diagonal.
     objects : (N,) int64
@@ -62,7 +62,7 @@ class LabelledFrame:
     objects: np.ndarray
 
     def single(self) -> np.ndarray:
-        """(N, N) int64: place of the one relation that holds of a pair; -1 where none or several do."""
+        """(N, N) int64: index of the one relation that holds of a pair; -1 where none or several do."""
         holds = self.states == T
         return np.where(holds.sum(axis=2) == 1, holds.argmax(axis=2), -1)
 

@@ -28,7 +28,7 @@ class PairSet:
     states : (P, R) int8
         T, U, F of each relation of the vocabulary.
     classes : (P, 2) int32 or None
-        Places of both class names in `vectors`.
+        Indices of both class names in `vectors`.
     vectors : ClassVectors or None
         For "+lang" contracts.
     """
@@ -47,7 +47,7 @@ class PairSet:
         return 0 if self.vectors is None else self.vectors.vectors.shape[1]
 
     def take(self, which: np.ndarray) -> PairSet:
-        """Those pairs: a mask or places."""
+        """Those pairs: a mask or indices."""
         classes = None if self.classes is None else self.classes[which]
         return PairSet(self.features[which], self.states[which], classes, self.vectors)
 

@@ -1,7 +1,7 @@
 """Training the relation network in torch as the paper says, and writing it as ONNX.
 
 Three layers, Adam at 1e-3 halved every 3 epochs, 10 epochs; binary cross
-entropy over all relations at once with the doubtful cells (U) masked, or cross
+entropy over all relations at once with the undecided cells (U) masked, or cross
 entropy where exactly one relation fits. What the paper leaves open (width,
 batch, initial weights) is that of the method notes: 128, 256, He. One thread
 and torch's deterministic algorithms: equal pairs and seeds give equal bytes.

@@ -19,7 +19,7 @@ from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied
 
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import in_doubt, judge_objects
-from pipeline.labels.second_opinion import doubted
+from pipeline.labels.profiles import doubted
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.intervals import bootstrap
 from pipeline.relations import shipped_network

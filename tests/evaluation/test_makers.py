@@ -40,8 +40,8 @@ from pipeline.evaluation.shared_makers import (
 from pipeline.labels.job import label_dataset
 from pipeline.labels.makers import Decided, Makers, Model, makers_of, mask_makers
 from pipeline.labels.plan import SourceSpec
+from pipeline.labels.profiles import NONE
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
-from pipeline.labels.second_opinion import NONE
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import Row, Table, as_csv, in_blocks, latex, markdown
 from pipeline.relations.relations import PROFILE, T

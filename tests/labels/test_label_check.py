@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from label_damages import DAMAGES, Damage, item, pair, put
 from label_damages_pairs import PAIR_DAMAGES
 
-from pipeline.labels.check import RULES, Finding, check_labels, finding_record, stream, summarise
+from pipeline.labels.check import RULES, Finding, check_labels, finding_record, stream
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.engines import label_shard, open_labeller
 from pipeline.labels.merge import merge_labels
@@ -145,12 +145,6 @@ def test_findings_are_json(clean: dict[str, Path], tmp_path: Path) -> None:
         record = json.loads(json.dumps(finding_record(finding), allow_nan=False))
         assert record["rule"] == finding.rule
         assert RULES[finding.rule].severity == "error" or finding.severity == "warning"
-    summary = summarise(findings)
-    assert summary.errors == len(errors(findings))
-    assert summary.errors + summary.warnings == len(findings) == sum(r.errors + r.warnings for r in summary.rules)
-    assert {r.rule for r in summary.rules} == {f.rule for f in findings}
-    for count in summary.rules:
-        assert count.frames == len({f.frame for f in findings if f.rule == count.rule and f.frame})
 
 
 def test_an_unknown_rule_is_one_clear_error(clean: dict[str, Path]) -> None:

@@ -33,10 +33,9 @@ from pipeline.labels.job import label_dataset
 from pipeline.labels.labelling import FrameLabels, in_doubt, judge_objects, label_objects, occluded_share
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import SourceSpec, load_plan, make_plan, part_of, save_plan
-from pipeline.labels.profiles import PROFILES
+from pipeline.labels.profiles import PROFILES, doubted, open_second_opinion
 from pipeline.labels.reading import open_labels
 from pipeline.labels.schema import TABLES, Manifest
-from pipeline.labels.second_opinion import doubted, open_second_opinion
 from pipeline.labels.store import Store
 from pipeline.labels.tables import PART_TABLES, content_hash, read_table
 from pipeline.language.naming import same_class

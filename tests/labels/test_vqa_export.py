@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from vqa_check import verify_vqa
+from vqa_check import read_questions, verify_vqa
 
 from pipeline.labels.exports import export_labels
-from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, KINDS, VqaConfig, read_questions
+from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, KINDS, VqaConfig
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
 

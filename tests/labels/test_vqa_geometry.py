@@ -15,7 +15,7 @@ import pytest
 from box_worlds import box_world
 from scenes import frame_of, upright
 from scipy.optimize import lsq_linear
-from vqa_check import verify_vqa
+from vqa_check import read_questions, verify_vqa
 
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.datasets import Dataset
@@ -26,7 +26,7 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.exports import export_labels
 from pipeline.labels.exports.base import FrameRows
 from pipeline.labels.exports.vqa_geometry import EXACT, HUMAN, POINTS, Depths, Figures, figures_of, gap_between
-from pipeline.labels.exports.vqa_records import VqaConfig, read_questions
+from pipeline.labels.exports.vqa_records import VqaConfig
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
 from pipeline.labels.tables import build_table

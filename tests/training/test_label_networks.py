@@ -232,7 +232,7 @@ def test_a_wrong_pairing_is_refused(tmp_path: Path, changes: dict[str, str], mes
 
 
 def test_a_softmax_network_gives_no_second_opinion(networks: dict[tuple, Path]) -> None:
-    from pipeline.labels.second_opinion import open_second_opinion
+    from pipeline.labels.profiles import open_second_opinion
 
     with pytest.raises(InputError, match="judges each relation alone"):
         open_second_opinion(str(networks["rel14", "semantic-abstraction"]))

@@ -36,9 +36,9 @@ from pipeline.geometry.camera import UpSource
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import MaskCrop, decode_run_length
 from pipeline.labels.labelling import label_objects
+from pipeline.labels.profiles import NONE, open_second_opinion
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
-from pipeline.labels.second_opinion import NONE, open_second_opinion
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError

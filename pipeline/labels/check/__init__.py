@@ -1,6 +1,6 @@
 """The linter of labels: rules on tables, objects, relations and expressions."""
 
-from pipeline.labels.check.findings import RULES, Finding, Rule, RuleCount, Summary, finding_record, summarise
+from pipeline.labels.check.findings import RULES, Finding, Rule, finding_record
 from pipeline.labels.check.linter import check_labels
 
-__all__ = ["RULES", "Finding", "Rule", "RuleCount", "Summary", "check_labels", "finding_record", "summarise"]
+__all__ = ["RULES", "Finding", "Rule", "check_labels", "finding_record"]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Literal
@@ -16,7 +15,7 @@ Figure = float | int | str
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or doubtful, in labels.
+    """One thing that is wrong, or questionable, in labels.
 
     Attributes
     ----------
@@ -133,77 +132,3 @@ def chosen_rules(names: Sequence[str] | None) -> frozenset[str]:
 def finding_record(finding: Finding) -> dict[str, Any]:
     """A finding as JSON: plain values only."""
     return {**asdict(finding), "objects": list(finding.objects)}
-
-
-@dataclass(frozen=True)
-class RuleCount:
-    """How often a rule was broken.
-
-    Attributes
-    ----------
-    rule, about : str
-    errors, warnings : int
-    frames : int
-        Frames in which it was.
-    """
-
-    rule: str
-    about: str
-    errors: int
-    warnings: int
-    frames: int
-
-
-@dataclass
-class Summary:
-    """Counts that grow as findings come; frames are counted, not kept, for findings come frame by frame.
-
-    Attributes
-    ----------
-    errors, warnings : int
-    """
-
-    errors: int = 0
-    warnings: int = 0
-    _counts: Counter[tuple[str, str]] = field(default_factory=Counter)
-    _frames: Counter[str] = field(default_factory=Counter)
-    _last: dict[str, str] = field(default_factory=dict)
-
-    def add(self, finding: Finding) -> None:
-        """Count a finding."""
-        self.errors += finding.severity == "error"
-        self.warnings += finding.severity == "warning"
-        self._counts[finding.rule, finding.severity] += 1
-        if finding.frame is not None and self._last.get(finding.rule) != finding.frame:
-            self._last[finding.rule] = finding.frame
-            self._frames[finding.rule] += 1
-
-    def counted(self, findings: Iterable[Finding]) -> Iterator[Finding]:
-        """The findings as they come, counted on the way."""
-        for finding in findings:
-            self.add(finding)
-            yield finding
-
-    @property
-    def rules(self) -> tuple[RuleCount, ...]:
-        """Rules that were broken: those with errors first, then by how often."""
-        counts = [
-            RuleCount(
-                name,
-                RULES[name].about,
-                self._counts[name, "error"],
-                self._counts[name, "warning"],
-                self._frames[name],
-            )
-            for name in RULES
-            if self._counts[name, "error"] or self._counts[name, "warning"]
-        ]
-        return tuple(sorted(counts, key=lambda c: (-c.errors, -c.warnings)))
-
-
-def summarise(findings: Iterable[Finding]) -> Summary:
-    """All findings counted."""
-    summary = Summary()
-    for finding in findings:
-        summary.add(finding)
-    return summary

@@ -137,7 +137,7 @@ def _broke_off(streams: dict[str, TableStream]) -> Iterator[Finding]:
 
 
 DISAGREE_DEG = 10.0
-"""Ups of one scene that are further apart are not one: the doubtful band of a relation's cone is 10 degrees wide."""
+"""Ups of one scene that are further apart are not one: the undecided band of a relation's cone is 10 degrees wide."""
 
 
 class UpRules:
@@ -148,7 +148,7 @@ class UpRules:
         self._ups: list[tuple[str | None, np.ndarray]] = []
 
     def add(self, view: FrameView) -> Iterator[Finding]:
-        """What is to be said of a frame, and of the scene before where this one begins another."""
+        """The findings of a frame, and of the scene before where this one begins another."""
         frames = view.tables["frames"]
         if not view.usable or view.viewer is None:
             return

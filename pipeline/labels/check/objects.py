@@ -58,17 +58,17 @@ def cleared(known: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
 
 SLACK_PIXELS = 4.0
 """At a width of 640, for what cleaning takes off a mask's border; measured on clean labels."""
-BOX_ON_MASK, BOX_ON_MASK_DOUBTFUL = 0.3, 0.5
+BOX_ON_MASK, BOX_ON_MASK_WARNED = 0.3, 0.5
 """Least share of the projected 3D box on the mask's extents. Clean labels: 0.55 and more, of 2,107 cleaned objects."""
-MASK_IN_BOX, MASK_IN_BOX_DOUBTFUL = 0.05, 0.15
+MASK_IN_BOX, MASK_IN_BOX_WARNED = 0.05, 0.15
 """Least share of the mask's extents on the projected box, for each share of its pixels that was kept: an object that
 an occluder cuts in parts may lose most of them (clean labels: 0.18 and more)."""
-BBOX_MASK, BBOX_MASK_DOUBTFUL = 0.2, 0.7
+BBOX_MASK, BBOX_MASK_WARNED = 0.2, 0.7
 """Least IoU of the 2D box with the mask's extents; annotations have 1."""
 OUTSIDE_M, OUTSIDE_SHARE = (0.01, 0.05), (0.1, 0.2)
 """How far extents may reach beyond the box's corners, in metres plus a share of its length: for a warning, an error.
 Clean labels: 7 mm."""
-FILLED, FILLED_DOUBTFUL = 0.2, 0.35
+FILLED, FILLED_WARNED = 0.2, 0.35
 """Least length of the extents for the box's along an axis: a turned box is longer (clean labels: 0.41 and more)."""
 FLAT_M = 0.02
 """A box may be so much longer than the extents in any case: that of a face without depth has no proportions."""
@@ -119,7 +119,7 @@ def _bbox(view: FrameView, sound: np.ndarray, mask_box: np.ndarray) -> Iterator[
     overlap = paired_iou_2d(moved_towards(within, mask_box, slack), mask_box)
     # Of an object without a mask of its own, pixels inside its annotated 3D box were taken: a part of the 2D box.
     overlap = np.where(view.objects["mask_source"] == "box3d", shared_share(mask_box, within), overlap)
-    for k in indices_where(finite & sound & (overlap < BBOX_MASK_DOUBTFUL)):
+    for k in indices_where(finite & sound & (overlap < BBOX_MASK_WARNED)):
         yield view.finding(
             "object/bbox-mask",
             (view.ids[k],),
@@ -159,8 +159,8 @@ def _projection(
     # The raw mask of an object too small to clean holds pixels of what is behind it.
     raw = view.objects["fallback"]
     bad = np.where(raw, on_mask <= 0, (on_mask < BOX_ON_MASK) | (relative < MASK_IN_BOX))
-    doubtful = (on_mask < np.where(raw, BOX_ON_MASK, BOX_ON_MASK_DOUBTFUL)) | (relative < MASK_IN_BOX_DOUBTFUL)
-    for k in indices_where(boxed & ~behind & sound & (bad | doubtful)):
+    warned = (on_mask < np.where(raw, BOX_ON_MASK, BOX_ON_MASK_WARNED)) | (relative < MASK_IN_BOX_WARNED)
+    for k in indices_where(boxed & ~behind & sound & (bad | warned)):
         yield view.finding(
             "object/box-mask",
             (view.ids[k],),
@@ -186,8 +186,8 @@ def _extents(view: FrameView, boxed: np.ndarray, corners: np.ndarray, viewer: Vi
     warn = np.where(upright, OUTSIDE_M[0], warn)
     filled = np.where(length - (hi - lo) > FLAT_M, (hi - lo) / np.maximum(length, 1e-3), 1.0)
     bad = (reach > fail).any(axis=1) | (filled < FILLED).any(axis=1) | (hi < lo).any(axis=1)
-    doubtful = (reach > warn).any(axis=1) | (filled < FILLED_DOUBTFUL).any(axis=1)
-    off = known & boxed & (bad | doubtful)
+    warned = (reach > warn).any(axis=1) | (filled < FILLED_WARNED).any(axis=1)
+    off = known & boxed & (bad | warned)
     for k in indices_where(off):
         axis = int(np.argmax(reach[k] - warn[k])) if (reach[k] > warn[k]).any() else int(np.argmin(filled[k]))
         yield view.finding(
@@ -238,7 +238,7 @@ OTHER_NAME_IOU = 0.9
 
 
 def check_duplicates(view: FrameView) -> Iterator[Finding]:
-    """Pairs of objects that share their pixels or their place."""
+    """Pairs of objects that share their pixels or their volume."""
     if len(view.ids) < 2:
         return
     masks, boxes = mask_overlaps(view), box_overlaps(view, view.alike)

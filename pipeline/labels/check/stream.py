@@ -291,7 +291,7 @@ class Constraint:
 class Violation:
     """A cell that breaks its column's constraint, or is not finite.
 
-    `row` is its place in the table that was checked.
+    `row` is its index in the table that was checked.
     """
 
     row: int

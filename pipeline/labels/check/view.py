@@ -211,7 +211,7 @@ class FrameView:
         return self._matrix("distance", np.float64, np.nan)
 
     def doubted(self, relation: str) -> np.ndarray:
-        """(N, N) bool: pairs of which a second opinion made a relation doubtful."""
+        """(N, N) bool: pairs of which a second opinion left a relation undecided."""
         bits = self._matrix("doubted", np.int64, 0)
         return (np.maximum(bits, 0) >> PAIRWISE.index(relation)) & 1 == 1
 

@@ -41,7 +41,7 @@ class Job:
     dataset : callable
         Opens the dataset that was labelled; InputError where it cannot be.
     provenance : Provenance
-        Where values come from, and what reviewers said.
+        Where values come from, and their reviews.
     """
 
     labels: Labels
@@ -185,9 +185,8 @@ def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = Non
         # Pre-buffering keeps what was read of every row group until the last is done.
         with pq.ParquetFile(path, pre_buffer=False) as file:
             check_version(file.schema_arrow.metadata or {}, name, path)
-            held = file.schema_arrow.names
-            there = None if columns is None else [n for n in columns if n not in ADDED_COLUMNS or n in held]
-            for batch in file.iter_batches(BATCH, columns=there):
+            absent = ADDED_COLUMNS.keys() - set(file.schema_arrow.names)
+            for batch in file.iter_batches(BATCH, columns=columns and [n for n in columns if n not in absent]):
                 yield with_added(pa.Table.from_batches([batch]), name, columns)
     except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
         raise InputError("not a readable Parquet file", got=str(error).split("\n")[0], path=path) from error

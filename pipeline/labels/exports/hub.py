@@ -49,19 +49,18 @@ class HubConfig:
 def write_hub(job: Job) -> Written:
     """Write data, card, metadata and schemas."""
     options: HubConfig = job.options
-    files: dict[str, list[DataFile]] = {}
-    rows: dict[str, int] = {}
-    for name in TABLES:
-        files[name] = _write_table(job, name, options.rows_a_file)
-        rows[name] = sum(f.rows for f in files[name])
+    files = {name: _write_table(job, name, options.rows_a_file) for name in TABLES}
+    rows = {name: sum(file.rows for file in found) for name, found in files.items()}
     write_schemas(job.folder / "schemas")
     extended_json_schemas(job.folder / "schemas")
     with text_file(job.folder / "README.md") as card:
         card.write(dataset_card(job.labels, licence=options.licence, files={n: f"data/{n}/*.parquet" for n in TABLES}))
-    described = croissant(job.labels, licence=options.licence, files=files, schema=extended_schema)
-    write_json(job.folder / "croissant.json", described)
-    written = ("README.md", "croissant.json", *(f.path for found in files.values() for f in found), "schemas/")
-    return Written((*written, *copy_images(job)), rows)
+    write_json(
+        job.folder / "croissant.json",
+        croissant(job.labels, licence=options.licence, files=files, schema=extended_schema),
+    )
+    data = (file.path for found in files.values() for file in found)
+    return Written(("README.md", "croissant.json", *data, "schemas/", *copy_images(job)), rows)
 
 
 def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:

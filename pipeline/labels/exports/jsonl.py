@@ -38,8 +38,7 @@ def write_jsonl(job: Job) -> Written:
                     job.tell(min(batch.column("frame_index")[-1].as_py() + 1, frames), frames)
     write_schemas(job.folder / "schemas")
     extended_json_schemas(job.folder / "schemas")
-    files = (*(f"{name}.jsonl" for name in TABLES), "schemas/")
-    return Written((*files, *copy_images(job)), rows)
+    return Written((*(f"{name}.jsonl" for name in TABLES), "schemas/", *copy_images(job)), rows)
 
 
 def copy_images(job: Job) -> tuple[str, ...]:

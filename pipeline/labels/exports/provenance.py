@@ -81,8 +81,7 @@ def exported_from(manifest: Manifest) -> ExportedFrom | None:
 
 def made_by(manifest: Manifest) -> str:
     """Detector and rule profile, as `pipeline.corrections.journal.replay.Origin.made_by`."""
-    parts = (str(manifest.models.get("detector", "")), str(manifest.profile.get("name", "")))
-    return ", ".join(part for part in parts if part)
+    return ", ".join(filter(None, (str(manifest.models.get("detector", "")), str(manifest.profile.get("name", "")))))
 
 
 @dataclass(frozen=True)

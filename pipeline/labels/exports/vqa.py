@@ -55,12 +55,11 @@ def write_vqa(job: Job) -> Written:
         file.write("\n")
     counts["questions"] = records.length
     files = (CONVERSATIONS_FILE, *(("images/",) if job.images is not None else ()))
-    return Written(files, counts, () if not depths.missing else (_without_depth(depths),))
-
-
-def _without_depth(depths: Depths) -> str:
-    what = "gaps are not asked, and sizes and distances of given 3D boxes only"
-    return f"{depths.missing} frames without depth, where {what}: {depths.problem}"
+    note = (
+        f"{depths.missing} frames without depth, where gaps are not asked, and sizes and distances of given 3D boxes "
+        f"only: {depths.problem}"
+    )
+    return Written(files, counts, (note,) if depths.missing else ())
 
 
 def boxed_by_people(provenance: Provenance, rows: FrameRows) -> frozenset[int]:

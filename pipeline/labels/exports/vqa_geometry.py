@@ -40,7 +40,7 @@ MASKS = ("annotation", "detector", "segmenter", "human")
 
 @dataclass(frozen=True)
 class Figures:
-    """What can be said of one object; coordinates along the viewer's (right, up, forward), metres.
+    """What is known of one object; coordinates along the viewer's (right, up, forward), metres.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Figures:
     center : (3,) float64
         NaN where it is not known.
     extents : (3,) float64
-        NaN along an axis of which nothing can be said.
+        NaN along an axis of which nothing is known.
     points : (N, 3) float32
         Its raw points, empty where it is not seen whole.
     """
@@ -96,7 +96,7 @@ class Depths:
 
 
 def figures_of(rows: FrameRows, config: VqaConfig, depths: Depths, human: frozenset[int]) -> list[Figures]:
-    """What can be said of each object of a frame.
+    """What is known of each object of a frame.
 
     Parameters
     ----------
@@ -162,13 +162,12 @@ class _Raw:
         self.edges, self.flying = depth_edges(depth, self.config), flying_pixels(depth)
 
     def figures(self, row: Mapping[str, Any]) -> Figures:
-        mask = decode_run_length(self.depth.shape, row["mask"])
-        evidence, _ = clean(mask, self.depth, self.edges, self.config)
+        evidence, _ = clean(decode_run_length(self.depth.shape, row["mask"]), self.depth, self.edges, self.config)
         height, width = evidence.codes.shape
-        place = np.s_[evidence.y0 : evidence.y0 + height, evidence.x0 : evidence.x0 + width]
-        z, kept = self.depth[place], evidence.codes == Pixel.KEPT
+        window = np.s_[evidence.y0 : evidence.y0 + height, evidence.x0 : evidence.x0 + width]
+        z, kept = self.depth[window], evidence.codes == Pixel.KEPT
         valid = (evidence.codes != Pixel.OUTSIDE) & (z > self.config.near) & (z < self.config.far)
-        v, u = np.nonzero(kept | (valid & ~self.flying[place]))
+        v, u = np.nonzero(kept | (valid & ~self.flying[window]))
         if not kept.any():
             return NOTHING
         points = lift_pixels(z[v, u], self.camera, v + evidence.y0, u + evidence.x0) @ self.matrix

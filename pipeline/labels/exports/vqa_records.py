@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.labels.exports.provenance import load_json
 from pipeline.system.errors import InputError
 
 Kind = Literal["relation", "which", "grounding", "distance", "size"]
@@ -124,51 +121,3 @@ class Question:
                 "rests_on": self.rests_on,
             },
         }
-
-
-def question_of(record: Mapping[str, Any]) -> Question:
-    """The question of a record.
-
-    Raises
-    ------
-    InputError
-        The record is not one of ours.
-    """
-    try:
-        human, model = record["conversations"]
-        start = f"{IMAGE_TOKEN}\n"
-        if (human["from"], model["from"]) != ("human", "gpt") or not human["value"].startswith(start):
-            raise ValueError("another conversation")
-        meta = record["metadata"]
-        if meta["kind"] not in KINDS:
-            raise ValueError(f"kind {meta['kind']!r}")
-        return Question(
-            record["id"],
-            record["image"],
-            meta["kind"],
-            meta["frame"],
-            int(meta["frame_index"]),
-            tuple(int(n) for n in meta["objects"]),
-            meta["about"],
-            human["value"][len(start) :],
-            model["value"],
-            meta["source"],
-            meta.get("rests_on"),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError("not a question of an export", got=f"{type(error).__name__}: {error}"[:120]) from error
-
-
-def read_questions(root: Path) -> Iterator[Question]:
-    """The questions of an exported folder, in the order in which they were written.
-
-    Raises
-    ------
-    InputError
-        The file is missing or damaged.
-    """
-    path = root / CONVERSATIONS_FILE
-    records = load_json(path)
-    if not isinstance(records, list):
-        raise InputError("a file of conversations is a list", got=type(records).__name__, path=path)
-    return map(question_of, records)

@@ -80,7 +80,7 @@ def draw_ambiguity(statistics: dict[str, Any]) -> Figure:
         "There are no expressions"
         if ambiguity["share"] is None
         else f"{percent(ambiguity['share'])} of the expressions have more than one right answer",
-        "Expressions by the number of objects that satisfy them, doubtful ones included.",
+        "Expressions by the number of objects that satisfy them, undecided ones included.",
     )
     axes = figure.subplots()
     if not ambiguity["expressions"]:

@@ -120,9 +120,9 @@ def displacements(
     part = min(sampled / max(frames, 1), 1) * 2**32
     taken = f"(CAST(r.frame_index AS BIGINT) * 2654435761) % 4294967296 < {part:.0f}"
     counts = " UNION ALL ".join(
-        f"SELECT {place} AS relation, x, {'z' if in_plan(name) else 'y'} AS along, count(*) AS n"
+        f"SELECT {k} AS relation, x, {'z' if in_plan(name) else 'y'} AS along, count(*) AS n"
         f" FROM pairs WHERE {quoted(name)} = 1 GROUP BY ALL"
-        for place, name in enumerate(relations)
+        for k, name in enumerate(relations)
     )
     parts = []
     for first, last in database.frame_ranges():
@@ -138,8 +138,8 @@ def displacements(
             )
         )
     found = {}
-    for place, name in enumerate(relations):
-        rows = [{k: v[part["relation"] == place] for k, v in part.items()} for part in parts]
+    for k, name in enumerate(relations):
+        rows = [{column: v[part["relation"] == k] for column, v in part.items()} for part in parts]
         x, along, n = (np.concatenate([np.zeros(0, np.int64), *(r[k] for r in rows)]) for k in ("x", "along", "n"))
         found[name] = Displacements((x + 0.5) * CELL_M, (along + 0.5) * CELL_M, n.astype(np.int64))
     return found
@@ -148,18 +148,18 @@ def displacements(
 def _distances(database: Database) -> np.ndarray:
     last = round(FARTHEST_M / DISTANCE_STEP_M)
     counts = np.zeros(last + 1, np.int64)
-    for place, n in database.rows(
-        f"SELECT CAST(floor(least(distance / {DISTANCE_STEP_M}, {last})) AS INTEGER) AS place, count(*)"
+    for k, n in database.rows(
+        f"SELECT CAST(floor(least(distance / {DISTANCE_STEP_M}, {last})) AS INTEGER) AS step, count(*)"
         " FROM objects WHERE distance >= 0 AND isfinite(distance) GROUP BY 1"
     ):
-        counts[place] = n
+        counts[k] = n
     return counts
 
 
 def _sizes(database: Database, classes: Sequence[str]) -> list[SizeRange]:
     counted = [
         database.columns(
-            "SELECT list_position($classes, label) - 1 AS place,"
+            "SELECT list_position($classes, label) - 1 AS class,"
             f" CAST(round(least({edge}(size), 100) * 1000) AS INTEGER) AS mm, count(*) AS n FROM objects"
             " WHERE usable AND isfinite(list_sum(size)) AND list_contains($classes, label) GROUP BY 1, 2 ORDER BY 1, 2",
             classes=list(classes),
@@ -168,8 +168,8 @@ def _sizes(database: Database, classes: Sequence[str]) -> list[SizeRange]:
         if classes
     ]
     found = []
-    for place, label in enumerate(classes):
-        longest, shortest = ({k: v[c["place"] == place] for k, v in c.items()} for c in counted)
+    for k, label in enumerate(classes):
+        longest, shortest = ({column: v[c["class"] == k] for column, v in c.items()} for c in counted)
         if len(longest["n"]):
             low, half, high = (mm / 1000 for mm in quantiles(longest["mm"], longest["n"], (0.1, 0.5, 0.9)))
             (short,) = quantiles(shortest["mm"], shortest["n"], (0.5,))

@@ -35,7 +35,7 @@ MARGIN_EDGES_MM = (
 """Bins of about equal width on a log scale; the first holds all that is nearer."""
 LEAST_SHOWN_MM = 3.5
 ONE_ROW = 6
-"""So many plots of places stand side by side."""
+"""So many plots stand side by side."""
 LIMITS_M = (0.25, 0.5, 0.75, 1, 1.5, 2, 2.5, 3, 3.5, 4, 4.5, 5, 6, 7, 8, 10)
 
 
@@ -64,7 +64,7 @@ def draw_targets(found: Distributions) -> Figure:
     for row, names in zip(grid, rows, strict=True):
         for axes, name in zip(row, names, strict=False):
             limit = firsts.get(name, limit)
-            _draw_place(axes, name, found.displacements[name], limit)
+            _draw_region(axes, name, found.displacements[name], limit)
             if name in firsts:
                 axes.set_ylabel(f"{'farther from the viewer' if in_plan(name) else 'higher'} (m)")
                 axes.set_xlabel("to the right (m)")
@@ -92,17 +92,17 @@ def _quantile(values: np.ndarray, counts: np.ndarray, share: float) -> float:
     return float(values[order][np.searchsorted(upto, share * upto[-1])])
 
 
-def _draw_place(axes: Axes, name: str, places: Displacements, limit: float) -> None:
+def _draw_region(axes: Axes, name: str, pairs: Displacements, limit: float) -> None:
     from matplotlib.colors import LinearSegmentedColormap, PowerNorm, to_rgb
 
     color = np.array(to_rgb(relation_color(name)))
     axes.set_title(f"{name}   ", pad=5)
-    axes.text(1, 1.03, thousands(places.count.sum()), transform=axes.transAxes, ha="right", fontsize=8.5, color=QUIET)
+    axes.text(1, 1.03, thousands(pairs.count.sum()), transform=axes.transAxes, ha="right", fontsize=8.5, color=QUIET)
     # As many whole cells a bin as make about 44 bins.
     bin_m = max(round(2 * limit / 44 / CELL_M), 1) * CELL_M
     half = int(np.ceil(limit / bin_m))
     edges = np.arange(-half, half + 1) * bin_m
-    counts, _, _ = np.histogram2d(places.along, places.across, bins=(edges, edges), weights=places.count)
+    counts, _, _ = np.histogram2d(pairs.along, pairs.across, bins=(edges, edges), weights=pairs.count)
     if counts.any():
         shade = LinearSegmentedColormap.from_list(name, [color * 0.3 + 0.7, color, color * 0.45])
         # A single pair is not the darkest there is.
