@@ -18,7 +18,7 @@ from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_folder import Answer, labels_of, manifest_of, open_database
+from pipeline.evaluation.run_folder import QueryRows, labels_of, manifest_of, open_database
 from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
@@ -238,7 +238,7 @@ def run_record(report: RunReport) -> dict[str, Any]:
     }
 
 
-def print_answer(answer: Answer) -> int:
+def print_answer(answer: QueryRows) -> int:
     """Rows as a table, the first ones; how many there were to show."""
     rows = list(islice(answer.rows, MOST_SHOWN + 1))
 
@@ -252,7 +252,7 @@ def print_answer(answer: Answer) -> int:
     return len(rows)
 
 
-def print_json_rows(answer: Answer) -> int:
+def print_json_rows(answer: QueryRows) -> int:
     """Rows as JSON objects, a line each; how many."""
     count = 0
     for row in answer.rows:
@@ -261,7 +261,7 @@ def print_json_rows(answer: Answer) -> int:
     return count
 
 
-def print_csv(answer: Answer) -> int:
+def print_csv(answer: QueryRows) -> int:
     """Rows as CSV under their names; how many."""
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow(answer.columns)

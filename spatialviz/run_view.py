@@ -79,7 +79,7 @@ def _with_second(command: View, run: Run) -> Pipeline:
     if command.also is None:
         return run.source
     opened = open_pipeline(run.spec.dataset, **{**run.spec.options, "also": command.also})
-    return replace(run.source, beside=opened.beside, beside_setup=opened.beside_setup)
+    return replace(run.source, second_detector=opened.second_detector, second_setup=opened.second_setup)
 
 
 def _journal(command: View, labels: Labels) -> JournalLocation:

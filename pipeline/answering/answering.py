@@ -107,12 +107,12 @@ class FrameAnswers:
         if self._scores is None or not len(targets.index) or not len(references.index):
             return None
         config = self.source.config.rank
-        places = targets.index, references.index
+        indices = targets.index, references.index
         return pair_table(
             side(targets.index, targets.scores, config.target_weight),
             (side(references.index, references.scores, config.reference_weight),),
-            self._scores.of(relation)[places[0][:, None], places[1]],
-            one_object_twice(places, self.same),
+            self._scores.of(relation)[indices[0][:, None], indices[1]],
+            one_object_twice(indices, self.same),
             self.mask_sizes,
             config,
         )

@@ -236,17 +236,17 @@ def joined(
 ) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
     """`merged` of proposals that are lifted already, each name's in the order of its proposals."""
     objects: list[SceneObject] = []
-    place: dict[int, int] = {}
+    known: dict[int, int] = {}
     candidates: dict[str, Candidates] = {}
     for name, (proposals, lifted) in found.items():
         index = []
         for entry in lifted:
-            at = place.get(entry.id) if entry.id >= 0 else None
+            at = known.get(entry.id) if entry.id >= 0 else None
             if at is None:
                 at = len(objects)
                 objects.append(entry)
                 if entry.id >= 0:
-                    place[entry.id] = at
+                    known[entry.id] = at
             index.append(at)
         labels = tuple(proposals.label(i) for i in range(len(proposals)))
         raw = proposals.scores.astype(np.float64)

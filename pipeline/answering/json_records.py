@@ -302,7 +302,7 @@ def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = Non
     trace : Trace
         One that has an answer.
     name : callable
-        What an object of the trace is called, by its place.
+        What an object of the trace is called, by its index.
     pair : ScoredPair, optional
         By default the best one.
     """
@@ -328,7 +328,7 @@ def _lead(ranking: Ranking, pair: ScoredPair) -> str:
     if weakest is not None and weakest.relation in SUPERLATIVES:
         # There always is a closest one; the detector's scores overruled it.
         return f"another is the {weakest.relation}; best by all scores is "
-    standing = next((place for place, p in enumerate(ranking.pairs, start=1) if p.holds), None)
+    standing = next((rank for rank, p in enumerate(ranking.pairs, start=1) if p.holds), None)
     if standing is not None:
         return f"pair {standing} stands in it with a smaller product; best by all scores is "
     return NO_SUCH_PAIR
@@ -339,9 +339,9 @@ def _below(ranking: Ranking, pair: ScoredPair) -> str:
     if count == 1:
         return f"posterior {probability(pair.probability)}, the only candidate pair"
     if pair is not ranking.pairs[0]:
-        place = next(k for k, p in enumerate(ranking.pairs, start=1) if p is pair)
+        rank = next(k for k, p in enumerate(ranking.pairs, start=1) if p is pair)
         best = probability(ranking.pairs[0].probability)
-        return f"posterior {probability(pair.probability)}, rank {place} of {count}; the answer has {best}"
+        return f"posterior {probability(pair.probability)}, rank {rank} of {count}; the answer has {best}"
     tied = np.isfinite(ranking.margin) and abs(ranking.margin) < TIED
     margin = "tied with the next" if tied else f"margin {ranking.margin:.2f}"
     return f"posterior {probability(pair.probability)}, {margin}, {count} pairs"

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
 from pipeline.proposals.box_config import find_box_model
+from pipeline.proposals.captions import find_tokenizer
 from pipeline.proposals.class_names import metadata_names
 from pipeline.proposals.contracts import Contract, TensorSpec, declared
+from pipeline.proposals.detic import find_names
+from pipeline.proposals.grounding_dino import TOKENIZERS
 from pipeline.proposals.mismatch import BOXES, DETECTORS, SEGMENTERS, FileKind, recognise
+from pipeline.relations.installed import installed_networks
 from pipeline.system.errors import InputError
 from pipeline.system.model_files import (
     HubId,
@@ -133,8 +138,6 @@ def look_around() -> Here:
     """What this machine has."""
     import onnxruntime as ort
 
-    from pipeline.relations.installed import installed_networks
-
     return Here(
         ort.__version__,
         tuple(ort.get_available_providers()),
@@ -191,17 +194,13 @@ def _missing(path: Path, kind: FileKind, names: tuple[str, ...]) -> tuple[str, .
 
 def _needed_beside(path: Path, option: str, names: tuple[str, ...]) -> None:
     """Find what an option needs beside the file; raises as the option itself would."""
-    from pipeline.proposals.captions import find_tokenizer
-    from pipeline.proposals.detic import find_names
-    from pipeline.proposals.grounding_dino import TOKENIZERS
-
-    if option == "--detector grounding-dino":
-        find_tokenizer(path, TOKENIZERS)
-    elif option in ("--detector owlv2", "--detector owlvit"):
-        find_tokenizer(path)
-    elif option == "--detector detic" and not names:
-        find_names(path)
-    elif option == BOXES:
-        find_box_model(path)
-    elif option == "--detector yolo-seg" and not names:
+    if option == "--detector yolo-seg" and not names:
         raise InputError("its metadata hold no class names: --model-config FILE gives them")
+    finders: dict[str, Callable[[], object]] = {
+        "--detector grounding-dino": lambda: find_tokenizer(path, TOKENIZERS),
+        "--detector owlv2": lambda: find_tokenizer(path),
+        "--detector owlvit": lambda: find_tokenizer(path),
+        "--detector detic": lambda: names or find_names(path),
+        BOXES: lambda: find_box_model(path),
+    }
+    finders.get(option, lambda: None)()

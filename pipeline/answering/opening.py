@@ -42,9 +42,9 @@ class Pipeline:
     synonyms : Synonyms or None
     open_unfiltered : callable or None
         Opens the same detector without a minimum score.
-    beside : Detector or None
+    second_detector : Detector or None
         Another detector, to compare with; it answers nothing.
-    setup, beside_setup : DetectorSetup or None
+    setup, second_setup : DetectorSetup or None
         What the two detectors are made from, without the segmenter.
     """
 
@@ -54,9 +54,9 @@ class Pipeline:
     config: AskConfig = field(default_factory=AskConfig)
     synonyms: Synonyms | None = None
     open_unfiltered: Callable[[], Detector | None] | None = None
-    beside: Detector | None = None
+    second_detector: Detector | None = None
     setup: DetectorSetup | None = None
-    beside_setup: DetectorSetup | None = None
+    second_setup: DetectorSetup | None = None
 
     def __repr__(self) -> str:
         name = self.dataset.root.resolve().name
@@ -76,9 +76,9 @@ class Pipeline:
 
     @property
     def sides(self) -> tuple[str, str]:
-        """The names of the detector and of the one beside it; those of their model files where they are of one kind."""
-        a, b = (None if one is None else one.name for one in (self.detector, self.beside))
-        files = [None if one is None else one.model for one in (self.setup, self.beside_setup)]
+        """The names of both detectors; those of their model files where they are of one kind."""
+        a, b = (None if one is None else one.name for one in (self.detector, self.second_detector))
+        files = [None if one is None else one.model for one in (self.setup, self.second_setup)]
         models = [None if path is None else path.stem for path in files]
         if a == b and models[0] != models[1]:
             a, b = (model or name for name, model in zip((a, b), models, strict=True))
@@ -197,25 +197,25 @@ def open_pipeline(
     elif detector is not None:
         own = {"model": model, "model_config": model_config, "min_score": min_score, "fuse": fuse or None}
         _refuse(own, f"the detector {detector.name}, which is made already")
-    beside_setup = None if also is None else DetectorSetup.named(also, min_score, synonyms)
+    second_setup = None if also is None else DetectorSetup.named(also, min_score, synonyms)
 
     def make(min_score: float | None) -> Detector | None:
         return None if setup is None else setup.with_min_score(min_score).open(dataset.class_names, table)
 
     found = make(min_score) if detector is None or isinstance(detector, str) else detector
-    beside = None if beside_setup is None else beside_setup.open(dataset.class_names, table)
+    second = None if second_setup is None else second_setup.open(dataset.class_names, table)
     if segmenter is not None:
         masks = segmenter
         if isinstance(masks, str):
             masks = make_segmenter(masks, model=segmenter_model, synonyms=table)
         found = None if found is None else Segmented(found, masks)
-        beside = None if beside is None else Segmented(beside, masks)
+        second = None if second is None else Segmented(second, masks)
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
     scorer = make_scorer(srm, vectors) if isinstance(srm, str | Path) else srm
     return Pipeline(
-        dataset, found, scorer, config, table, lambda: make(0.0), beside, setup, beside_setup
+        dataset, found, scorer, config, table, lambda: make(0.0), second, setup, second_setup
     )
 
 

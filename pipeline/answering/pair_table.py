@@ -140,19 +140,19 @@ def side(index: np.ndarray, scores: np.ndarray, weight: float) -> Side:
     return Side(index, scores, weight * np.log(np.minimum(np.maximum(scores, MIN_SCORE), 1 - MIN_SCORE)))
 
 
-def one_object_twice(places: Sequence[np.ndarray], same: np.ndarray) -> np.ndarray:
+def one_object_twice(indices: Sequence[np.ndarray], same: np.ndarray) -> np.ndarray:
     """Bool array with one axis a place: combinations in which two places are one and the same object.
 
-    `places` are indices into `same`, (N, N) bool: pairs that are one and the same object.
+    `indices` are those into `same`, (N, N) bool: pairs that are one and the same object.
     """
-    if len(places) == 2:
-        return same[places[0][:, None], places[1]]
-    forbidden = np.zeros([len(p) for p in places], np.bool_)
-    for i in range(len(places)):
+    if len(indices) == 2:
+        return same[indices[0][:, None], indices[1]]
+    forbidden = np.zeros([len(p) for p in indices], np.bool_)
+    for i in range(len(indices)):
         for j in range(i):
-            shape = [1] * len(places)
-            shape[i], shape[j] = len(places[i]), len(places[j])
-            forbidden |= same[np.ix_(places[j], places[i])].reshape(shape)
+            shape = [1] * len(indices)
+            shape[i], shape[j] = len(indices[i]), len(indices[j])
+            forbidden |= same[np.ix_(indices[j], indices[i])].reshape(shape)
     return forbidden
 
 

@@ -169,14 +169,14 @@ def _solve(
     best = own.log
     for attachment in node.attachments:
         ends = tuple(_solve(n, candidates, lookup, same, config, config.reference_weight) for n in attachment.nodes)
-        places = (here.index, *(e.side.index for e in ends))
-        probability = lookup(attachment, places[0], places[1:])
-        forbidden = one_object_twice(places, same)
+        indices = (here.index, *(e.side.index for e in ends))
+        probability = lookup(attachment, indices[0], indices[1:])
+        forbidden = one_object_twice(indices, same)
         if len(attachment.nodes) == 2 and attachment.nodes[0] == replace(
             attachment.nodes[1], mention=attachment.nodes[0].mention
         ):
             # "between a mug and a mug": the two ends may be swapped, and one answer would stand twice.
-            forbidden |= places[1][:, None] > places[2][None, :]
+            forbidden |= indices[1][:, None] > indices[2][None, :]
         total = attached(probability, [e.side for e in ends], forbidden, config)
         branches.append(_Branch(attachment, ends, probability, forbidden, total))
         best = best + _max_over_ends(total)

@@ -71,11 +71,11 @@ def _worded(target: str, relation: str, reference: str, class_names: tuple[str, 
     for a, b in ((readable(target, brief=False), readable(reference, brief=False)), (target, reference)):
         text = f"{a} {PHRASE[relation]} the {b}"
         try:
-            said = parse(text, class_names=class_names).expression
+            read = parse(text, class_names=class_names).expression
         except InputError:
             continue
         meant = normal_form(target), normal_form(reference)
-        if (normal_form(said.target), normal_form(said.reference or "")) == meant:
+        if (normal_form(read.target), normal_form(read.reference or "")) == meant:
             return text
     return None
 

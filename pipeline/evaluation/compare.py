@@ -113,11 +113,9 @@ def compare(before: ArrowTable, after: ArrowTable, measure: str = "set_correct")
         raise InputError("the two runs have no expression in common", cause="were they made with other labels?")
     first, second = (rows.take([pair[k] for pair in shared]) for k, rows in enumerate((before, after)))
     clusters, _ = clusters_of(second)
-    differences, tests = {}, {}
-    for name in MEASURES:
-        a, b = column(first, name), column(second, name)
-        differences[name] = mean_estimate(b, clusters, other=a)
-        tests[name] = mcnemar(b > 0, a > 0)
+    columns = {name: (column(first, name), column(second, name)) for name in MEASURES}
+    differences = {name: mean_estimate(b, clusters, other=a) for name, (a, b) in columns.items()}
+    tests = {name: mcnemar(b > 0, a > 0) for name, (a, b) in columns.items()}
     was, now = column(first, measure) > 0, column(second, measure) > 0
     same_target, same_reference = (
         # An object that is no labelled one has no place: two of them count as the same.

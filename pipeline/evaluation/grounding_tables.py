@@ -108,11 +108,9 @@ def relation_table(
         ):
             if label != name and not has_opm(records):
                 continue
-            cells: list[Estimate] = []
-            for r in relations:
-                own = relation == r
-                cells.append(mean_estimate(right[own], clusters[own], config=config))
-            rows.append(Row(label, tuple(cells), shares=shares.get(name, "")))
+            masks = (relation == r for r in relations)
+            cells = tuple(mean_estimate(right[own], clusters[own], config=config) for own in masks)
+            rows.append(Row(label, cells, shares=shares.get(name, "")))
     counts = tuple(int((np.array(first.column("relation").to_pylist(), object) == r).sum()) for r in relations)
     return Table(
         "relations",

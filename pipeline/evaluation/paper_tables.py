@@ -170,9 +170,9 @@ def _top_table(
     one = counted & ((truth == T).sum(axis=1) == 1)
     shares = (truth[one] == T).mean(axis=0) if one.any() else np.full(truth.shape[1], 1 / max(truth.shape[1], 1))
     rows = [row(MOST_FREQUENT, relation_ranks(np.ones(truth.shape), shares, truth))]
-    for system in records.systems:
-        if system.prior:
-            rows.append(row(system.title, relation_ranks(system.p, system.prior, records.truth(system.relations))))
+    rows += [
+        row(s.title, relation_ranks(s.p, s.prior, records.truth(s.relations))) for s in records.systems if s.prior
+    ]
     counts = {subset: int((mask & one).sum()) for subset, mask in masks.items()}
     return _table(evaluated, "relations", SA, columns, rows, f"{unit}s; pairs: {_listed(counts)}")
 

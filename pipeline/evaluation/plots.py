@@ -93,23 +93,19 @@ def relation_bars(table: Table) -> Bars:
 
 def overlap_sweep(records: ArrowTable) -> Lines:
     """Share of expressions whose answer overlaps an acceptable target by at least x."""
-    curves = {}
     names = {"pipeline": "set_iou", "OPM only": "opm_set_iou"} if has_opm(records) else {"whole expression": "set_iou"}
-    for label, name in names.items():
-        curves[label] = (column(records, name)[None] >= SWEEP[:, None]).mean(axis=1)
-    return SWEEP, curves
+    columns = {label: column(records, name) for label, name in names.items()}
+    return SWEEP, {label: (own[None] >= SWEEP[:, None]).mean(axis=1) for label, own in columns.items()}
 
 
 def by_rivals(records: ArrowTable) -> Lines:
     """Accuracy by the number of labelled objects of the target's class; 6 stands for 6 and more."""
     number = np.minimum(column(records, "same_class").astype(int), 6)
     x = np.unique(number)
-    curves = {}
     answers = {"pipeline" if has_opm(records) else "whole expression": column(records, "set_correct")}
     if has_opm(records):
         answers["OPM only"] = (column(records, "opm_set_iou") >= 0.5).astype(float)
-    for label, right in answers.items():
-        curves[label] = np.array([right[number == k].mean() for k in x])
+    curves = {label: np.array([right[number == k].mean() for k in x]) for label, right in answers.items()}
     return x.astype(float), curves
 
 

@@ -14,7 +14,6 @@ from pipeline.answering.ranking import alone
 from pipeline.diagnosis.frame_evidence import matched
 from pipeline.diagnosis.substitution import CONF, LIFT, SRM
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.expression import Query
 
@@ -91,9 +90,16 @@ def records_schema() -> ArrowSchema:
     return pa.schema([pa.field(name, kinds[kind]) for name, kind in COLUMNS.items()])
 
 
-def overlaps(box: np.ndarray | None, truth: np.ndarray) -> float:
-    """The best overlap of a predicted box with any of the true ones ((K, 4)); 0 where either is missing."""
-    return 0.0 if box is None or not len(truth) else float(iou_2d(box[None], truth).max())
+def asked_columns(case: Case, truth: FrameCases) -> dict[str, Any]:
+    """The row of an expression that nobody has answered: what was asked, and what is true."""
+    return dict.fromkeys(COLUMNS) | {
+        "id": case.id, "frame": truth.frame, "frame_index": truth.frame_index, "scene": truth.scene, "text": case.text,
+        "target": case.target, "relation": case.relation, "reference": case.reference,
+        "target_object": case.target_object, "reference_object": case.reference_object,
+        "answers_strict": len(case.strict), "answers": len(case.acceptable),
+        "same_class": int(truth.alike[case.target_object].sum()), "ambiguous": case.ambiguous,
+        "label_margin": case.margin,
+    }  # fmt: skip
 
 
 def record(
@@ -106,16 +112,9 @@ def record(
     """The row of one expression; `overlap` is (D, N) float64, the IoU of each detection with each labelled object."""
     query, problem = parsed
     gold = query is not None and is_gold(query, case)
-    row: dict[str, Any] = dict.fromkeys(COLUMNS)
-    row |= {
-        "id": case.id, "frame": truth.frame, "frame_index": truth.frame_index, "scene": truth.scene, "text": case.text,
-        "target": case.target, "relation": case.relation, "reference": case.reference,
-        "target_object": case.target_object, "reference_object": case.reference_object,
-        "answers_strict": len(case.strict), "answers": len(case.acceptable),
-        "same_class": int(truth.alike[case.target_object].sum()), "ambiguous": case.ambiguous,
-        "label_margin": case.margin, "parse_ok": gold,
-        "problem": problem or answers.unknown.get(case.target) or answers.unknown.get(case.reference),
-    }  # fmt: skip
+    row = asked_columns(case, truth)
+    row["parse_ok"] = gold
+    row["problem"] = problem or answers.unknown.get(case.target) or answers.unknown.get(case.reference)
     pairs = truth.acceptable_pairs(case)
     _opm(row, case, answers, overlap)
     covered = _coverage(row, case, pairs, answers, overlap >= HIT)
@@ -136,7 +135,7 @@ def record(
     return row
 
 
-def _with_truth(detection: int | None, case: Case, overlap: np.ndarray) -> tuple[float, float, float]:
+def overlaps(detection: int | None, case: Case, overlap: np.ndarray) -> tuple[float, float, float]:
     """The best overlap of a detection with the target, with a strict answer and with an acceptable one."""
     if detection is None:
         return 0.0, 0.0, 0.0
@@ -148,7 +147,7 @@ def _with_truth(detection: int | None, case: Case, overlap: np.ndarray) -> tuple
 def _opm(row: dict[str, Any], case: Case, answers: FrameAnswers, overlap: np.ndarray) -> None:
     """The detector's best target alone."""
     first = alone(answers.candidates[case.target])
-    row["opm_iou"], row["opm_strict_iou"], row["opm_set_iou"] = _with_truth(first, case, overlap)
+    row["opm_iou"], row["opm_strict_iou"], row["opm_set_iou"] = overlaps(first, case, overlap)
     if first is not None:
         row["opm_box"] = answers.boxes[first].tolist()
         row["opm_score"] = float(answers.candidates[case.target].scores.max())
@@ -200,7 +199,7 @@ def _answer(
     overlap: np.ndarray,
 ) -> None:
     """The target that answers, an index of the frame's objects, and whether it is right."""
-    row["iou"], row["strict_iou"], row["set_iou"] = _with_truth(target, case, overlap)
+    row["iou"], row["strict_iou"], row["set_iou"] = overlaps(target, case, overlap)
     row |= {
         "correct": row["iou"] >= HIT, "strict_correct": row["strict_iou"] >= HIT, "set_correct": row["set_iou"] >= HIT,
         "reference_correct": False, "pair_correct": False,

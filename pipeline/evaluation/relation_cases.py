@@ -307,13 +307,11 @@ def open_systems(options: Mapping[str, Any], spec: RelationSpec, labels: Labels)
     """
     vectors = spec.vectors if spec.vectors is not None else options.get("vectors")
     found: dict[str, RelationSystem] = {}
-    seen: set[str] = set()
-    wanted = False
+    distinct: dict[str, str] = {}
     for which in (str(options.get("srm", TRAINED)), *spec.others):
-        key = which if which in (RULE, TRAINED) else str(Path(which).resolve())
-        if key in seen:
-            continue
-        seen.add(key)
+        distinct.setdefault(which if which in (RULE, TRAINED) else str(Path(which).resolve()), which)
+    wanted = False
+    for which in distinct.values():
         name = which if which in (RULE, TRAINED) else Path(which).stem
         # Networks of one name in several folders are told apart by these.
         if name in found:

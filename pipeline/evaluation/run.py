@@ -28,7 +28,7 @@ from pipeline.evaluation.relation_cases import RelationSpec, frames_in, spread
 from pipeline.evaluation.relation_records import RelationPass
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import HIT, Case, FrameCases, read_cases, read_query
+from pipeline.labels.cases import HIT, FrameCases, read_cases, read_query
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.tables import read_table
 from pipeline.language.expression import Query
@@ -165,19 +165,18 @@ class Evaluator:
         with self.clock.stage("verdicts"):
             confidence = DEFAULT_CONFIDENCE if self.spec.confidence is None else self.spec.confidence
             evidence = FrameEvidence(truth, answers, confidence)
-            return [
-                row | self._diagnosis(evidence, case, row) for case, row in zip(truth.cases, rows, strict=True)
-            ]
+            for case, row in zip(truth.cases, rows, strict=True):
+                mark, query = self.spec.marks.get((row["frame"], case.id)), self._parsed[case.text][0]
+                row |= diagnosis_columns(
+                    diagnose(
+                        evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"]
+                    )
+                )
+        return rows
 
     def forget_sentences(self) -> None:
         """Parse every sentence anew when it comes next."""
         self._parsed.clear()
-
-    def _diagnosis(self, evidence: FrameEvidence, case: Case, row: dict[str, Any]) -> dict[str, Any]:
-        mark, query = self.spec.marks.get((row["frame"], case.id)), self._parsed[case.text][0]
-        return diagnosis_columns(
-            diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"])
-        )
 
     def block(self, first: int, stop: int) -> tuple[ArrowTable, ArrowTable | None]:
         """The records of the frames from index `first` up to `stop`: of expressions, and of pairs where asked for."""

@@ -310,7 +310,7 @@ AT_ONCE = 10_000
 
 
 @dataclass(frozen=True)
-class Answer:
+class QueryRows:
     """What a query gives.
 
     Attributes
@@ -339,7 +339,7 @@ class RunDatabase:
         self._connection = connection
         self.views, self.labels = tuple(views), labels
 
-    def select(self, sql: str, parameters: Sequence[Any] = ()) -> Answer:
+    def select(self, sql: str, parameters: Sequence[Any] = ()) -> QueryRows:
         """Run one SELECT.
 
         Raises
@@ -360,7 +360,7 @@ class RunDatabase:
             found = self._connection.execute(statements[0], list(parameters) or None)
         except duckdb.Error as error:
             raise self._refused(error) from error
-        return Answer(tuple(c[0] for c in found.description or ()), self._rows(found))
+        return QueryRows(tuple(c[0] for c in found.description or ()), self._rows(found))
 
     def _rows(self, found: duckdb.DuckDBPyConnection) -> Iterator[tuple[Any, ...]]:
         import duckdb

@@ -66,15 +66,11 @@ def read_terms(text: str) -> tuple[Term, ...]:
         assert head is not None
         negated, field, operator = head.group(1) is not None, head.group(2), (head.group(3) or ":").strip()
         start, at = at, head.end()
-        if field is None:
-            value, at = _value(text, at, _WORD, text[start:at])
-            values = [value]
-        else:
-            value, at = _value(text, at, _BARE, text[start:at])
-            values = [value]
-            while text.startswith(",", at):
-                value, at = _value(text, at + 1, _BARE, text[start : at + 1])
-                values.append(value)
+        value, at = _value(text, at, _WORD if field is None else _BARE, text[start:at])
+        values = [value]
+        while field is not None and text.startswith(",", at):
+            value, at = _value(text, at + 1, _BARE, text[start : at + 1])
+            values.append(value)
         if at < len(text) and not text[at].isspace():
             raise InputError("a space is missing in the search", got=repr(text[start : at + 1]))
         terms.append(Term(field, operator, tuple(values), negated))

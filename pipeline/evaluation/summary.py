@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import factorial
@@ -112,15 +113,12 @@ def has_verdicts(records: ArrowTable) -> bool:
 
 def need_verdicts(records: ArrowTable) -> None:
     """Raise InputError where a run has none."""
-    if "verdict" not in records.column_names or "right_with" not in records.column_names:
-        raise InputError("this run has no verdicts", cause="it was made by an older release; run `eval` again")
     if not has_verdicts(records):
-        raise InputError(
-            "this run has no verdicts",
-            cause="only the pipeline's own runs have, without --no-verdicts"
-            if records.num_rows
-            else "it has no expressions",
-        )
+        cause = "only the pipeline's own runs have, without --no-verdicts"
+        cause = cause if records.num_rows else "it has no expressions"
+        if not {"verdict", "right_with"} <= set(records.column_names):
+            cause = "it was made by an older release; run `eval` again"
+        raise InputError("this run has no verdicts", cause=cause)
 
 
 def summarise_run(records: ArrowTable, config: BootstrapConfig | None = None) -> RunSummary:
@@ -169,9 +167,7 @@ def summarise_run(records: ArrowTable, config: BootstrapConfig | None = None) ->
         raise AssertionError(f"Shapley values sum to {explained}, not to v(all) - v(none)")
     answered = column(records, "set_correct")
     unmended = (right_with >> (SUBSETS - 1)) & 1 == 0
-    causes: dict[tuple[str, str | None], int] = {}
-    for pair in zip(verdict[unmended].tolist(), detail[unmended].tolist(), strict=True):
-        causes[pair] = causes.get(pair, 0) + 1
+    causes = Counter(zip(verdict[unmended].tolist(), detail[unmended].tolist(), strict=True))
     return RunSummary(
         len(verdict),
         unit,
@@ -326,11 +322,11 @@ def oracle_deltas(right_with: np.ndarray, clusters: np.ndarray, config: Bootstra
     clusters : (E,)
         What resembles each other, for the intervals: scenes, or frames.
     """
-    right = (np.asarray(right_with, np.int64)[:, None] >> np.arange(SUBSETS)) & 1
-    right = right.astype(np.float64)
-    weights = shapley_weights()
-    single, shapley = {}, {}
-    for m, name in enumerate(ORACLES):
-        single[name] = mean_estimate(right[:, 1 << m], clusters, other=right[:, 0], config=config)
-        shapley[name] = mean_estimate(right @ weights[m], clusters, config=config)
+    right = ((np.asarray(right_with, np.int64)[:, None] >> np.arange(SUBSETS)) & 1).astype(np.float64)
+    single = {
+        name: mean_estimate(right[:, 1 << m], clusters, other=right[:, 0], config=config)
+        for m, name in enumerate(ORACLES)
+    }
+    weights = dict(zip(ORACLES, shapley_weights(), strict=True))
+    shapley = {name: mean_estimate(right @ own, clusters, config=config) for name, own in weights.items()}
     return Deltas(len(right), right.mean(axis=0) if len(right) else np.full(SUBSETS, np.nan), single, shapley)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.evaluation.records import COLUMNS, matched, overlaps
+from pipeline.diagnosis.frame_evidence import matched
+from pipeline.evaluation.records import asked_columns, overlaps
 from pipeline.evaluation.vlm.client import ChatClient
 from pipeline.evaluation.vlm.questions import GroundingConfig, ground_many
 from pipeline.geometry.boxes import iou_2d
@@ -116,21 +117,14 @@ WholeExpression = Referring | Vlm
 
 def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, Any]:
     """The row of one expression: only what a system that gives one box can be measured by."""
-    row: dict[str, Any] = dict.fromkeys(COLUMNS)
-    own = truth.boxes[case.target_object : case.target_object + 1]
     box = pointed.box
-    iou, strict, lenient = (overlaps(box, b) for b in (own, truth.boxes[case.strict], truth.boxes[case.acceptable]))
-    row |= {
-        "id": case.id, "frame": truth.frame, "frame_index": truth.frame_index, "scene": truth.scene, "text": case.text,
-        "target": case.target, "relation": case.relation, "reference": case.reference,
-        "target_object": case.target_object, "reference_object": case.reference_object,
-        "answers_strict": len(case.strict), "answers": len(case.acceptable),
-        "same_class": int(truth.alike[case.target_object].sum()), "ambiguous": case.ambiguous,
-        "label_margin": case.margin, "parse_ok": True, "problem": pointed.problem,
-        "iou": iou, "strict_iou": strict, "set_iou": lenient,
+    overlap = iou_2d(np.zeros((0, 4)) if box is None else box[None], truth.boxes)
+    iou, strict, lenient = overlaps(None if box is None else 0, case, overlap)
+    row = asked_columns(case, truth) | {
+        "parse_ok": True, "problem": pointed.problem, "iou": iou, "strict_iou": strict, "set_iou": lenient,
         "correct": iou >= HIT, "strict_correct": strict >= HIT, "set_correct": lenient >= HIT,
     }  # fmt: skip
     if box is not None:
-        index = int(matched(iou_2d(box[None], truth.boxes), truth.alike[[case.target_object]])[0])
+        index = int(matched(overlap, truth.alike[[case.target_object]])[0])
         row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if index < 0 else index}
     return row

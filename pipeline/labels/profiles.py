@@ -7,7 +7,7 @@ cuts goes on. It never decides a label: it can only turn T or F into U.
 On rooms of another maker (tests/box_worlds.py) sign flips against exact geometry
 fall from 1.6 to 0.3 (cameras held high) or from 8.9 to 0.3 (held low) in a
 thousand, for two per cent more undecided cells; on the crowded rooms of
-tests/mesh_worlds.py from 9 to 15 to between 2 and 4.
+tests/benchmarks/mesh_worlds.py from 9 to 15 to between 2 and 4.
 """
 
 from __future__ import annotations

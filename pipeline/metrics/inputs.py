@@ -22,9 +22,7 @@ def checked_probabilities(p: Any, what: str = "probabilities", dimensions: int =
     if found.dtype.kind not in "fiub" or found.ndim != dimensions:
         shape = "(P, R)" if dimensions == 2 else "(M,)"
         raise InputError(f"{what} must be numbers of shape {shape}", got=f"{found.dtype} {found.shape}")
-    found = found.astype(np.float64)
-    if not np.isfinite(found).all():
-        raise InputError(f"{what} must be finite", got=f"{_odd(found)} NaN or infinite of {found.size}")
+    found = _finite(found, what)
     if found.size and (found.min() < 0 or found.max() > 1):
         raise InputError(
             f"{what} must lie within 0..1", got=f"{found.min():.6g} to {found.max():.6g}", cause="are these logits?"
@@ -84,14 +82,15 @@ def checked_numbers(values: Any, what: str, shape: tuple[int, ...] | None = None
     found = np.asarray(values)
     if found.dtype.kind not in "biuf" or (found.ndim != 1 if shape is None else found.shape != shape):
         raise InputError(f"{what} must be numbers of shape {shape or '(N,)'}", got=f"{found.dtype} {found.shape}")
-    found = found.astype(np.float64)
-    if not np.isfinite(found).all():
-        raise InputError(f"{what} must be finite", got=f"{_odd(found)} NaN or infinite of {found.size}")
+    return _finite(found, what)
+
+
+def _finite(values: np.ndarray, what: str) -> np.ndarray:
+    found = values.astype(np.float64)
+    odd = np.count_nonzero(~np.isfinite(found))
+    if odd:
+        raise InputError(f"{what} must be finite", got=f"{odd} NaN or infinite of {found.size}")
     return found
-
-
-def _odd(values: np.ndarray) -> int:
-    return int((~np.isfinite(values)).sum())
 
 
 def checked_clusters(clusters: Any, rows: int) -> tuple[np.ndarray, int]:

@@ -296,8 +296,7 @@ def relation_estimates(
     InputError
         Not one cluster a pair, or a scorer that was measured against another truth.
     """
-    shape = cells.tp.shape
-    names = checked_names(relations, shape[1])
+    shape, names = cells.tp.shape, checked_names(relations, cells.tp.shape[1])
     if other is not None and not (
         shape == other.tp.shape
         and np.array_equal(cells.tp | cells.fn, other.tp | other.fn)
@@ -319,9 +318,9 @@ def relation_estimates(
         config=config,
     )
     found = [replace(e, n=int(n)) for e, n in zip(found, rows.sum(axis=0), strict=True)]
-    r = len(names)
-    precision, recall, f1 = (tuple(found[k * r : (k + 1) * r]) for k in range(3))
-    return RelationEstimates(names, precision, recall, f1, *found[3 * r :])
+    *by_relation, micro, macro, accuracy = found
+    precision, recall, f1 = (tuple(by_relation[k * len(names) : (k + 1) * len(names)]) for k in range(3))
+    return RelationEstimates(names, precision, recall, f1, micro, macro, accuracy)
 
 
 def _by_cluster(cells: CellOutcomes, index: np.ndarray, count: int) -> np.ndarray:

@@ -88,21 +88,20 @@ class SplitPlan:
     def record(self) -> dict[str, Any]:
         """As JSON: the scenes of each part, or its frames where scenes are cut."""
         counts = {name: int((self.part == k).sum()) for k, name in enumerate(PARTS)}
-        found: dict[str, Any] = {
+        inside = {name: [self.frames[i] for i in self.indices(k)] for k, name in enumerate(PARTS)}
+        members = (
+            {f"{name}_scenes": sorted({f.scene for f in found}) for name, found in inside.items()}
+            if self.kind == "scene"
+            else {f"{name}_frames": [f.frame for f in found] for name, found in inside.items()}
+        )
+        return {
             "kind": self.kind,
             "seed": self.seed,
             "frames": {**counts, "dropped": int((self.part == DROPPED).sum())},
             "warning": self.warning,
+            **({"gaps": self.gaps} if self.gaps else {}),
+            **members,
         }
-        if self.gaps:
-            found["gaps"] = self.gaps
-        for k, name in enumerate(PARTS):
-            inside = [self.frames[i] for i in self.indices(k)]
-            if self.kind == "scene":
-                found[f"{name}_scenes"] = sorted({f.scene for f in inside})
-            else:
-                found[f"{name}_frames"] = [f.frame for f in inside]
-        return found
 
 
 def split_frames(frames: Sequence[FrameKey], kind: SplitKind | None = None, seed: int = 0) -> SplitPlan:

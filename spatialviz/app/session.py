@@ -89,7 +89,7 @@ class Session:
         self._first_view, self._named_labels = first_view, frozenset(labels or ())
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
-        second = any(opened.beside is not None for opened in store.sources.values())
+        second = any(opened.second_detector is not None for opened in store.sources.values())
         self._help = HelpDialog(
             client, self.post, moving, bool(journals), second, lambda: self.state.labels is not None
         )

@@ -56,8 +56,8 @@ def test_a_queue_without_corrections_with_a_second_detector(
     assert made == {"items": len(rows), "last": (0, ""), "estimated_wrong": None, "agreement": []}
     numbers = [r["object"] for r in demo_labels.objects.to_pylist() if r["frame"] == first]
     assert named == ItemKey(first, "object", numbers[2], None, "")
-    assert source.beside is not None
-    as_reviewed = {i.key: i.reason for i in detector_evidence(demo_labels, demo_dataset, source.beside).items}
+    assert source.second_detector is not None
+    as_reviewed = {i.key: i.reason for i in detector_evidence(demo_labels, demo_dataset, source.second_detector).items}
     spoken = {k: [x for x in r["reasons"] if x.startswith("the detector ")] for k, r in rows.items()}
     assert {k: x for k, (x,) in ((k, x) for k, x in spoken.items() if x)} == as_reviewed
     found = queue.column("frame").to_pylist()[:60]

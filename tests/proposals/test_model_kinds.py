@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -310,7 +310,7 @@ def test_a_long_run_is_counted_and_keeps_its_memory(files: dict[str, Path], tmp_
     fused = EnsembleDetector([make_detector(k, model=files[k]) for k in ("yolo-seg", "boxes")])
     assert run_endurance(replace(source, detector=fused), source.dataset.frame_ids[:1], 2).pictures == 2
     assert not list((tmp_path / "cache").rglob("*.npz"))
-    assert json.loads(json.dumps(report.record()))["detector"] == "yolo-seg"
+    assert json.loads(json.dumps(asdict(report)))["detector"] == "yolo-seg"
 
 
 def test_a_detector_is_made_of_a_model_on_a_hub(

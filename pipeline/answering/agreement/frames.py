@@ -46,12 +46,12 @@ def agree_frames(
     skipped: Skipped | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[str, FrameAgreement]]:
-    """How far the source's detector agrees with the one beside it, frame by frame.
+    """How far the source's detector agrees with its second one, frame by frame.
 
     Parameters
     ----------
     source : Pipeline
-        With a detector and another `beside` it.
+        With a detector and a `second_detector`.
     frames : str
         As in `pipeline.answering.opening.frame_range`.
     names : sequence of str, optional
@@ -72,11 +72,11 @@ def agree_frames(
     InputError
         There is no second detector; a frame that was asked for by name is broken; a detector knows none of the names.
     """
-    detector, beside = source.needed_detector(), source.beside
-    if beside is None:
+    detector, second = source.needed_detector(), source.second_detector
+    if second is None:
         raise InputError("there is nothing to compare the detector with", expected="--also NAME or --also NAME=MODEL")
     if names is not None:
-        for one in (detector, beside):
+        for one in (detector, second):
             if not any(knows(one.vocabulary, name, source.synonyms) for name in names):
                 raise InputError(f"the detector {one.name} knows none of the names", got=", ".join(names))
     chosen = frame_range(source.dataset, frames)
@@ -84,7 +84,7 @@ def agree_frames(
     for done, frame_id in enumerate(chosen, start=1):
         try:
             frame = source.dataset.load(frame_id)
-            layers = [find_layer(frame, one, names, source.synonyms) for one in (detector, beside)]
+            layers = [find_layer(frame, one, names, source.synonyms) for one in (detector, second)]
             found = agree(*layers, min_iou=min_iou, synonyms=source.synonyms)
         except InputError as error:
             skip_or_raise(error, named, frame_id, skipped)
@@ -138,13 +138,13 @@ def beside(source: Pipeline, context: PreparedFrame, objects: Sequence[SceneObje
     InputError
         The other detector cannot be asked about this frame.
     """
-    if source.beside is None:
+    if source.second_detector is None:
         return None
     detector = source.needed_detector()
-    others = all_objects(context, source.beside)
+    others = all_objects(context, source.second_detector)
     found = agree(
         layer_of_objects(objects, known_names(detector)),
-        layer_of_objects(others, known_names(source.beside)),
+        layer_of_objects(others, known_names(source.second_detector)),
         synonyms=source.synonyms,
     )
     return Beside(source.sides, others, found, figures([found], source.synonyms))

@@ -62,7 +62,7 @@ def second_setup(source: Pipeline, labels: Labels) -> tuple[str, DetectorSetup] 
     """
     maker = labels.manifest.models.get("detector")
     own, other = source.sides
-    known = ((other, source.beside, source.beside_setup), (own, source.detector, source.setup))
+    known = ((other, source.second_detector, source.second_setup), (own, source.detector, source.setup))
     for name, detector, setup in known:
         if detector is not None and setup is not None and not made_by(maker, detector):
             return name, setup

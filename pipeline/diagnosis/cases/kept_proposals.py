@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field
 
 from pipeline.answering.recording import detection_record, finding_of
-from pipeline.datasets.saved_case import damaged
+from pipeline.diagnosis.cases.manifest import validated
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import RunLength, decode_run_length
 from pipeline.proposals.annotations import box_mask
@@ -171,14 +171,14 @@ def read_proposals(path: Path) -> tuple[KeptProposals, str]:
     """
     data = path.read_bytes()
     try:
-        kept = KeptProposals.model_validate(json.loads(data))
-    except ValidationError as error:
-        raise damaged(error, path) from error
+        content = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise InputError("the detections of the case are not JSON", got=str(error)[:120], path=path) from error
+    kept = validated(KeptProposals, content, path)
     (rows,) = kept.frames.values()
-    highest = max((i for a in kept.asked.values() for i in (*a.given, *a.unfiltered)), default=-1)
-    lowest = min((i for a in kept.asked.values() for i in (*a.given, *a.unfiltered)), default=0)
-    if highest >= len(rows) or lowest < 0:
-        raise InputError("the case names a detection that it does not hold", got=highest, expected=len(rows), path=path)
+    named = [i for a in kept.asked.values() for i in (*a.given, *a.unfiltered)]
+    if not set(named) <= set(range(len(rows))):
+        raise InputError(
+            "the case names a detection that it does not hold", got=max(named), expected=len(rows), path=path
+        )
     return kept, hashlib.sha256(data).hexdigest()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, ValidationError
@@ -25,6 +25,9 @@ _FACTS = ("distance", "occluded", "mask_pixels")
 
 PROPOSALS, NETWORK = "proposals.json", "relations.onnx"
 FILES = ("rgb.png", "depth.png", "depth.npy", PROPOSALS, NETWORK)
+
+
+_Model = TypeVar("_Model", bound=BaseModel)
 
 
 class _Strict(BaseModel):
@@ -140,27 +143,24 @@ def checked_manifest(root: Path, table: dict[str, Any]) -> tuple[Manifest, Expec
         It is damaged; the message names the place.
     """
     path = root / MANIFEST
-    try:
-        manifest = Manifest.model_validate(table)
-    except ValidationError as error:
-        raise damaged(error, path) from error
+    manifest = validated(Manifest, table, path)
     return manifest, checked_expected(manifest.expected, path)
 
 
 def checked_expected(record: Any, path: Path) -> Expected:
-    """What is compared of an answer's record.
+    """What is compared of an answer's record; InputError where it is none."""
+    return validated(Expected, record, path, "expected")
 
-    Raises
-    ------
-    InputError
-        It is not one.
-    """
+
+def validated(model: type[_Model], record: Any, path: Path, *inside: str) -> _Model:
+    """A part of a case's file; InputError where it is damaged, which names the place."""
     try:
-        return Expected.model_validate(record)
+        return model.model_validate(record)
     except ValidationError as error:
-        raise damaged(error, path, "expected") from error
+        raise damaged(error, path, *inside) from error
     except RecursionError as error:
-        raise InputError("the case is damaged at expected", got="too deep", path=path) from error
+        where = ".".join(inside) or "the top"
+        raise InputError(f"the case is damaged at {where}", got="too deep", path=path) from error
 
 
 class TrueObject(_Strict):
@@ -240,10 +240,7 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
     InputError
         The record is damaged; the message names the place.
     """
-    try:
-        saved = TruthRecord.model_validate(record)
-    except ValidationError as error:
-        raise damaged(error, path, "truth") from error
+    saved = validated(TruthRecord, record, path, "truth")
     n, e = len(saved.objects), saved.expression
     indices = [e.target_object, e.reference_object, *e.strict, *e.acceptable]
     if not all(0 <= p < n for p in indices):

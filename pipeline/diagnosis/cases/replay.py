@@ -6,7 +6,6 @@ move by more than a tolerance, and another detail of the same verdict, are warni
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,11 +78,8 @@ def find_cases(path: str | Path) -> tuple[Path, ...]:
     if not path.is_dir():
         raise InputError("there is no such case", path=path)
     # A half-written case has a hidden name.
-    found = []
-    for folder, inside, files in os.walk(path):
-        inside[:] = sorted(name for name in inside if not name.startswith("."))
-        if MANIFEST in files:
-            found.append(Path(folder))
+    files = (file.relative_to(path) for file in path.rglob(MANIFEST))
+    found = sorted(path / f.parent for f in files if not any(part.startswith(".") for part in f.parts))
     if not found:
         raise InputError("the folder holds no saved case", expected=f"folders with {MANIFEST}", path=path)
     return tuple(found)

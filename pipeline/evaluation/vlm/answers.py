@@ -326,13 +326,8 @@ def yes_probability(logprobs: Sequence[Alternatives]) -> float | None:
     for index in logprobs:
         if not index or _plain_token(index[0][0]) not in ("yes", "no"):
             continue
-        mass = {"yes": 0.0, "no": 0.0}
-        for token, logprob in index:
-            word = _plain_token(token)
-            if word in mass:
-                mass[word] += math.exp(logprob)
-        total = mass["yes"] + mass["no"]
-        return mass["yes"] / total if total > 0 else None
+        yes, no = (sum(math.exp(p) for token, p in index if _plain_token(token) == word) for word in ("yes", "no"))
+        return yes / (yes + no) if yes + no > 0 else None
     return None
 
 

@@ -119,12 +119,9 @@ def view_of(rgb: np.ndarray, *, square: bool = True, max_side: int | None = None
     inner_height, inner_width = image.shape[:2]
     x = y = 0
     if square and inner_height != inner_width:
-        side = max(inner_height, inner_width)
-        x, y = (side - inner_width) // 2, (side - inner_height) // 2
-        padded = np.empty((side, side, 3), np.uint8)
-        padded[:] = PADDING
-        padded[y : y + inner_height, x : x + inner_width] = image
-        image = padded
+        wide, high = (max(inner_height, inner_width) - inner for inner in (inner_width, inner_height))
+        x, y = wide // 2, high // 2
+        image = cv2.copyMakeBorder(image, y, high - y, x, wide - x, cv2.BORDER_CONSTANT, value=PADDING)
     return View(Picture(image), (x, y), (inner_width / width, inner_height / height), (width, height))
 
 
