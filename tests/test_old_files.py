@@ -19,8 +19,7 @@ from pipeline.corrections.journal.journal import open_journal
 from pipeline.diagnosis.cases import open_case
 from pipeline.diagnosis.cases.replay import replay_case
 from pipeline.diagnosis.whatif.state import decode, state_record
-from pipeline.evaluation.run_database import open_run
-from pipeline.evaluation.run_folder import open_run as open_run_folder
+from pipeline.evaluation.run_folder import open_database, open_run
 from pipeline.labels.reading import open_labels
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import T, U
@@ -74,9 +73,9 @@ def test_a_journal_and_the_labels_with_its_corrections(state: Path) -> None:
 
 
 def test_a_run(state: Path) -> None:
-    run = open_run_folder(state / "run", labels=str(state / "labels"))
+    run = open_run(state / "run", labels=str(state / "labels"))
     assert run.spec.dataset == "demo"
-    with open_run(state / "run") as database:
+    with open_database(state / "run") as database:
         found = dict(database.select("select verdict, count(*) from records group by verdict").rows)
     assert found == VERDICTS[state.name]
 
