@@ -331,13 +331,8 @@ def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
         )
 
 
-def size_of(frame: EffectiveFrame) -> tuple[int, int]:
-    """Height and width of a frame's picture."""
-    return int(frame.row["height"]), int(frame.row["width"])
-
-
 def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
-    size = size_of(frame)
+    size = frame.size
     pixels = decode_run_length(size, mask) if isinstance(mask, str) else mask
     sound = pixels.dtype == np.bool_ and pixels.shape == size
     require(sound, f"a mask must be bool {size}", got=f"{pixels.dtype} {pixels.shape}")
@@ -350,16 +345,15 @@ def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
     from pipeline.proposals.annotations import box_mask
 
     row = _row(frame, number)
-    height, width = frame.row["height"], frame.row["width"]
     if row["mask"] is None:
-        return box_mask(np.array(row["bbox"], np.float32), height, width)
-    return decode_run_length((height, width), row["mask"], f"object {number}")
+        return box_mask(np.array(row["bbox"], np.float32), *frame.size)
+    return decode_run_length(frame.size, row["mask"], f"object {number}")
 
 
 def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:
     ref = object_ref(frame.frame, 0, "bbox")
     x0, y0, x1, y1 = checked(ref, [float(x) for x in bbox])
-    width, height = float(frame.row["width"]), float(frame.row["height"])
+    height, width = map(float, frame.size)
     inside = [max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)]
     require(
         inside[2] > inside[0] and inside[3] > inside[1],

@@ -21,9 +21,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy import event
@@ -212,9 +212,7 @@ def _connect(address: Address) -> Any:
     """A new connection; whatever goes wrong on the way is an error of the driver."""
     import pg8000
 
-    def opened() -> Any:
-        return _opened(address)
-
+    opened = partial(_opened, address)
     try:
         return server_at(address.host, address.port).ask(opened, opened)
     except pg8000.Error:
@@ -299,12 +297,6 @@ def ask_for_turn(connection: sa.Connection, key: int) -> bool:
     return True
 
 
-class Link(Protocol):
-    """A connection."""
-
-    def close(self) -> None: ...
-
-
 class Server:
     """One server, as this process knows it; shared by threads.
 
@@ -318,7 +310,7 @@ class Server:
         self._again = 0.0
         """When it may be looked for."""
 
-    def ask(self, question: Callable[[], Answer], connect: Callable[[], Link]) -> Answer:
+    def ask(self, question: Callable[[], Answer], connect: Callable[[], Any]) -> Answer:
         """What the server answers, or the error that it makes.
 
         Parameters
@@ -354,7 +346,7 @@ class Server:
             with self._lock:
                 self._asked.remove(began)
 
-    def _look(self, connect: Callable[[], Link]) -> None:
+    def _look(self, connect: Callable[[], Any]) -> None:
         try:
             link = connect()
         except Exception as error:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, judged_item, same_value
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import by_ref, standing_at
@@ -351,10 +351,7 @@ def judgements_of(
     standing = {ref: [x for x in standing_at(members) if x[0].ulid not in ignored] for ref, members in refs.items()}
     settling = {e.group for ref, found in standing.items() if ref.field == "settled" for e, _ in found}
     items = {ref: key for ref in refs if (key := item_of(ref)) is not None}
-    of_entity: dict[ItemKey, list[FieldRef]] = {}
-    for ref, key in items.items():
-        if _is_value(ref):
-            of_entity.setdefault(key, []).append(ref)
+    of_entity = grouped((ref for ref in items if _is_value(ref)), items.__getitem__)
     groups: dict[tuple[ItemKey, str, str], Judgement] = {}
     settled: dict[ItemKey, Judgement] = {}
     for ref, key in items.items():

@@ -118,9 +118,9 @@ def _table(row: Row) -> str:
 
 def _frame(row: Row, claims: Claims) -> str:
     frame = row.get("frame")
-    if not isinstance(frame, str) or frame not in claims.states:
+    if not isinstance(frame, str) or frame not in claims.states.index.of_frame:
         raise InputError("the labels have no such frame", got=repr(frame)[:60])
-    known = claims.states.index_of(frame)
+    known = claims.states.index.of_frame[frame]
     stated = row.get("frame_index", known)
     require(stated == known, "frame_index is of another frame", got=repr(stated)[:20], expected=known)
     return frame
@@ -151,7 +151,7 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
         raise InputError(f"frame {frame} had no object {number}", cause="a new one has no number")
     seen.add(number)
     claims.say_fields(where, row, object_ref(frame, number, "label"), ("label", "status"), state)
-    if "mask" in row and not same_mask(row["mask"], was["mask"], (base.row["height"], base.row["width"])):
+    if "mask" in row and not same_mask(row["mask"], was["mask"], base.size):
         claims.say(where, object_ref(frame, number, "mask"), row["mask"], state)
     claims.say_fields(where, row, object_ref(frame, number, "bbox"), ("bbox",), state)
     if box != {}:

@@ -14,7 +14,7 @@ from typing import Any
 
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT, FieldRef, checked, object_ref, same_value
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.provenance import ExportedFrom
@@ -46,13 +46,12 @@ class States:
     ) -> None:
         self.labels = labels
         self.version = labels_version(labels.manifest)
-        self._events: dict[str, list[Event]] = {}
-        for event in events:
-            self._events.setdefault(event.ref.frame, []).append(event)
+        self._events = grouped(events, lambda e: e.ref.frame)
         self._last = events[-1] if events else None
         self._id_of = {e.ulid: e.id for e in events}
         self._pixels = any(e.ref.kind == "object" and e.ref.field in _OF_PIXELS for e in events)
         self._bare = Corrector(labels)
+        self.index = self._bare.index
         self._open = open_dataset
         self._full: Corrector | None = None
         self._frame_after = lru_cache(maxsize=FRAMES_KEPT)(self._computed)
@@ -62,17 +61,6 @@ class States:
         """The newest state; computed with the dataset where any correction needs it and it is at hand."""
         full = self._pixels and self._corrector(True) is not None
         return ExportedFrom(self.version, None if self._last is None else self._last.ulid, full)
-
-    def __contains__(self, frame: object) -> bool:
-        return frame in self._bare.index.of_frame
-
-    def frame_of_index(self, index: int) -> str | None:
-        """The id of a frame by its place in the dataset."""
-        return self._bare.index.name_of.get(index)
-
-    def index_of(self, frame: str) -> int:
-        """The place of a frame in the dataset."""
-        return self._bare.index.of_frame[frame]
 
     def check(self, state: ExportedFrom) -> None:
         """Refuse a state that these labels and their journal have never been in, or that cannot be computed again.
