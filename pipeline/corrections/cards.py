@@ -162,15 +162,6 @@ class Moved:
     changed: tuple[str, ...]
     seconds: float
 
-    def record(self) -> dict[str, Any]:
-        """As JSON."""
-        return {
-            "object": self.number,
-            "pair": None if self.card is None else self.card.record(),
-            "changed": list(self.changed),
-            "ms": self.seconds * 1000,
-        }
-
 
 class MovingBox:
     """Keeps what does not change while one object of a pair is moved.

@@ -214,23 +214,6 @@ class Dispute:
         """The field that it is told by."""
         return self.rivals[0].edit.ref
 
-    def record(self) -> dict[str, Any]:
-        """As JSON: `theirs`, `by` and `time` are null where one has seen more than there is."""
-        first = self.rivals[0]
-        event, ref = first.event, first.edit.ref
-        return {
-            "kind": ref.kind,
-            "frame": ref.frame,
-            "key": ref.key,
-            "field": ref.field,
-            "seen": shown_value(ref, first.edit.before),
-            "mine": shown_value(ref, first.edit.after),
-            "theirs": None if event is None else shown_value(ref, event.after),
-            "by": None if event is None else event.author,
-            "time": None if event is None else event.time.isoformat(),
-            "reason": None if event is None else event.reason or None,
-        }
-
 
 def disputes(conflict: Conflict, setting: Setting) -> tuple[Dispute, ...]:
     """The disputed fields of an action: a relation with its inverse is one, and so are the answers of an expression."""
@@ -280,6 +263,5 @@ def _together(ref: FieldRef, setting: Setting) -> Any:
         return ref.kind, ref.key, SETS
     if ref.kind == "relation" and ref.field in PAIRWISE:
         a, b = ref.numbers
-        inverse = setting.inverse(ref.field)
-        return ref.kind, min((a, b, ref.field), (b, a, inverse or ref.field))
+        return ref.kind, min((a, b, ref.field), (b, a, setting.inverse(ref.field) or ref.field))
     return ref

@@ -27,6 +27,7 @@ from pipeline.corrections.journal.field_refs import (
 from pipeline.corrections.journal.replay import judgement_ref
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import decode_run_length, encode_run_length
+from pipeline.proposals.annotations import box_mask
 from pipeline.system.errors import InputError, require
 
 Edits = tuple[Edit, ...]
@@ -61,8 +62,7 @@ def set_status(
 
 def set_mask(frame: EffectiveFrame, number: int, mask: np.ndarray | str | None, reason: str = "") -> Edits:
     """Other pixels: (H, W) bool, or COCO's compressed run-length code; None for the whole 2D box."""
-    code = None if mask is None else _code(frame, mask)
-    return (_object_edit(frame, number, "mask", code, reason),)
+    return (_object_edit(frame, number, "mask", None if mask is None else _code(frame, mask), reason),)
 
 
 def set_bbox(frame: EffectiveFrame, number: int, bbox: Rectangle, reason: str = "") -> Edits:
@@ -342,8 +342,6 @@ def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
 
 def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
     """(H, W) bool: an object's mask, or the filled 2D box where it has none; InputError where there is no object."""
-    from pipeline.proposals.annotations import box_mask
-
     row = _row(frame, number)
     if row["mask"] is None:
         return box_mask(np.array(row["bbox"], np.float32), *frame.size)
@@ -351,8 +349,7 @@ def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
 
 
 def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:
-    ref = object_ref(frame.frame, 0, "bbox")
-    x0, y0, x1, y1 = checked(ref, [float(x) for x in bbox])
+    x0, y0, x1, y1 = checked(object_ref(frame.frame, 0, "bbox"), [float(x) for x in bbox])
     height, width = map(float, frame.size)
     inside = [max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)]
     require(

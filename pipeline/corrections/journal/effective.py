@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xxhash
 
 from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside, prepare_frame
 from pipeline.corrections.journal.effective_frame import (
@@ -342,8 +343,6 @@ class Relifter:
         return SceneObject(row["object"], row["label"], row["score"], bbox, mask, lifted)
 
     def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:
-        import xxhash
-
         known = self._loaded(context.frame.id)[1]
         key = xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
         if key not in known:

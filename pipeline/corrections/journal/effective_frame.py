@@ -17,7 +17,7 @@ from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check.relations import MIRRORED_PROFILES
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.reading import Labels
-from pipeline.labels.tables import build_table
+from pipeline.labels.tables import arrow_schema, build_table
 from pipeline.language.relation_names import MIRRORED, PAIRWISE
 from pipeline.system.errors import InputError
 
@@ -188,8 +188,6 @@ class EffectiveFrame:
 
     def tables(self) -> dict[str, pa.Table]:
         """The frame's rows in each of the four tables, in canonical order."""
-        from pipeline.labels.tables import arrow_schema, build_table
-
         chosen = {"frames": [self.row], "objects": self.objects.values(), "expressions": self.expressions.values()}
         found = {
             name: build_table(name, {column: [row[column] for row in rows] for column in arrow_schema(name).names})

@@ -1,4 +1,4 @@
-"""The objects of a frame and their relations after corrections: what people set, and what follows."""
+"""The objects of a frame, their relations and its expressions after corrections: what people set, and what follows."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ from pipeline.corrections.journal.replay import (
     standing,
 )
 from pipeline.geometry.masks import decode_crop
+from pipeline.labels.check.objects import clipped, projected
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone, same_names
 from pipeline.language.relation_names import INVERSE, PAIRWISE
@@ -159,8 +160,6 @@ def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Sett
 
 def projected_box(corners: Any, frame: Row) -> list[float]:
     """The rectangle in the picture around the corners of a 3D box; the whole picture where it cannot be known."""
-    from pipeline.labels.check.objects import clipped, projected
-
     size = frame["height"], frame["width"]
     box = np.array([0.0, 0.0, 0.0, 0.0])
     if frame["K"] is not None:
@@ -377,8 +376,7 @@ def _correct(
         if after.value is not None:
             frame.put("expressions", name, column, Origin.of("human", after.event), was.get(column))
     if human & {"acceptable", "targets"}:
-        if "ambiguous" not in human:
-            row["ambiguous"] = len(row["acceptable"]) > 1
+        row["ambiguous"] = row["ambiguous"] if "ambiguous" in human else len(row["acceptable"]) > 1
         reason = None if reason is not None and reason.startswith("it is no longer true") else reason
         missing = [n for n in {*row["targets"], *row["acceptable"]} if n not in frame.objects]
         if missing:

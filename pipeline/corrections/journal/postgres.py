@@ -155,12 +155,12 @@ def address_of(url: sa.URL) -> Address:
     user = url.username or os.environ.get("PGUSER") or getpass.getuser()
     database = url.database or os.environ.get("PGDATABASE") or user
     password = url.password or os.environ.get("PGPASSWORD")
+    local = host.startswith("/")
     if password is None:
-        local = "localhost" if host.startswith("/") else host
-        password = password_in_file((local, str(port), database, user))
+        password = password_in_file(("localhost" if local else host, str(port), database, user))
     limit = _number("connect_timeout", query["connect_timeout"]) if query.get("connect_timeout") else CONNECT_S
     mode = query.get("sslmode") or os.environ.get("PGSSLMODE") or "prefer"
-    context = False if host.startswith("/") else _ssl(mode, query)
+    context = False if local else _ssl(mode, query)
     return Address(host, port, user, database, password, context, limit, query.get("application_name") or "spatialviz")
 
 

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,9 +24,6 @@ from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import INVERSE
 from pipeline.relations.relations import F, T, U
 from pipeline.training.label_data import LabelData, column_arrays, rows_of_frame
-
-if TYPE_CHECKING:
-    pass
 
 CONTRADICTED = 0.9
 """Of an error that names one label: the stored state contradicts the extents, an expression states what is F."""

@@ -156,8 +156,7 @@ def disputed_rows(queue: pa.Table) -> np.ndarray:
     """(N,) bool: what reviewers judge differently, by its score."""
     if "score" not in queue.column_names:
         return np.zeros(queue.num_rows, np.bool_)
-    score = queue.column("score").to_numpy(zero_copy_only=False).astype(np.float64)
-    return score >= DISAGREED
+    return queue.column("score").to_numpy(zero_copy_only=False).astype(np.float64) >= DISAGREED
 
 
 def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[str, int]:

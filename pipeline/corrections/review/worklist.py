@@ -128,10 +128,6 @@ class Worklist:
         marked = (self.codes != _UNREVIEWED) | self.gone
         return tuple(frame for frame, indices in self.frames.items() if marked[indices].any())
 
-    def untouched(self) -> Worklist:
-        """The list as nobody has reviewed it."""
-        return replace(self, codes=np.full_like(self.codes, _UNREVIEWED), gone=np.zeros_like(self.gone))
-
     def with_gone(self, frame: str, gone: Collection[ItemKey]) -> Worklist:
         """The list after these items of a frame have gone, and all others of it have not."""
         if frame not in self.frames:
@@ -349,7 +345,8 @@ def refreshed_worklist(work: Worklist, corrector: Corrector, journal: Journal, a
     names = [e.ref.frame for e in fresh]
     if not standing:
         names += work.touched
-        work = work.untouched()
+        # As nobody has reviewed it.
+        work = replace(work, codes=np.full_like(work.codes, _UNREVIEWED), gone=np.zeros_like(work.gone))
     for name in [name for name in dict.fromkeys(names) if name in corrector.index.of_frame]:
         events = journal.events(frame=name)
         frame = corrector.frame(name, events)

@@ -129,7 +129,7 @@ def read_instances(
     bare = all(_stated(row) is None for found in by_image.values() for _, row in found)
     for image, found in by_image.items():
         frame = frames[image]
-        reader = _Reader(claims, claims.base(frame, state), state, categories, crowds, outline)
+        reader = _Reader(claims, claims.states.frame(frame, state), state, categories, crowds, outline)
         numbers = reader.told_by_place(found) if bare else {}
         seen: set[int] = set()
         for index, (where, row) in enumerate(found):
@@ -169,7 +169,7 @@ def _frame_of(image: Row, claims: Claims) -> str:
         require(frame is not None, "no file name of an export", got=shown, expected="such as 000012.jpg")
     if not isinstance(frame, str) or frame not in claims.states.index.of_frame:
         raise InputError("the labels have no such frame", got=repr(frame)[:60])
-    row = claims.base(frame, claims.states.now).auto.row
+    row = claims.states.frame(frame, claims.states.now).auto.row
     size, known = [image.get(key, row[key]) for key in ("width", "height")], [row["width"], row["height"]]
     require(size == known, "the picture has another size", got=size, expected=known)
     return frame

@@ -275,7 +275,7 @@ def settle(claims: Claims, reason: str) -> tuple[list[Edit], list[str], int]:
     for group in _grouped(claims.found.values()):
         first = group[0]
         now = claims.states.frame_now(first.ref.frame, first.base)
-        base = claims.base(first.ref.frame, first.base)
+        base = claims.states.frame(first.ref.frame, first.base)
         gone = _gone(first.ref, base, now, claims)
         if gone is not None:
             contradictions += [f"{c.where}: {c.ref}: wanted {shown_value(c.ref, c.value)}, but {gone}" for c in group]

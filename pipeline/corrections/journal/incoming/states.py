@@ -85,8 +85,7 @@ class States:
 
     def frame(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
         """A frame as it was in a state that `check` let pass."""
-        last = 0 if state.event is None else self._id_of[state.event]
-        return self._at(frame, last, state.relifted)
+        return self._at(frame, 0 if state.event is None else self._id_of[state.event], state.relifted)
 
     def frame_now(self, frame: str, like: ExportedFrom) -> EffectiveFrame:
         """A frame with all corrections, computed in the same way as that state."""
@@ -97,9 +96,8 @@ class States:
         return next((e for e in reversed(self._events.get(frame, ())) if e.ref == ref), None)
 
     def _at(self, frame: str, last: int, relifted: bool) -> EffectiveFrame:
-        events = self._events.get(frame, [])
-        count = bisect_right([e.id for e in events], last)
-        return self._frame_after(frame, count, relifted and self._pixels)
+        ids = [e.id for e in self._events.get(frame, [])]
+        return self._frame_after(frame, bisect_right(ids, last), relifted and self._pixels)
 
     def _computed(self, frame: str, count: int, full: bool) -> EffectiveFrame:
         corrector = self._corrector(full)
@@ -185,17 +183,13 @@ class Claims:
         except TooManyProblems:
             self.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
 
-    def base(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
-        """A frame as it was exported."""
-        return self.states.frame(frame, state)
-
     def say(self, where: str, ref: FieldRef, value: Any, state: ExportedFrom) -> None:
         """A cell's value in the file; kept where it is not the exported one."""
         try:
             value = checked(ref, value)
         except InputError as error:
             return self.problem(where, f"{ref.field}: {error}")
-        if not same_value(value, self.base(ref.frame, state).value(ref)):
+        if not same_value(value, self.states.frame(ref.frame, state).value(ref)):
             self.put(Claim(where, ref, value, state))
 
     def say_fields(
@@ -225,5 +219,5 @@ class Claims:
 
     def say_deleted(self, where: str, frame: str, seen: set[int], state: ExportedFrom) -> None:
         """Reject the exported objects of a frame that the file lacks."""
-        for number in self.base(frame, state).objects.keys() - seen:
+        for number in self.states.frame(frame, state).objects.keys() - seen:
             self.put(Claim(where, object_ref(frame, number, "status"), "rejected", state))
