@@ -233,7 +233,8 @@ def annotated(instances: Any, name: str, claims: Claims) -> tuple[dict[int, str]
     found: Annotations = {}
     for row in listed(instances, "annotations", name):
         number = number_of(row) if isinstance(row, dict) else None
-        if number is not None and row.get("image_id") in frames and type(row.get("id")) is int:
+        whole = isinstance(row, dict) and all(type(row.get(key)) is int for key in ("id", "image_id"))
+        if number is not None and whole and row["image_id"] in frames:
             found[row["id"]] = frames[row["image_id"]], number
     return frames, found, base_of(instances)
 
