@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.corrections.journal.frame_rows import setting_of
+from pipeline.corrections.journal.effective_frame import setting_of
 from pipeline.corrections.journal.journal import JOURNAL_FILE
 from pipeline.corrections.review.detector_evidence import detector_evidence
 from pipeline.corrections.review.evidence import ItemEvidence, read_relation_labels

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from pipeline.corrections.review.label_jobs import RetrainingJob, RetrainingRun, run_retraining
 from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
-from pipeline.corrections.review.retraining_run import RetrainingJob, RetrainingRun, run_retraining
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE

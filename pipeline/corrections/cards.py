@@ -10,9 +10,8 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.effective_frame import NO_STATE, EffectiveFrame
 from pipeline.corrections.journal.field_refs import box_value, object_ref, relation_ref
-from pipeline.corrections.journal.frame_rows import NO_STATE
 from pipeline.corrections.journal.replay import Origin
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.labelling import judge_list
@@ -162,15 +161,6 @@ class Moved:
     card: PairCard | None
     changed: tuple[str, ...]
     seconds: float
-
-    def record(self) -> dict[str, Any]:
-        """As JSON."""
-        return {
-            "object": self.number,
-            "pair": None if self.card is None else self.card.record(),
-            "changed": list(self.changed),
-            "ms": self.seconds * 1000,
-        }
 
 
 class MovingBox:

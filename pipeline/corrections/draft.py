@@ -93,10 +93,9 @@ class Draft:
 
 def new_draft(frame: EffectiveFrame, number: int | None) -> Draft:
     """A draft of an object as it is now, or of a new one; InputError where there is no such object."""
-    height, width = int(frame.row["height"]), int(frame.row["width"])
-    mask = np.zeros((height, width), np.bool_) if number is None else pixels_of(frame, number)
+    mask = np.zeros(frame.size, np.bool_) if number is None else pixels_of(frame, number)
     version = 0 if number is None else frame.version(object_ref(frame.frame, number, "mask"))
-    return Draft(frame.frame, number, height, width, version, ((encode_run_length(mask),),))
+    return Draft(frame.frame, number, *frame.size, version, ((encode_run_length(mask),),))
 
 
 def with_gesture(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -> Draft:

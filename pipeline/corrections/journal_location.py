@@ -26,7 +26,7 @@ from sqlalchemy.exc import ArgumentError
 from pipeline.corrections.journal.connection import is_url
 from pipeline.corrections.journal.examining import DamagedJournal
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_of
-from pipeline.corrections.review.queue_job import LabelJobs
+from pipeline.corrections.review.label_jobs import LabelJobs
 from pipeline.corrections.unsaved import Unsaved, unsaved_actions
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError

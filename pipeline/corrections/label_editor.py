@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cached_property
 from threading import Lock
-from typing import Any
 
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
@@ -327,23 +326,6 @@ class EventLine:
         """From what to what, in words."""
         e = self.event
         return shown_value(e.ref, e.before), shown_value(e.ref, e.after)
-
-    def record(self) -> dict[str, Any]:
-        """As JSON."""
-        before, after = self.change
-        return {
-            "event": self.event.ulid,
-            "group": self.event.group,
-            "author": self.event.author,
-            "time": self.event.time.isoformat(),
-            "field": self.event.ref.field,
-            "key": self.event.ref.key,
-            "before": before,
-            "after": after,
-            "reason": self.event.reason or None,
-            "undone_by": None if self.undone is None else self.undone.author,
-            "saved": not self.waiting,
-        }
 
 
 def event_lines(

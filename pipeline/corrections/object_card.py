@@ -300,31 +300,6 @@ class ExpressionCard:
         """Whether its labelled pair is these two objects, either way round."""
         return {self.target_object, self.reference_object} == set(pair)
 
-    def record(self) -> dict[str, Any]:
-        """As JSON."""
-
-        def listed(numbers: tuple[int, ...]) -> list[dict[str, Any]]:
-            return [{"object": n, "label": self.names[n] or None} for n in numbers]
-
-        return {
-            "frame": self.frame,
-            "expression": self.id,
-            "text": self.text,
-            "target": {"object": self.target_object, "label": self.target},
-            "relation": self.relation,
-            "reference": {"object": self.reference_object, "label": self.reference},
-            "targets": listed(self.targets),
-            "acceptable": listed(self.acceptable),
-            "ambiguous": self.ambiguous,
-            "mark": self.mark,
-            "status": self.status,
-            "said": self.statuses,
-            "withdrawn": self.withdrawn or None,
-            "origin": {name: origin.source for name, origin in self.origins.items()},
-            "from": {name: str(origin) for name, origin in self.origins.items()},
-            "versions": dict(self.versions),
-        }
-
 
 def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[ExpressionCard, ...]:
     """All expressions of a frame: those of a pair of objects first, those that were left out last."""

@@ -32,8 +32,7 @@ def labelled_objects(frame: EffectiveFrame) -> tuple[SceneObject, ...]:
 
     Points are not read: what is known of an object is what its row says.
     """
-    size = frame.row["height"], frame.row["width"]
-    return tuple(_labelled(frame.objects[n], size) for n in sorted(frame.objects))
+    return tuple(_labelled(frame.objects[n], frame.size) for n in sorted(frame.objects))
 
 
 def labelled_box(row: dict[str, Any]) -> Box3D | None:

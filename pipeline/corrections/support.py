@@ -133,7 +133,9 @@ def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObje
     around = AROUND_M + AROUND_SHARE * float((hi - lo).max())
     near = ((level.plan >= lo - around) & (level.plan <= hi + around)).all(axis=1)
     others = [o for o in objects if o.id != number]
-    found = _loose_surfaces(level, near) + _floor(level)
+    # The floor is the lowest of the large level surfaces of the picture.
+    large = sorted(_levels(level.height, max(LEAST_POINTS, len(level.height) // 20)), key=lambda entry: entry[0])
+    found = [*_loose_surfaces(level, near), *(_Candidate(h, -1, at) for h, at in large[:1])]
     found += [c for o in others if _covered(o, lo, hi) >= CARRIED_SHARE for c in _surfaces_of(o, level, near)]
     found = [c for c in found if c.height <= highest]
     best = max(found, key=lambda c: c.height, default=None)
@@ -243,12 +245,6 @@ def _loose_surfaces(level: _Level, near: np.ndarray) -> list[_Candidate]:
     least = max(LEAST_POINTS, round(LEAST_SHARE * int(near.sum())))
     mine = np.flatnonzero(near & (level.owner < 0))
     return [_Candidate(h, -1, mine[at]) for h, at in _levels(level.height[mine], least)]
-
-
-def _floor(level: _Level) -> list[_Candidate]:
-    """The lowest of the large level surfaces of the picture."""
-    everywhere = _levels(level.height, max(LEAST_POINTS, len(level.height) // 20))
-    return [_Candidate(h, -1, at) for h, at in sorted(everywhere, key=lambda entry: entry[0])[:1]]
 
 
 def _levels(heights: np.ndarray, least: int) -> list[tuple[float, np.ndarray]]:

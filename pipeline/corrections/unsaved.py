@@ -13,11 +13,10 @@ from datetime import datetime
 from threading import Lock
 from typing import Any
 
-from pipeline.corrections.journal.effective_expressions import SETS
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Conflict, Edit, Event, Rival, Saved
+from pipeline.corrections.journal.effective_frame import EffectiveFrame, Setting
+from pipeline.corrections.journal.effective_objects import SETS
+from pipeline.corrections.journal.events import Conflict, Edit, Event, Rival, Saved, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, shown_value
-from pipeline.corrections.journal.frame_rows import Setting
 from pipeline.corrections.journal.journal import Journal
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, require
@@ -179,7 +178,11 @@ def unsaved_actions(unsaved: Unsaved, author: str) -> list[list[dict[str, Any]]]
     later = [e for e in waiting if e.ref.field != "exists" and new & {(e.ref.frame, n) for n in e.ref.numbers}]
     disputed = [_merged(c.edits) for c in unsaved.disputed(author)]
     lists = [[e for e in waiting if e not in later], later, *disputed]
-    return [[_action(e) for e in edits] for edits in lists if edits]
+    return [
+        [{"edit": "value", "frame": e.ref.frame, "kind": e.ref.kind, "key": e.ref.key, "field": e.ref.field,
+          "to": e.after, "base": e.base, "reason": e.reason} for e in edits]
+        for edits in lists if edits
+    ]  # fmt: skip
 
 
 def _merged(edits: Iterable[Edit]) -> tuple[Edit, ...]:
@@ -189,14 +192,6 @@ def _merged(edits: Iterable[Edit]) -> tuple[Edit, ...]:
         first = found.get(edit.ref)
         found[edit.ref] = edit if first is None else replace(first, after=edit.after, reason=edit.reason)
     return tuple(found.values())
-
-
-def _action(edit: Edit) -> dict[str, Any]:
-    ref = edit.ref
-    return {
-        "edit": "value", "frame": ref.frame, "kind": ref.kind, "key": ref.key, "field": ref.field, "to": edit.after,
-        "base": edit.base, "reason": edit.reason,
-    }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -219,31 +214,13 @@ class Dispute:
         """The field that it is told by."""
         return self.rivals[0].edit.ref
 
-    def record(self) -> dict[str, Any]:
-        """As JSON: `theirs`, `by` and `time` are null where one has seen more than there is."""
-        first = self.rivals[0]
-        event, ref = first.event, first.edit.ref
-        return {
-            "kind": ref.kind,
-            "frame": ref.frame,
-            "key": ref.key,
-            "field": ref.field,
-            "seen": shown_value(ref, first.edit.before),
-            "mine": shown_value(ref, first.edit.after),
-            "theirs": None if event is None else shown_value(ref, event.after),
-            "by": None if event is None else event.author,
-            "time": None if event is None else event.time.isoformat(),
-            "reason": None if event is None else event.reason or None,
-        }
-
 
 def disputes(conflict: Conflict, setting: Setting) -> tuple[Dispute, ...]:
     """The disputed fields of an action: a relation with its inverse is one, and so are the answers of an expression."""
-    groups: dict[Any, list[Edit]] = {}
-    for edit in conflict.edits or tuple(r.edit for r in conflict.rivals):
-        groups.setdefault(_together(edit.ref, setting), []).append(edit)
-    rivals = {key: [r for r in conflict.rivals if _together(r.edit.ref, setting) == key] for key in groups}
-    return tuple(Dispute(tuple(members), tuple(rivals[key])) for key, members in groups.items() if rivals[key])
+    edits = conflict.edits or tuple(r.edit for r in conflict.rivals)
+    groups = grouped(edits, lambda e: _together(e.ref, setting))
+    rivals = grouped(conflict.rivals, lambda r: _together(r.edit.ref, setting))
+    return tuple(Dispute(tuple(members), tuple(rivals[key])) for key, members in groups.items() if key in rivals)
 
 
 def decided(conflict: Conflict, frame: EffectiveFrame, mine: Collection[int]) -> tuple[Edit, ...]:
@@ -286,6 +263,5 @@ def _together(ref: FieldRef, setting: Setting) -> Any:
         return ref.kind, ref.key, SETS
     if ref.kind == "relation" and ref.field in PAIRWISE:
         a, b = ref.numbers
-        inverse = setting.inverse(ref.field)
-        return ref.kind, min((a, b, ref.field), (b, a, inverse or ref.field))
+        return ref.kind, min((a, b, ref.field), (b, a, setting.inverse(ref.field) or ref.field))
     return ref

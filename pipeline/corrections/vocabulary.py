@@ -6,14 +6,12 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pipeline.corrections.journal.journal import Journal
+from pipeline.datasets import Dataset
+from pipeline.labels.reading import Labels
 from pipeline.language.naming import Synonyms, default_synonyms, normal_form
-
-if TYPE_CHECKING:
-    from pipeline.corrections.journal.journal import Journal
-    from pipeline.datasets import Dataset
-    from pipeline.labels.reading import Labels
 
 MOST = 8
 _EXACT, _PREFIX, _WORD, _WITHIN, _NONE = range(5)
@@ -64,8 +62,7 @@ class Vocabulary:
         cls, labelled: Iterable[str], of_dataset: Iterable[str] = (), synonyms: Synonyms | None = None
     ) -> Vocabulary:
         """From the class of every labelled object, and the class names of the dataset."""
-        counts = Counter(labelled)
-        return cls({**dict.fromkeys(of_dataset, 0), **counts}, synonyms or default_synonyms())
+        return cls({**dict.fromkeys(of_dataset, 0), **Counter(labelled)}, synonyms or default_synonyms())
 
     def with_names(self, names: Iterable[str]) -> Vocabulary:
         """The same with more names, such as those that people have given."""

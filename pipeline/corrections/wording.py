@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.effective_frame import NO_STATE, EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item, object_ref, shown_value
-from pipeline.corrections.journal.frame_rows import NO_STATE
 from pipeline.corrections.scene import labelled_box
 from pipeline.corrections.unsaved import Waiting
 from pipeline.geometry.boxes import Box3D

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.corrections.review.items import ItemKey
-from pipeline.corrections.review.queue_job import CANCELLED, QueueProgress
+from pipeline.corrections.review.label_jobs import CANCELLED, QueueProgress
 from pipeline.corrections.review.worklist import Worklist
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE

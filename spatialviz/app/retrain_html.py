@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pipeline.corrections.review.queue_job import CANCELLED, TrainingProgress
+from pipeline.corrections.review.label_jobs import CANCELLED, TrainingProgress
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, safe, tail
 

@@ -11,8 +11,7 @@ import viser
 
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.review.queue_job import CANCELLED, TrainingProgress
-from pipeline.corrections.review.retraining_run import RetrainingJob
+from pipeline.corrections.review.label_jobs import CANCELLED, RetrainingJob, TrainingProgress
 from pipeline.evaluation.run_folder import Run
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import InputError

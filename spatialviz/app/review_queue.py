@@ -13,8 +13,9 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.review.detector_evidence import second_setup
 from pipeline.corrections.review.items import BLOCK, ItemKey
-from pipeline.corrections.review.queue_job import CANCELLED, QueueJob, QueueProgress, second_setup
+from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, refreshed_worklist
 from pipeline.corrections.scene import labelled_objects
 from pipeline.language.counted import counted

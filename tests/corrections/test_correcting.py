@@ -15,7 +15,7 @@ from journal_world import FRAME, an_expression
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.batch import actions_of, apply_actions, read_actions
 from pipeline.corrections.journal.events import Conflict, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_ref, relation_ref
+from pipeline.corrections.journal.field_refs import object_ref, relation_ref, shown_value
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import redo
 from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
@@ -72,8 +72,10 @@ def two_on_one_relation(desk: Open) -> tuple[LabelEditor, LabelEditor, Conflict,
 def test_the_second_is_told_and_may_take_theirs(desk: Open) -> None:
     _, bob, conflict, (a, b) = two_on_one_relation(desk)
     (dispute,) = disputes(conflict, bob.corrector.setting)
-    record = dispute.record()
-    assert (record["by"], record["theirs"], record["mine"], record["reason"]) == ("ann", "T", "U", "seen so")
+    edit, event = dispute.rivals[0].edit, dispute.rivals[0].event
+    assert event is not None
+    theirs, mine = (shown_value(dispute.ref, value) for value in (event.after, edit.after))
+    assert (event.author, theirs, mine, event.reason) == ("ann", "T", "U", "seen so")
     assert len(dispute.edits) == 2, "the inverse stands and falls with its relation"
     assert bob.disputed == (conflict,)
     assert bob.decide(conflict, ()) is None

@@ -257,7 +257,7 @@ def test_what_a_person_said_stands_while_a_box_moves(settled: Journal, full_corr
     assert (states["left"], states["right"]) == (T, F)
     assert frame.origin(relation_ref(FRAME, 4, 2, "left")).author == "bob"
     assert set(moved.changed) <= set(PAIRWISE)
-    assert moved.record()["object"] == 4
+    assert moved.number == 4
 
 
 def test_a_box_can_move_where_there_is_no_pair(full_corrector: Corrector, bare_corrector: Corrector) -> None:

@@ -14,8 +14,8 @@ from pipeline.corrections.journal.edits import set_relation
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor
+from pipeline.corrections.review.label_jobs import AFTER, BEFORE, RetrainingJob, RetrainingRun, run_retraining
 from pipeline.corrections.review.retraining import RetrainConfig
-from pipeline.corrections.review.retraining_run import AFTER, BEFORE, RetrainingJob, RetrainingRun, run_retraining
 from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec

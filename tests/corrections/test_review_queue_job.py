@@ -14,9 +14,9 @@ from pipeline.answering.opening import open_pipeline
 from pipeline.corrections.journal.edits import judge_relation
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.review.detector_evidence import detector_evidence
+from pipeline.corrections.review.detector_evidence import detector_evidence, second_setup
 from pipeline.corrections.review.items import ItemKey, item_keys
-from pipeline.corrections.review.queue_job import QueueJob, Step, make_queue, second_setup
+from pipeline.corrections.review.label_jobs import QueueJob, Step, make_queue
 from pipeline.corrections.review.worklist import mark_of, read_queue, worklist
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels

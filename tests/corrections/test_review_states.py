@@ -33,9 +33,9 @@ from pipeline.corrections.review.items import (
     judgements_of,
     left_to_review,
 )
+from pipeline.corrections.review.label_jobs import QueueJob, make_queue
 from pipeline.corrections.review.out_of_fold import DoubtConfig, doubt_labels
 from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.queue_job import QueueJob, make_queue
 from pipeline.corrections.review.reviewed import (
     left_for,
     pair_agreements,

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from pipeline.corrections.review.label_jobs import CANCELLED, LabelJobs, QueueJob, QueueProgress
 from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.queue_job import CANCELLED, LabelJobs, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import write_queue
 from pipeline.labels.reading import Labels
 from pipeline.proposals.registry import DetectorSetup

@@ -16,6 +16,7 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.corrections.drawing.depth_region import LEAST, MOST, TOLERANCE, Surface, grown_region, surface_of
+from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.system.errors import InputError, require
 
 Kind = Literal["stroke", "polygon", "rectangle", "surface", "depth", "cut"]
@@ -177,8 +178,6 @@ class Canvas:
 
     @cached_property
     def _segmenter(self) -> Any:
-        from pipeline.proposals.depth_segmenter import DepthSegmenter
-
         return DepthSegmenter()
 
 

@@ -161,13 +161,13 @@ class NewObject(Action, Shapes):
 def _mask(a: Mask, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
     mask = a.to
     if a.shaped:
-        mask = combined(actions.pixels_of(frame, a.object), a.pixels(*actions.size_of(frame), canvas), a.mode)
+        mask = combined(actions.pixels_of(frame, a.object), a.pixels(*frame.size, canvas), a.mode)
     return actions.set_mask(frame, a.object, mask, a.reason)
 
 
 def _new_object(a: NewObject, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
     box = None if a.box is None else box_of(a.box)
-    mask = a.pixels(*actions.size_of(frame), canvas, surface=True) if a.shaped else a.mask
+    mask = a.pixels(*frame.size, canvas, surface=True) if a.shaped else a.mask
     return actions.add_object(frame, a.label, mask=mask, bbox=a.bbox, box=box, reason=a.reason)
 
 
@@ -269,14 +269,6 @@ def actions_of(entries: Any, path: Path | None = None) -> list[Any]:
         raise InputError(message, got=repr(first.get("input"))[:60], path=path) from error
 
 
-def edits_of(action: Action, frame: EffectiveFrame, author: str, canvas: Canvas | None = None) -> tuple[Edit, ...]:
-    """The edits that an action comes down to; InputError where it cannot be done to the frame.
-
-    `canvas` is the frame's picture, for shapes that follow its depth.
-    """
-    return KINDS[action.edit][2](action, frame, author, canvas)
-
-
 def apply_actions(
     corrector: Corrector, journal: Journal, todo: Sequence[Action], author: str, *, again: str | None = None
 ) -> Saved | Conflict:
@@ -309,7 +301,7 @@ def apply_actions(
                 frames[action.frame] = corrector.frame(action.frame, journal)
             if corrector.relifter is not None and isinstance(action, Shapes) and action.frame not in canvases:
                 canvases[action.frame] = Canvas(corrector.relifter.context(action.frame))
-            made = edits_of(action, frames[action.frame], author, canvases.get(action.frame))
+            made = KINDS[action.edit][2](action, frames[action.frame], author, canvases.get(action.frame))
         except InputError as error:
             raise InputError(f"edit {k}: {error}") from error
         if action.base is not None:

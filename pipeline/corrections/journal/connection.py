@@ -10,7 +10,7 @@ import os
 import re
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
 from itertools import count
 from pathlib import Path
@@ -69,6 +69,7 @@ _ADVISORY = 0x5350_4A4C
 _ESCAPE = re.compile(r"\\([0-7]{3})")
 ORIGINAL, _TABLE = "before-chain", "events_before_chain"
 """What the name of the copy ends with, and PostgreSQL's table."""
+NOTHING = Head(0, 0, FIRST)
 
 
 def is_url(where: str | Path) -> bool:
@@ -283,17 +284,14 @@ def take_over(connection: sa.Connection, location: str) -> str:
     return kept
 
 
-def write_rows(connection: sa.Connection, rows: tuple[Row, ...]) -> None:
-    """Chain events, and write them into a journal that has none."""
-    made = chained(FIRST, rows)
+def write_rows(connection: sa.Connection, rows: Iterable[Row], last: Head = NOTHING) -> list[dict[str, Any]]:
+    """Chain events to the last one, write them into a journal, and say which is the last one now."""
+    made = chained(last.hash, rows)
     if made:
         connection.execute(EVENTS.insert(), made)
-        move_head(connection, Head(len(made), made[-1]["id"], made[-1]["hash"]))
-
-
-def move_head(connection: sa.Connection, head: Head) -> None:
-    """Say which event is the last one now."""
-    connection.execute(HEAD.update().values(events=head.events, last=head.last, hash=head.hash))
+        end = {"last": made[-1]["id"], "hash": made[-1]["hash"]}
+        connection.execute(HEAD.update().values(events=last.events + len(made), **end))
+    return made
 
 
 def examined_server(connection: sa.Connection, location: str, *, chain: bool) -> Examined:

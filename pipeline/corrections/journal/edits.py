@@ -27,6 +27,7 @@ from pipeline.corrections.journal.field_refs import (
 from pipeline.corrections.journal.replay import judgement_ref
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import decode_run_length, encode_run_length
+from pipeline.proposals.annotations import box_mask
 from pipeline.system.errors import InputError, require
 
 Edits = tuple[Edit, ...]
@@ -61,8 +62,7 @@ def set_status(
 
 def set_mask(frame: EffectiveFrame, number: int, mask: np.ndarray | str | None, reason: str = "") -> Edits:
     """Other pixels: (H, W) bool, or COCO's compressed run-length code; None for the whole 2D box."""
-    code = None if mask is None else _code(frame, mask)
-    return (_object_edit(frame, number, "mask", code, reason),)
+    return (_object_edit(frame, number, "mask", None if mask is None else _code(frame, mask), reason),)
 
 
 def set_bbox(frame: EffectiveFrame, number: int, bbox: Rectangle, reason: str = "") -> Edits:
@@ -331,13 +331,8 @@ def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
         )
 
 
-def size_of(frame: EffectiveFrame) -> tuple[int, int]:
-    """Height and width of a frame's picture."""
-    return int(frame.row["height"]), int(frame.row["width"])
-
-
 def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
-    size = size_of(frame)
+    size = frame.size
     pixels = decode_run_length(size, mask) if isinstance(mask, str) else mask
     sound = pixels.dtype == np.bool_ and pixels.shape == size
     require(sound, f"a mask must be bool {size}", got=f"{pixels.dtype} {pixels.shape}")
@@ -347,19 +342,15 @@ def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
 
 def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
     """(H, W) bool: an object's mask, or the filled 2D box where it has none; InputError where there is no object."""
-    from pipeline.proposals.annotations import box_mask
-
     row = _row(frame, number)
-    height, width = frame.row["height"], frame.row["width"]
     if row["mask"] is None:
-        return box_mask(np.array(row["bbox"], np.float32), height, width)
-    return decode_run_length((height, width), row["mask"], f"object {number}")
+        return box_mask(np.array(row["bbox"], np.float32), *frame.size)
+    return decode_run_length(frame.size, row["mask"], f"object {number}")
 
 
 def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:
-    ref = object_ref(frame.frame, 0, "bbox")
-    x0, y0, x1, y1 = checked(ref, [float(x) for x in bbox])
-    width, height = float(frame.row["width"]), float(frame.row["height"])
+    x0, y0, x1, y1 = checked(object_ref(frame.frame, 0, "bbox"), [float(x) for x in bbox])
+    height, width = map(float, frame.size)
     inside = [max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)]
     require(
         inside[2] > inside[0] and inside[3] > inside[1],

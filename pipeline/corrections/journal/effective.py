@@ -13,14 +13,30 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xxhash
 
 from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside, prepare_frame
-from pipeline.corrections.journal.effective_expressions import correct_expressions
-from pipeline.corrections.journal.effective_frame import BOX_COLUMNS, EffectiveFrame, Row, Withdrawn
-from pipeline.corrections.journal.effective_objects import DERIVED, OF_BOX, correct_objects, correct_pairs, unusable
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.effective_frame import (
+    BOX_COLUMNS,
+    EffectiveFrame,
+    FrameIndex,
+    FrameRows,
+    Pairs,
+    Row,
+    Setting,
+    Withdrawn,
+    setting_of,
+)
+from pipeline.corrections.journal.effective_objects import (
+    DERIVED,
+    OF_BOX,
+    correct_expressions,
+    correct_objects,
+    correct_pairs,
+    unusable,
+)
+from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item
-from pipeline.corrections.journal.frame_rows import FrameIndex, FrameRows, Pairs, Setting, setting_of
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import (
     Origin,
@@ -206,9 +222,7 @@ def effective_tables(
 
     events = journal.events() if isinstance(journal, Journal) else tuple(journal)
     corrector = Corrector(labels, dataset)
-    by_frame: dict[str, list[Event]] = {}
-    for event in events:
-        by_frame.setdefault(event.ref.frame, []).append(event)
+    by_frame = grouped(events, lambda e: e.ref.frame)
     known = [name for name in by_frame if name in corrector.index.of_frame]
     pieces: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
     at = dict.fromkeys(TABLES, 0)
@@ -240,18 +254,10 @@ def effective_tables(
         for members in by_ref(by_frame[name]).values():
             unapplied += all_gone(None, members, "the labels have no such frame any more").unapplied
     return EffectiveLabels(
-        labels.root,
-        labels.manifest,
-        tables,
-        pa.Table.from_pylist(provenance, provenance_schema()),
-        tuple(sorted(unapplied, key=lambda u: u.event.id)),
-        tuple(withdrawn),
-        marks,
-        len(events),
-        statuses,
-        events[-1].ulid if events else None,
-        dataset is not None,
-    )
+        labels.root, labels.manifest, tables, pa.Table.from_pylist(provenance, provenance_schema()),
+        tuple(sorted(unapplied, key=lambda u: u.event.id)), tuple(withdrawn), marks, len(events), statuses,
+        events[-1].ulid if events else None, dataset is not None,
+    )  # fmt: skip
 
 
 def labelled_ups(frames: pa.Table) -> dict[str, LabelledUp]:
@@ -337,8 +343,6 @@ class Relifter:
         return SceneObject(row["object"], row["label"], row["score"], bbox, mask, lifted)
 
     def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:
-        import xxhash
-
         known = self._loaded(context.frame.id)[1]
         key = xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
         if key not in known:

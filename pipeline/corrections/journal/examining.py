@@ -81,8 +81,8 @@ class Examined:
     @property
     def ranges(self) -> tuple[tuple[int, int], ...]:
         """First and last id of each run of intact events."""
-        ids = [row["id"] for row in self.intact]
-        runs = [[n for _, n in run] for _, run in groupby(enumerate(ids), key=lambda x: x[1] - x[0])]
+        numbered = enumerate(row["id"] for row in self.intact)
+        runs = [[n for _, n in run] for _, run in groupby(numbered, key=lambda x: x[1] - x[0])]
         return tuple((run[0], run[-1]) for run in runs)
 
     @property
@@ -90,11 +90,9 @@ class Examined:
         """How many events are intact, in words."""
         of = "" if self.events is None else f" of {self.events:,}"
         runs = [f"{a:,}" if a == b else f"{a:,} to {b:,}" for a, b in self.ranges]
-        if not runs:
-            return "none of its events can be read"
         if len(runs) > _SHOWN:
             return f"{len(self.intact):,}{of} events are intact"
-        return f"events {', '.join(runs)}{of} are intact"
+        return f"events {', '.join(runs)}{of} are intact" if runs else "none of its events can be read"
 
     @property
     def standing(self) -> tuple[Row, ...]:
@@ -186,9 +184,7 @@ def _examine(path: Path, alone: bool) -> Examined:
                 found = _contents(path, connection, damage)
         except _ERRORS as error:
             found = Examined(str(path), None, None, (), (*damage, _reason(error, path)))
-    if not found.damage or found.intact:
-        return found
-    mended = _mended(path)
+    mended = _mended(path) if found.damage and not found.intact else None
     if mended is None:
         return found
     # What the log has lost is counted nowhere.
@@ -207,10 +203,8 @@ def _mended(path: Path) -> Examined | None:
         size = size if size >= 512 and size & (size - 1) == 0 else 4_096
         data[:24] = struct.pack(">16sH6B", _MAGIC, size, *([2, 2] if log.exists() else [1, 1]), *_FIXED)
         # Pages, no free ones; a schema of format 4 without automatic vacuum, in UTF-8.
-        struct.pack_into(">4I", data, 24, 1, len(data) // size, 0, 0)
-        struct.pack_into(">4I", data, 44, 4, 0, 0, 1)
-        struct.pack_into(">I", data, 64, 0)
-        struct.pack_into(">I", data, 92, 1)
+        for at, values in ((24, (1, len(data) // size, 0, 0)), (44, (4, 0, 0, 1)), (64, (0,)), (92, (1,))):
+            struct.pack_into(f">{len(values)}I", data, at, *values)
         copy.write_bytes(data)
         if log.exists():
             shutil.copy(log, f"{copy}-wal")
@@ -315,13 +309,13 @@ def _one(connection: sqlite3.Connection, query: str, damage: list[str]) -> tuple
     """The only row of a query."""
     try:
         found = connection.execute(query).fetchall()
+        problem = f"{len(found)} rows stand where one was"
     except _ERRORS as error:
-        damage.append(_reason(error, None))
-        return None
-    if len(found) != 1:
-        damage.append(f"{len(found)} rows stand where one was")
-        return None
-    return found[0]
+        found, problem = [], _reason(error, None)
+    if len(found) == 1:
+        return found[0]
+    damage.append(problem)
+    return None
 
 
 def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str]) -> list[tuple[int, Row | None]]:

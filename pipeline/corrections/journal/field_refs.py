@@ -223,8 +223,7 @@ _sentence = partial(plain_text, what="a text", longest=LONGEST_TEXT)
 
 def _one_of(what: str, allowed: Collection[str]) -> Callable[[Any], str]:
     def check(value: Any) -> str:
-        if value not in allowed:
-            raise InputError(f"no such {what}", got=repr(value)[:60], expected=" | ".join(allowed))
+        require(value in allowed, f"no such {what}", got=repr(value)[:60], expected=" | ".join(allowed))
         return value
 
     return check
@@ -276,8 +275,7 @@ def _rectangle(value: Any) -> list[float]:
 
 def _mask(value: Any) -> str:
     problem = run_lengths(value) if isinstance(value, str) else "it is no text"
-    if isinstance(problem, str):
-        raise InputError("not COCO's compressed run-length code of a mask", got=problem)
+    require(not isinstance(problem, str), "not COCO's compressed run-length code of a mask", got=problem)
     return value
 
 

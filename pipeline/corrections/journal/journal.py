@@ -14,18 +14,18 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from pipeline.corrections.journal.chain import CONTENT, EVENTS, HEAD, Head, chained, link
+from pipeline.corrections.journal.chain import CONTENT, EVENTS, HEAD, Head, link
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
     is_url,
     likely_cause,
     location_of,
     make_engine,
-    move_head,
     network_file_system,
     prepare,
     reading,
     reason_of,
+    write_rows,
     writing,
 )
 from pipeline.corrections.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
@@ -138,9 +138,7 @@ class Journal:
                 if rivals:
                     return Conflict(rivals, tuple(edits))
                 last = _last(connection)
-                made = chained(last.hash, ({**row, "id": last.last + k} for k, row in enumerate(rows, start=1)))
-                connection.execute(EVENTS.insert(), made)
-                move_head(connection, Head(last.events + len(made), made[-1]["id"], made[-1]["hash"]))
+                made = write_rows(connection, ({**row, "id": last.last + k} for k, row in enumerate(rows, 1)), last)
             return Saved(self._read_back(group, last.hash, [row["hash"] for row in made]))
         except IntegrityError:
             # Writers take turns; a writer that does not, for it is of another program, is caught here.

@@ -21,9 +21,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy import event
@@ -155,12 +155,12 @@ def address_of(url: sa.URL) -> Address:
     user = url.username or os.environ.get("PGUSER") or getpass.getuser()
     database = url.database or os.environ.get("PGDATABASE") or user
     password = url.password or os.environ.get("PGPASSWORD")
+    local = host.startswith("/")
     if password is None:
-        local = "localhost" if host.startswith("/") else host
-        password = password_in_file((local, str(port), database, user))
+        password = password_in_file(("localhost" if local else host, str(port), database, user))
     limit = _number("connect_timeout", query["connect_timeout"]) if query.get("connect_timeout") else CONNECT_S
     mode = query.get("sslmode") or os.environ.get("PGSSLMODE") or "prefer"
-    context = False if host.startswith("/") else _ssl(mode, query)
+    context = False if local else _ssl(mode, query)
     return Address(host, port, user, database, password, context, limit, query.get("application_name") or "spatialviz")
 
 
@@ -212,9 +212,7 @@ def _connect(address: Address) -> Any:
     """A new connection; whatever goes wrong on the way is an error of the driver."""
     import pg8000
 
-    def opened() -> Any:
-        return _opened(address)
-
+    opened = partial(_opened, address)
     try:
         return server_at(address.host, address.port).ask(opened, opened)
     except pg8000.Error:
@@ -299,12 +297,6 @@ def ask_for_turn(connection: sa.Connection, key: int) -> bool:
     return True
 
 
-class Link(Protocol):
-    """A connection."""
-
-    def close(self) -> None: ...
-
-
 class Server:
     """One server, as this process knows it; shared by threads.
 
@@ -318,7 +310,7 @@ class Server:
         self._again = 0.0
         """When it may be looked for."""
 
-    def ask(self, question: Callable[[], Answer], connect: Callable[[], Link]) -> Answer:
+    def ask(self, question: Callable[[], Answer], connect: Callable[[], Any]) -> Answer:
         """What the server answers, or the error that it makes.
 
         Parameters
@@ -354,7 +346,7 @@ class Server:
             with self._lock:
                 self._asked.remove(began)
 
-    def _look(self, connect: Callable[[], Link]) -> None:
+    def _look(self, connect: Callable[[], Any]) -> None:
         try:
             link = connect()
         except Exception as error:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, judged_item, judged_key, same_value, shown_value
 from pipeline.geometry.boxes import iou_2d
 
@@ -132,9 +132,7 @@ def is_another(anchor: dict[str, list[float]], number: int, bbox: Sequence[float
 
 def by_ref(events: Iterable[Event]) -> dict[FieldRef, list[Event]]:
     """Events of each cell, in the order of their versions."""
-    found: dict[FieldRef, list[Event]] = {}
-    for event in events:
-        found.setdefault(event.ref, []).append(event)
+    found = grouped(events, lambda e: e.ref)
     return {ref: sorted(members, key=lambda e: e.version) for ref, members in found.items()}
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pipeline.corrections.journal.events import Conflict, Edit, Event, Saved
+from pipeline.corrections.journal.events import Conflict, Edit, Event, Saved, grouped
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import standing
 from pipeline.system.errors import require
@@ -55,10 +55,7 @@ def history(events: Iterable[Event]) -> History:
 
 def actions_of(events: Iterable[Event]) -> list[tuple[Event, ...]]:
     """Events by action, in the order of their saving."""
-    groups: dict[str, list[Event]] = {}
-    for event in events:
-        groups.setdefault(event.group, []).append(event)
-    return [tuple(members) for members in groups.values()]
+    return [tuple(members) for members in grouped(events, lambda e: e.group).values()]
 
 
 def undo(

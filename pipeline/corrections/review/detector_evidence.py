@@ -14,6 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from pipeline.answering.opening import Pipeline
 from pipeline.corrections.review.evidence import DISPUTED, SAME_BOX_IOU, UNMATCHED, WARNED, ItemEvidence
 from pipeline.corrections.review.items import ItemKey, missing_object
 from pipeline.datasets import Dataset
@@ -21,6 +22,7 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.reading import Labels
 from pipeline.language.naming import Synonyms, match, same_class
 from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.registry import DetectorSetup, made_by
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import column_arrays, rows_of_frame
 
@@ -177,3 +179,19 @@ def _missing(
             score = float(found.scores[k])
             reason = f"the detector {detector} sees {classes[k]!r} here (score {score:.2f}), and the labels nothing"
             yield ItemEvidence(key, UNMATCHED * score, reason, classes[k])
+
+
+def second_setup(source: Pipeline, labels: Labels) -> tuple[str, DetectorSetup] | None:
+    """The detector that can say something new of labels: the one beside the source's, else the source's own.
+
+    One that the labels were made from is none; None where there is no other.
+
+    Returns
+    -------
+    (its name, see `Pipeline.sides`; what it is made from)
+    """
+    maker = labels.manifest.models.get("detector")
+    own, other = source.sides
+    known = ((other, source.second_detector, source.second_setup), (own, source.detector, source.setup))
+    new = ((name, s) for name, d, s in known if d is not None and s is not None and not made_by(maker, d))
+    return next(new, None)

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,9 +24,6 @@ from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import INVERSE
 from pipeline.relations.relations import F, T, U
 from pipeline.training.label_data import LabelData, column_arrays, rows_of_frame
-
-if TYPE_CHECKING:
-    pass
 
 CONTRADICTED = 0.9
 """Of an error that names one label: the stored state contradicts the extents, an expression states what is F."""
@@ -87,27 +83,23 @@ def network_evidence(
 ) -> RelationEvidence:
     """Labels that networks which have not learnt from them find wrong with at least this probability."""
     rows, columns = np.nonzero(wrong >= least)
-    states = letters(cells.states[rows, columns])
-    p, q = probability[rows, columns], wrong[rows, columns]
+    states, p = cells.states[rows, columns], probability[rows, columns]
     reason = _joined(
-        "the label is ", states, ", and networks that have not learnt from it give it a probability of ",
-        np.char.mod("%.2f", np.where(cells.states[rows, columns] == T, p, 1 - p)),
+        "the label is ", letters(states), ", and networks that have not learnt from it give it a probability of ",
+        np.char.mod("%.2f", np.where(states == T, p, 1 - p)),
     )  # fmt: skip
-    return RelationEvidence(rows, columns, q, reason)
+    return RelationEvidence(rows, columns, wrong[rows, columns], reason)
 
 
 def undecided_evidence(cells: RelationLabels, probability: np.ndarray) -> RelationEvidence:
     """Cells that the rule finds too close to call (U); the surer the networks are, the more is to be gained."""
-    known = np.where(np.isnan(probability), 0.5, probability)
     rows, columns = np.nonzero(cells.states == U)
-    p = known[rows, columns]
-    sure = np.abs(2 * p - 1)
-    answer = np.where(p > 0.5, "T", "F")
+    p = np.nan_to_num(probability[rows, columns], nan=0.5)
     reason = _joined(
-        "too close to call by the rule (U); networks that have not learnt from it say ", answer, " with ",
-        np.char.mod("%.2f", np.maximum(p, 1 - p)),
+        "too close to call by the rule (U); networks that have not learnt from it say ", np.where(p > 0.5, "T", "F"),
+        " with ", np.char.mod("%.2f", np.maximum(p, 1 - p)),
     )  # fmt: skip
-    return RelationEvidence(rows, columns, UNDECIDED * sure, reason)
+    return RelationEvidence(rows, columns, UNDECIDED * np.abs(2 * p - 1), reason)
 
 
 def margin_evidence(cells: RelationLabels, least: float) -> RelationEvidence:
@@ -144,10 +136,8 @@ def linter_evidence(
         group = found.rule.split("/")[0]
         known = [c for c in _blamed_cells(found) if c[2] in cells.relations] if group == "relation" else []
         if found.frame is not None and known:
-            for a, b, relation, weight in known:
-                weight = weight if found.severity == "error" else min(weight, WARNED)
-                reason = f"{found.rule}: {found.message}"
-                blamed.append(((found.frame, a, b), cells.relations.index(relation), weight, reason))
+            most, reason = 1.0 if found.severity == "error" else WARNED, f"{found.rule}: {found.message}"
+            blamed += [((found.frame, a, b), cells.relations.index(r), min(w, most), reason) for a, b, r, w in known]
         elif found.frame is not None and group in ("object", "expression") and found.objects:
             items += _blamed_items(found)
         else:
@@ -242,10 +232,8 @@ def disputed_evidence(
         r, c = np.nonzero(turned == -1)
         rows.append(own.start + there[r])
         columns.append(np.array(own_columns, np.int64)[c])
-    r = np.concatenate([np.zeros(0, np.int64), *rows])
-    c = np.concatenate([np.zeros(0, np.int64), *columns])
-    opposite = letters(-cells.states[r, c])
-    reason = _joined("the other labels of this frame say ", opposite)
+    r, c = (np.concatenate([np.zeros(0, np.int64), *found]) for found in (rows, columns))
+    reason = _joined("the other labels of this frame say ", letters(-cells.states[r, c]))
     return RelationEvidence(r, c, np.full(len(r), DISPUTED), reason), tuple(items)
 
 

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, judged_item, same_value
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import by_ref, standing_at
@@ -156,8 +156,7 @@ def disputed_rows(queue: pa.Table) -> np.ndarray:
     """(N,) bool: what reviewers judge differently, by its score."""
     if "score" not in queue.column_names:
         return np.zeros(queue.num_rows, np.bool_)
-    score = queue.column("score").to_numpy(zero_copy_only=False).astype(np.float64)
-    return score >= DISAGREED
+    return queue.column("score").to_numpy(zero_copy_only=False).astype(np.float64) >= DISAGREED
 
 
 def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[str, int]:
@@ -351,10 +350,7 @@ def judgements_of(
     standing = {ref: [x for x in standing_at(members) if x[0].ulid not in ignored] for ref, members in refs.items()}
     settling = {e.group for ref, found in standing.items() if ref.field == "settled" for e, _ in found}
     items = {ref: key for ref in refs if (key := item_of(ref)) is not None}
-    of_entity: dict[ItemKey, list[FieldRef]] = {}
-    for ref, key in items.items():
-        if _is_value(ref):
-            of_entity.setdefault(key, []).append(ref)
+    of_entity = grouped((ref for ref in items if _is_value(ref)), items.__getitem__)
     groups: dict[tuple[ItemKey, str, str], Judgement] = {}
     settled: dict[ItemKey, Judgement] = {}
     for ref, key in items.items():

@@ -323,10 +323,9 @@ def _by_block(frames: Sequence[FrameKey], names: np.ndarray, scenes: Sequence[st
 def _along(frames: Sequence[FrameKey]) -> tuple[np.ndarray, float | int]:
     """Where the frames of a scene stand in a row, and the gap: in metres, or in frames where poses do not differ."""
     positions = [f.position for f in frames]
-    if all(p is not None for p in positions):
-        along = along_spread(np.array(positions, np.float64))
-        if along is not None and np.ptp(along) > 0.1:
-            return along, GAP_M
+    along = None if None in positions else along_spread(np.array(positions, np.float64))
+    if along is not None and np.ptp(along) > 0.1:
+        return along, GAP_M
     order = np.argsort([f.index for f in frames], kind="stable")
     return np.argsort(order, kind="stable").astype(np.float64), max(1, round(FRAME_GAP * len(frames)))
 
@@ -338,10 +337,9 @@ def _held_in_blocks(
     mine = block[None] == np.arange(len(held))[:, None]
     held[:, indices] = mine
     while True:
-        near = np.zeros_like(mine)
-        for k, inside in enumerate(mine):
-            if inside.any():
-                near[k] = (along > along[inside].min() - gap) & (along < along[inside].max() + gap)
+        # A fold without frames of the scene has none in a gap.
+        ends = [(along[inside].min(), along[inside].max()) if inside.any() else (np.inf, -np.inf) for inside in mine]
+        near = np.array([(along > first - gap) & (along < last + gap) for first, last in ends])
         kept = ~near & ~mine
         enough = (kept.sum(axis=1) * 2 >= (~mine).sum(axis=1)).all()
         if enough or gap < 0.01:

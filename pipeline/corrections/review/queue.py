@@ -266,5 +266,4 @@ def _ranked(columns: dict[str, Any], limit: int | None, metadata: dict[str, str]
         values = columns[name][order]
         kind = kinds.get(name, pa.string() if values.dtype == object else pa.float64())
         arrays[name] = pa.array(values, kind, from_pandas=True, safe=False)
-    table = pa.table({**arrays, "reasons": reasons})
-    return table.replace_schema_metadata(metadata)
+    return pa.table({**arrays, "reasons": reasons}).replace_schema_metadata(metadata)

@@ -173,16 +173,15 @@ def disagreement_evidence(
     cells: RelationLabels, judgements: Judgements
 ) -> tuple[RelationEvidence, tuple[ItemEvidence, ...]]:
     """Items on which reviewers say different things, and what each says."""
-    differ = {key: _who_says(judgements, key) for key in judgements.words if judgements.differ(key)}
+    words = {
+        key: sorted((w for w in said.values() if w.status in SETTLED), key=lambda w: w.at)
+        for key, said in judgements.words.items() if judgements.differ(key)
+    }  # fmt: skip
+    differ = {k: f"{DISAGREE}: " + ", ".join(f"{w.author} says {w.verdict}" for w in said) for k, said in words.items()}
     keys, rows, columns = _places(cells, set(differ))
     reason = np.array([differ[key] for key in keys], object)
     items = tuple(ItemEvidence(k, DISAGREED, why) for k, why in differ.items() if k.kind != "relation")
     return RelationEvidence(rows, columns, np.full(len(rows), DISAGREED), reason), items
-
-
-def _who_says(judgements: Judgements, key: ItemKey) -> str:
-    words = sorted((w for w in judgements.words[key].values() if w.status in SETTLED), key=lambda w: w.at)
-    return f"{DISAGREE}: " + ", ".join(f"{w.author} says {w.verdict}" for w in words)
 
 
 def automatic_version(manifest: Manifest) -> str:

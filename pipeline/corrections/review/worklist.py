@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.review.items import (
     KINDS,
@@ -128,10 +128,6 @@ class Worklist:
         marked = (self.codes != _UNREVIEWED) | self.gone
         return tuple(frame for frame, indices in self.frames.items() if marked[indices].any())
 
-    def untouched(self) -> Worklist:
-        """The list as nobody has reviewed it."""
-        return replace(self, codes=np.full_like(self.codes, _UNREVIEWED), gone=np.zeros_like(self.gone))
-
     def with_gone(self, frame: str, gone: Collection[ItemKey]) -> Worklist:
         """The list after these items of a frame have gone, and all others of it have not."""
         if frame not in self.frames:
@@ -160,18 +156,14 @@ class Worklist:
             Only items of this kind.
         """
         start = -1 if after is None else self.indices.get(after.plain, -1)
-        put_off = [self.indices[k.plain] for k in skip if k.plain in self.indices]
+        shown = ~self.gone if kind is None else ~self.gone & (self.kinds == KINDS.index(kind))
+        shown[[self.indices[k.plain] for k in skip if k.plain in self.indices]] = False
         unsure = self.codes == _UNSURE
         for wanted in ((self.codes == _UNREVIEWED) | (unsure & self.disputed), unsure & ~self.disputed):
-            wanted = wanted & ~self.gone
-            wanted[put_off] = False
-            if kind is not None:
-                wanted &= self.kinds == KINDS.index(kind)
             # The item itself comes last: it is shown again only where it is the only one.
-            for found, first in ((wanted[start + 1 :], start + 1), (wanted[: start + 1], 0)):
-                at = int(found.argmax()) if len(found) else 0
-                if len(found) and found[at]:
-                    return self.keys[first + at]
+            found = np.roll(wanted & shown, -start - 1)
+            if found.any():
+                return self.keys[(int(found.argmax()) + start + 1) % len(self)]
         return None
 
     def previous(self, before: ItemKey | None = None) -> ItemKey | None:
@@ -213,9 +205,7 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
     )
     codes = _codes(np.full(len(keys), _UNREVIEWED, np.int8), indices, states)
     kinds = np.array([KINDS.index(key.kind) for key in keys], np.int8)
-    of_frame: dict[str, list[int]] = {}
-    for index, key in enumerate(keys):
-        of_frame.setdefault(key.frame, []).append(index)
+    of_frame = grouped(range(len(keys)), lambda k: keys[k].frame)
     frames = {frame: np.array(found, np.int64) for frame, found in of_frame.items()}
     return Worklist(queue, keys, indices, codes, kinds, disputed_rows(queue), frames, np.zeros(len(keys), np.bool_))
 
@@ -355,10 +345,16 @@ def refreshed_worklist(work: Worklist, corrector: Corrector, journal: Journal, a
     names = [e.ref.frame for e in fresh]
     if not standing:
         names += work.touched
-        work = work.untouched()
-    for frame, states in _changed(corrector, journal, names):
-        keys = [work.keys[index] for index in work.frames.get(frame.frame, ())]
-        work = work.with_states(states).with_gone(frame.frame, gone_items(frame, keys, states))
+        # As nobody has reviewed it.
+        work = replace(work, codes=np.full_like(work.codes, _UNREVIEWED), gone=np.zeros_like(work.gone))
+    for name in [name for name in dict.fromkeys(names) if name in corrector.index.of_frame]:
+        events = journal.events(frame=name)
+        frame = corrector.frame(name, events)
+        known = frame_states(frame, events)
+        about = (item_of(e.ref) for e in events)
+        states: dict[ItemKey, State] = {key: known.get(key, "unreviewed") for key in about if key is not None}
+        keys = [work.keys[index] for index in work.frames.get(name, ())]
+        work = work.with_states(states).with_gone(name, gone_items(frame, keys, states))
     return work, mark_of(fresh) if fresh or not standing else after
 
 
@@ -385,17 +381,3 @@ def gone_items(frame: EffectiveFrame, keys: Collection[ItemKey], states: Mapping
     pairs = {k for k in keys if k.kind == "relation" and stood and frame.pairs.state(k.a, k.b, k.what) is not None}
     frames = [name] if stood else []
     return frozenset(key for key in keys if not key_stands(key, states, frames, pairs, objects, expressions))
-
-
-def _changed(
-    corrector: Corrector, journal: Journal, names: Iterable[str]
-) -> Iterator[tuple[EffectiveFrame, dict[ItemKey, State]]]:
-    """Frames, each with the states of the items that its events are about."""
-    for name in dict.fromkeys(names):
-        if name not in corrector.index.of_frame:
-            continue
-        events = journal.events(frame=name)
-        frame = corrector.frame(name, events)
-        states = frame_states(frame, events)
-        keys = (item_of(e.ref) for e in events)
-        yield frame, {key: states.get(key, "unreviewed") for key in keys if key is not None}

@@ -129,7 +129,7 @@ def read_instances(
     bare = all(_stated(row) is None for found in by_image.values() for _, row in found)
     for image, found in by_image.items():
         frame = frames[image]
-        reader = _Reader(claims, claims.base(frame, state), state, categories, crowds, outline)
+        reader = _Reader(claims, claims.states.frame(frame, state), state, categories, crowds, outline)
         numbers = reader.told_by_place(found) if bare else {}
         seen: set[int] = set()
         for index, (where, row) in enumerate(found):
@@ -164,12 +164,12 @@ def _frame_of(image: Row, claims: Claims) -> str:
     frame, file_name = image.get("frame"), image.get("file_name")
     if frame is None and isinstance(file_name, str):
         named = _NAMED.fullmatch(file_name)
-        frame = claims.states.frame_of_index(int(named[1])) if named else None
+        frame = claims.states.index.name_of.get(int(named[1])) if named else None
         shown = repr(file_name)[:60]
         require(frame is not None, "no file name of an export", got=shown, expected="such as 000012.jpg")
-    if not isinstance(frame, str) or frame not in claims.states:
+    if not isinstance(frame, str) or frame not in claims.states.index.of_frame:
         raise InputError("the labels have no such frame", got=repr(frame)[:60])
-    row = claims.base(frame, claims.states.now).auto.row
+    row = claims.states.frame(frame, claims.states.now).auto.row
     size, known = [image.get(key, row[key]) for key in ("width", "height")], [row["width"], row["height"]]
     require(size == known, "the picture has another size", got=size, expected=known)
     return frame
@@ -226,10 +226,6 @@ class _Reader:
     crowds: bool
     outline: float
 
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.base.row["height"], self.base.row["width"]
-
     def told_by_place(self, found: list[tuple[str, Row]]) -> dict[int, int]:
         """Objects by the place of annotations that lie where they lay; see the module."""
         from scipy.optimize import linear_sum_assignment
@@ -259,7 +255,7 @@ class _Reader:
         if type(category) is not int or category not in self.categories:
             raise InputError("no such category", got=repr(category)[:40])
         label = self.categories[category]
-        pixels = mask_of(row.get("segmentation"), self.size)
+        pixels = mask_of(row.get("segmentation"), self.base.size)
         box = _box3d(row["box3d"]) if "box3d" in row else None
         if number is None:
             self._new(where, row, label, pixels, box)
@@ -285,7 +281,7 @@ class _Reader:
         if was["mask"] is None:
             # Exported as the corners of its 2D box: what moves them moves the box.
             return is_rectangle(row["segmentation"])
-        before = decode_run_length(self.size, was["mask"])
+        before = decode_run_length(self.base.size, was["mask"])
         polygons = isinstance(row.get("segmentation"), list)
         return same_outline(before, pixels, self.outline) if polygons else bool((before == pixels).all())
 

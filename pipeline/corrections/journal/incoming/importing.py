@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Conflict, Edit, Saved, event_record
+from pipeline.corrections.journal.events import Conflict, Edit, Saved, event_record, grouped
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, box_of, plain_text, same_value, shown_value
 from pipeline.corrections.journal.incoming.coco_file import load_coco, read_instances
 from pipeline.corrections.journal.incoming.jsonl_file import annotated, read_lines, read_refs, read_relations
@@ -275,7 +275,7 @@ def settle(claims: Claims, reason: str) -> tuple[list[Edit], list[str], int]:
     for group in _grouped(claims.found.values()):
         first = group[0]
         now = claims.states.frame_now(first.ref.frame, first.base)
-        base = claims.base(first.ref.frame, first.base)
+        base = claims.states.frame(first.ref.frame, first.base)
         gone = _gone(first.ref, base, now, claims)
         if gone is not None:
             contradictions += [f"{c.where}: {c.ref}: wanted {shown_value(c.ref, c.value)}, but {gone}" for c in group]
@@ -304,12 +304,13 @@ def _contradiction(where: str, edit: Edit, exported: Any, claims: Claims) -> str
 
 def _grouped(claims: Iterable[Claim]) -> list[list[Claim]]:
     """Claims that are one action together: the answers of an expression; in the order of their frames."""
-    found: dict[Any, list[Claim]] = {}
-    for claim in claims:
+
+    def action(claim: Claim) -> Any:
         ref = claim.ref
         answers = ref.kind == "expression" and ref.field in ANSWERS
-        found.setdefault((ref.frame, ref.key, "answers") if answers else ref, []).append(claim)
-    return sorted(found.values(), key=lambda group: group[0].ref.frame)
+        return (ref.frame, ref.key, "answers") if answers else ref
+
+    return sorted(grouped(claims, action).values(), key=lambda group: group[0].ref.frame)
 
 
 def _gone(ref: FieldRef, base: EffectiveFrame, now: EffectiveFrame, claims: Claims) -> str | None:

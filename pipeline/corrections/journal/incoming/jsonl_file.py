@@ -118,9 +118,9 @@ def _table(row: Row) -> str:
 
 def _frame(row: Row, claims: Claims) -> str:
     frame = row.get("frame")
-    if not isinstance(frame, str) or frame not in claims.states:
+    if not isinstance(frame, str) or frame not in claims.states.index.of_frame:
         raise InputError("the labels have no such frame", got=repr(frame)[:60])
-    known = claims.states.index_of(frame)
+    known = claims.states.index.of_frame[frame]
     stated = row.get("frame_index", known)
     require(stated == known, "frame_index is of another frame", got=repr(stated)[:20], expected=known)
     return frame
@@ -134,7 +134,7 @@ def _number(row: Row, key: str) -> int:
 
 
 def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims, seen: set[int]) -> None:
-    base = claims.base(frame, state)
+    base = claims.states.frame(frame, state)
     box = {key: row[key] for key in BOX_COLUMNS if key in row}
     require(len(box) in (0, len(BOX_COLUMNS)), "a 3D box is center, R and size", got=", ".join(box))
     if None in box.values():
@@ -151,7 +151,7 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
         raise InputError(f"frame {frame} had no object {number}", cause="a new one has no number")
     seen.add(number)
     claims.say_fields(where, row, object_ref(frame, number, "label"), ("label", "status"), state)
-    if "mask" in row and not same_mask(row["mask"], was["mask"], (base.row["height"], base.row["width"])):
+    if "mask" in row and not same_mask(row["mask"], was["mask"], base.size):
         claims.say(where, object_ref(frame, number, "mask"), row["mask"], state)
     claims.say_fields(where, row, object_ref(frame, number, "bbox"), ("bbox",), state)
     if box != {}:
@@ -178,7 +178,7 @@ def check_pair(base: EffectiveFrame, a: int, b: int) -> None:
 
 def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
     a, b = _number(row, "a"), _number(row, "b")
-    base = claims.base(frame, state)
+    base = claims.states.frame(frame, state)
     check_pair(base, a, b)
     relations = base.setting.relations
     for relation in PAIRWISE:
@@ -208,7 +208,7 @@ def _statuses(listed: Any, relations: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _expression(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
-    name, base = row.get("id"), claims.base(frame, state)
+    name, base = row.get("id"), claims.states.frame(frame, state)
     if not isinstance(name, str) or name not in base.auto.expressions:
         raise InputError(f"frame {frame} has no such expression", got=repr(name)[:60])
     claims.say_fields(where, row, FieldRef("expression", frame, name, "text"), _TEXTS, state)
@@ -233,7 +233,8 @@ def annotated(instances: Any, name: str, claims: Claims) -> tuple[dict[int, str]
     found: Annotations = {}
     for row in listed(instances, "annotations", name):
         number = number_of(row) if isinstance(row, dict) else None
-        if number is not None and row.get("image_id") in frames and type(row.get("id")) is int:
+        whole = isinstance(row, dict) and all(type(row.get(key)) is int for key in ("id", "image_id"))
+        if number is not None and whole and row["image_id"] in frames:
             found[row["id"]] = frames[row["image_id"]], number
     return frames, found, base_of(instances)
 
@@ -249,7 +250,7 @@ def read_refs(
             sound = isinstance(ref, dict) and type(ref.get("image_id")) is int and ref["image_id"] in frames
             require(sound, "it is of no image that instances.json lists")
             frame, own = frames[ref["image_id"]], ref.get("id")
-            if not isinstance(own, str) or own not in claims.base(frame, state).auto.expressions:
+            if not isinstance(own, str) or own not in claims.states.frame(frame, state).auto.expressions:
                 raise InputError(f"frame {frame} has no such expression", got=repr(own)[:60])
             require((frame, own) not in seen, "the second one of its expression")
             seen.add((frame, own))
@@ -258,8 +259,9 @@ def read_refs(
                 claims.say(where, expression_ref(frame, own, "text"), _raw(ref["sentences"]), state)
             for key, field in (("target_ann_ids", "targets"), ("acceptable_ann_ids", "acceptable")):
                 if key in ref:
-                    numbers = _objects(ref[key], frame, annotations, key)
-                    claims.say(where, expression_ref(frame, own, field), numbers, state)
+                    claims.say(
+                        where, expression_ref(frame, own, field), _objects(ref[key], frame, annotations, key), state
+                    )
             claims.say_fields(where, ref, expression_ref(frame, own, "mark"), ("ambiguous", "mark", "status"), state)
 
 
@@ -297,7 +299,7 @@ def _columns(
     image: dict[str, Any], where: str, frame: str, annotations: Annotations, state: ExportedFrom, claims: Claims
 ) -> None:
     a, b = (_objects(image.get(end), frame, annotations, end) for end in ("a", "b"))
-    base = claims.base(frame, state)
+    base = claims.states.frame(frame, state)
     relations = [r for r in PAIRWISE if r in image]
     for relation in relations:
         sound = isinstance(image[relation], list) and len(image[relation]) == len(a)
@@ -317,7 +319,7 @@ def _columns(
 def _pair_statuses(
     statuses: Any, where: str, frame: str, annotations: Annotations, state: ExportedFrom, claims: Claims
 ) -> None:
-    base = claims.base(frame, state)
+    base = claims.states.frame(frame, state)
     found: dict[Any, Any] = {}
     for entry in statuses if isinstance(statuses, list) else [None]:
         if not isinstance(entry, dict) or entry.get("relation") not in base.setting.relations:

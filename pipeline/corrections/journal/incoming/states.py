@@ -14,7 +14,7 @@ from typing import Any
 
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT, FieldRef, checked, object_ref, same_value
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.provenance import ExportedFrom
@@ -46,13 +46,12 @@ class States:
     ) -> None:
         self.labels = labels
         self.version = labels_version(labels.manifest)
-        self._events: dict[str, list[Event]] = {}
-        for event in events:
-            self._events.setdefault(event.ref.frame, []).append(event)
+        self._events = grouped(events, lambda e: e.ref.frame)
         self._last = events[-1] if events else None
         self._id_of = {e.ulid: e.id for e in events}
         self._pixels = any(e.ref.kind == "object" and e.ref.field in _OF_PIXELS for e in events)
         self._bare = Corrector(labels)
+        self.index = self._bare.index
         self._open = open_dataset
         self._full: Corrector | None = None
         self._frame_after = lru_cache(maxsize=FRAMES_KEPT)(self._computed)
@@ -62,17 +61,6 @@ class States:
         """The newest state; computed with the dataset where any correction needs it and it is at hand."""
         full = self._pixels and self._corrector(True) is not None
         return ExportedFrom(self.version, None if self._last is None else self._last.ulid, full)
-
-    def __contains__(self, frame: object) -> bool:
-        return frame in self._bare.index.of_frame
-
-    def frame_of_index(self, index: int) -> str | None:
-        """The id of a frame by its place in the dataset."""
-        return self._bare.index.name_of.get(index)
-
-    def index_of(self, frame: str) -> int:
-        """The place of a frame in the dataset."""
-        return self._bare.index.of_frame[frame]
 
     def check(self, state: ExportedFrom) -> None:
         """Refuse a state that these labels and their journal have never been in, or that cannot be computed again.
@@ -97,8 +85,7 @@ class States:
 
     def frame(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
         """A frame as it was in a state that `check` let pass."""
-        last = 0 if state.event is None else self._id_of[state.event]
-        return self._at(frame, last, state.relifted)
+        return self._at(frame, 0 if state.event is None else self._id_of[state.event], state.relifted)
 
     def frame_now(self, frame: str, like: ExportedFrom) -> EffectiveFrame:
         """A frame with all corrections, computed in the same way as that state."""
@@ -109,9 +96,8 @@ class States:
         return next((e for e in reversed(self._events.get(frame, ())) if e.ref == ref), None)
 
     def _at(self, frame: str, last: int, relifted: bool) -> EffectiveFrame:
-        events = self._events.get(frame, [])
-        count = bisect_right([e.id for e in events], last)
-        return self._frame_after(frame, count, relifted and self._pixels)
+        ids = [e.id for e in self._events.get(frame, [])]
+        return self._frame_after(frame, bisect_right(ids, last), relifted and self._pixels)
 
     def _computed(self, frame: str, count: int, full: bool) -> EffectiveFrame:
         corrector = self._corrector(full)
@@ -197,17 +183,13 @@ class Claims:
         except TooManyProblems:
             self.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
 
-    def base(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
-        """A frame as it was exported."""
-        return self.states.frame(frame, state)
-
     def say(self, where: str, ref: FieldRef, value: Any, state: ExportedFrom) -> None:
         """A cell's value in the file; kept where it is not the exported one."""
         try:
             value = checked(ref, value)
         except InputError as error:
             return self.problem(where, f"{ref.field}: {error}")
-        if not same_value(value, self.base(ref.frame, state).value(ref)):
+        if not same_value(value, self.states.frame(ref.frame, state).value(ref)):
             self.put(Claim(where, ref, value, state))
 
     def say_fields(
@@ -237,5 +219,5 @@ class Claims:
 
     def say_deleted(self, where: str, frame: str, seen: set[int], state: ExportedFrom) -> None:
         """Reject the exported objects of a frame that the file lacks."""
-        for number in self.base(frame, state).objects.keys() - seen:
+        for number in self.states.frame(frame, state).objects.keys() - seen:
             self.put(Claim(where, object_ref(frame, number, "status"), "rejected", state))

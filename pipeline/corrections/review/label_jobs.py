@@ -1,0 +1,450 @@
+"""Long work on corrected labels, shared by everyone who corrects them: making their review queue, and retraining.
+
+Retraining goes from corrections to a new relation network, and what it does to
+the answers: the labels with their corrections become a folder of their own, a
+network is learnt from them and compared with the one learnt from the labels
+before, and a run is made again with the mended labels, once with its own
+relation scorer and once with the new network.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from pipeline.corrections.journal.effective_frame import setting_of
+from pipeline.corrections.journal.journal import journal_of
+from pipeline.corrections.journal.materialise import MARKS_FILE, materialise
+from pipeline.corrections.review.detector_evidence import SecondDetector, detector_evidence
+from pipeline.corrections.review.evidence import read_relation_labels
+from pipeline.corrections.review.items import by_frame, with_states
+from pipeline.corrections.review.out_of_fold import DoubtConfig
+from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.corrections.review.retraining import RetrainConfig, Retraining, compare_networks, retrain, shared_split
+from pipeline.corrections.review.reviewed import Reviewed, pair_agreements, reviewed_labels, states_on_labels
+from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_of, read_queue, worklist, write_queue
+from pipeline.datasets import Dataset
+from pipeline.diagnosis.verdict import read_marks
+from pipeline.evaluation.compare import Comparison
+from pipeline.evaluation.job import evaluate_dataset
+from pipeline.evaluation.run_folder import Run, open_run
+from pipeline.evaluation.shared_makers import scorer_share
+from pipeline.labels.makers import makers_of
+from pipeline.labels.pictures import labelled_dataset
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.language.naming import Synonyms
+from pipeline.proposals.registry import DetectorSetup
+from pipeline.relations import shipped_network
+from pipeline.relations.model import OnnxScorer
+from pipeline.system.errors import InputError, require
+from pipeline.system.shared_job import SharedJob
+from pipeline.system.staging import staged_folder
+from pipeline.training.label_data import read_label_data
+
+Step = tuple[str, int, int]
+"""What is asked ("frames" of a detector, "networks"), how many are done, of how many."""
+CANCELLED = "cancelled"
+"""The problem of what was stopped."""
+
+
+@dataclass(frozen=True)
+class CorrectedLabelsJob:
+    """Work on corrected labels, for a process of its own.
+
+    Attributes
+    ----------
+    labels : Path
+        As they were made.
+    out : Path
+        File or folder to write.
+    journal, project : str or None
+        See `journal_of`.
+    dataset : str or None
+        For what follows from corrected pixels and boxes; without it, as the labels name it.
+    options : dict
+        Of the dataset, for `labelled_dataset`: intrinsics, depth_scale.
+    """
+
+    labels: Path
+    out: Path
+    journal: str | None = None
+    project: str | None = None
+    dataset: str | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def corrected_dataset(self, labels: Labels) -> Dataset | None:
+        """The labels' dataset; None where it is not at hand, and what follows from new pixels is stale."""
+        try:
+            return labelled_dataset(labels.manifest, self.dataset, **self.options)
+        except InputError:
+            return None
+
+
+@dataclass(frozen=True)
+class QueueJob(CorrectedLabelsJob):
+    """What a queue is made of; `out` is the Parquet file to write.
+
+    Attributes
+    ----------
+    networks : bool
+        Ask networks that have not learnt from a label; that takes the most time.
+    detector : DetectorSetup or None
+        Asked about the labelled frames too; see `second_setup`.
+    called : str or None
+        What the detector is called. Default: its own name.
+    """
+
+    networks: bool = True
+    detector: DetectorSetup | None = None
+    called: str | None = None
+
+
+def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
+    """Make the queue, ordered for working through, and store it.
+
+    Parameters
+    ----------
+    report : callable
+        Called with a Step.
+
+    Returns
+    -------
+    dict
+        items (how many), detector (the one that was asked: its name, frames it looked at, skipped ones with the reason;
+        None without one), estimated_wrong (relation labels that networks hold for wrong; None without networks),
+        agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing),
+        and last (the newest event that surely counts in it, a `worklist.Mark`). The states of the items then are the
+        queue's column `state`.
+
+    Raises
+    ------
+    InputError
+        The labels or the journal cannot be read, or hold nothing to learn from; the detector cannot be made, or
+        could look at no frame.
+    MissingExtra
+        torch is not installed, and networks are to be asked.
+    """
+    labels = open_labels(job.labels)
+    with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
+        reviewed, last = _reviewed(job, labels, Path(folder) / "labels")
+        config = QueueConfig(DoubtConfig() if job.networks else None)
+        name, seen = _seen(job, labels, reviewed.labels, report)
+        queue = review_queue(
+            reviewed.labels, config, found_elsewhere=() if seen is None else seen.items,
+            judgements=reviewed.judgements, progress=lambda done, of: report(("networks", done, of)),
+        )  # fmt: skip
+        states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
+    metadata = queue.schema.metadata
+    write_queue(with_states(by_frame(queue), states).replace_schema_metadata(metadata), job.out)
+    wrong = (metadata or {}).get(b"estimated_wrong")
+    pairs = [pair.record() for pair in pair_agreements(reviewed.judgements, setting_of(labels).inverse)]
+    return {
+        "items": queue.num_rows,
+        "last": last,
+        "detector": None if seen is None else {"name": name, "frames": seen.frames, "skipped": seen.skipped},
+        "estimated_wrong": None if wrong is None else float(wrong),
+        "agreement": [{key: pair[key] for key in ("reviewers", "items", "kappa")} for pair in pairs],
+    }
+
+
+def _seen(
+    job: QueueJob, automatic: Labels, labels: Labels, report: Callable[[Step], None]
+) -> tuple[str, SecondDetector | None]:
+    if job.detector is None:
+        return "", None
+    dataset = labelled_dataset(automatic.manifest, job.dataset, **job.options)
+    table = Synonyms.load(job.detector.synonyms)
+    detector = job.detector.open(dataset.class_names, table)
+    name = job.called or detector.name
+    found = detector_evidence(
+        labels, dataset, detector, synonyms=table, progress=lambda n, of: report(("frames", n, of)), name=name
+    )
+    return name, found
+
+
+def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, Mark]:
+    try:
+        journal = journal_of(labels, job.journal, project=job.project, must_exist=True)
+    except InputError:
+        return Reviewed(labels), NOTHING
+    with journal:
+        newest = journal.events(last=1)
+        return reviewed_labels(labels, journal, folder, job.corrected_dataset(labels)), mark_of(newest)
+
+
+@dataclass(frozen=True)
+class QueueProgress:
+    """A review queue that is being made, and the one that was made last.
+
+    Attributes
+    ----------
+    running : bool
+    job : QueueJob or None
+        What is being made, or was last.
+    step : Step or None
+        How far it is; None before it tells.
+    problem : str
+        Why there is none, or no new one.
+    made : dict or None
+        What is known of the queue: `make_queue`.
+    work : Worklist or None
+        The queue as it was made.
+    """
+
+    running: bool = False
+    job: QueueJob | None = None
+    step: Step | None = None
+    problem: str = ""
+    made: Mapping[str, Any] | None = None
+    work: Worklist | None = None
+
+
+@dataclass(frozen=True)
+class TrainingProgress:
+    """How far a training is, and what came of it.
+
+    Attributes
+    ----------
+    running : bool
+    step : tuple of (str, int, int)
+        What is being done, how far, of how much.
+    record : dict or None
+        Of `pipeline.corrections.review.label_jobs.RetrainingRun`.
+    problem : str
+    seconds : float
+    installed : str
+        The name under which the network was installed.
+    """
+
+    running: bool = False
+    step: tuple[str, int, int] = ("labels", 0, 1)
+    record: Mapping[str, Any] | None = None
+    problem: str = ""
+    seconds: float = 0.0
+    installed: str = ""
+
+
+class LabelJobs:
+    """The jobs of one set of labels in one process.
+
+    Attributes
+    ----------
+    queue : SharedJob of QueueProgress
+    training : SharedJob of TrainingProgress
+    """
+
+    def __init__(self) -> None:
+        self.queue = SharedJob(QueueProgress())
+        self.training = SharedJob(TrainingProgress())
+
+    def make(self, job_for: Callable[[Path], QueueJob]) -> bool:
+        """Make the queue; whether it was started, see `SharedJob.start`.
+
+        The first is made without networks and detector, so that there is something to begin with; what was asked for
+        follows it.
+
+        Parameters
+        ----------
+        job_for : callable
+            Gives the job for a file that it is to write, which does not stay.
+        """
+        folder = tempfile.TemporaryDirectory(prefix="spatialviz-")
+        job = job_for(Path(folder.name) / "queue.parquet")
+        now = job if self.queue.seen.work is not None else replace(job, networks=False, detector=None)
+
+        def ended(seen: QueueProgress, record: Any, problem: str) -> QueueProgress:
+            seen = replace(seen, running=False, step=None)
+            try:
+                if not problem:
+                    return replace(seen, made=record, work=worklist(read_queue(now.out)))
+            except InputError as error:
+                problem = str(error)
+            finally:
+                folder.cleanup()
+            return replace(seen, problem=problem)
+
+        def then() -> None:
+            if now != job and not self.queue.seen.problem:
+                self.make(job_for)
+
+        started = self.queue.start(
+            make_queue, now, begun=lambda seen: replace(seen, running=True, job=now, step=None, problem=""),
+            heard=lambda seen, step: replace(seen, step=step), ended=ended, then=then,
+        )  # fmt: skip
+        if not started:
+            folder.cleanup()
+        return started
+
+    def train(self, job: RetrainingJob) -> bool:
+        """Retrain; whether it was started, see `SharedJob.start`."""
+        began = perf_counter()
+        return self.training.start(
+            retraining_in_background, job, begun=lambda _: TrainingProgress(running=True),
+            heard=lambda seen, step: replace(seen, step=step, seconds=perf_counter() - began),
+            ended=lambda _, record, problem: TrainingProgress(
+                record=record, problem=problem, seconds=perf_counter() - began
+            ),
+        )  # fmt: skip
+
+    def end(self) -> None:
+        """End what runs, for good."""
+        self.queue.end()
+        self.training.end()
+
+
+LABELS, NETWORK, BEFORE, AFTER = "labels", "network.onnx", "run-before", "run-after"
+MARK = "network.comparison.json"
+"""Tells a folder that this wrote."""
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done ("labels", "before", "after", "replay"), how far it is, and of how much."""
+
+
+@dataclass(frozen=True)
+class RetrainingJob(CorrectedLabelsJob):
+    """What is retrained on.
+
+    Attributes
+    ----------
+    run : Path or None
+        The run that is made again.
+    config : RetrainConfig
+    workers : int
+    """
+
+    run: Path | None = None
+    config: RetrainConfig = field(default_factory=RetrainConfig)
+    workers: int = 1
+
+
+@dataclass(frozen=True)
+class RetrainingRun:
+    """What came of it.
+
+    Attributes
+    ----------
+    folder : Path
+        `labels/`, `network.onnx` with its card and comparison, and where a run was made again `run-before/` and
+        `run-after/`.
+    corrections : dict
+        Of the manifest of the mended labels: events, values by people, recomputed.
+    retraining : Retraining
+        Networks learnt from the labels before and after.
+    in_use : Retraining or None
+        The network that is in use, beside the one after, on the same held-out pairs; None where it cannot be compared.
+    mended : Comparison or None
+        The run as it was, beside the same on the mended labels: what the labels alone changed.
+    replay : Comparison or None
+        The run on the mended labels with its own relations, beside the same with the new network.
+    """
+
+    folder: Path
+    corrections: dict[str, Any]
+    retraining: Retraining
+    in_use: Retraining | None
+    mended: Comparison | None
+    replay: Comparison | None
+
+    @property
+    def network(self) -> Path:
+        return self.folder / NETWORK
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        parts = {"in_use": self.in_use, "mended": self.mended, "replay": self.replay}
+        return {
+            "folder": str(self.folder),
+            "network": str(self.network),
+            "corrections": self.corrections,
+            "retraining": self.retraining.record(),
+            **{name: None if part is None else part.record() for name, part in parts.items()},
+        }
+
+
+def run_retraining(job: RetrainingJob, progress: Progress | None = None) -> RetrainingRun:
+    """Mend, retrain, compare, and make the run again; the folder appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        Nothing was corrected, the labels cannot be learnt from, or the run cannot be opened.
+    MissingExtra
+        torch or onnx is not installed.
+    """
+    tell = progress or (lambda what, done, of: None)
+    labels = open_labels(job.labels)
+    run = None if job.run is None else open_run(job.run, labels=str(labels.root))
+    with staged_folder(job.out, overwrite=False, mark=MARK) as folder:
+        tell("labels", 0, 1)
+        with journal_of(labels, job.journal, project=job.project, must_exist=True) as journal:
+            manifest, found = materialise(labels, journal, folder / LABELS, dataset=job.corrected_dataset(labels))
+        cause = "is this the journal of these labels?"
+        require(found.events, "nothing was corrected yet", cause=cause, path=labels.root)
+        mended = open_labels(folder / LABELS)
+        tell("labels", 1, 1)
+        epochs = job.config.train.epochs
+        retraining = retrain(
+            labels, mended, folder / NETWORK, job.config,
+            progress=lambda name, epoch: tell(name, epoch.number, epochs),
+        )  # fmt: skip
+        # The network in use: the run's, else the shipped one.
+        current = OnnxScorer(shipped_network()) if run is None else run.source.scorer
+        in_use = None
+        if isinstance(current, OnnxScorer):
+            in_use = compare_with(current, folder / NETWORK, labels, mended, job.config, retraining.cards[1])
+        comparisons = (None, None) if run is None else _replay(run, folder, job.workers, tell)
+    return RetrainingRun(Path(job.out), dict(manifest.corrections or {}), retraining, in_use, *comparisons)
+
+
+def compare_with(
+    current: OnnxScorer, network: Path, before: Labels, after: Labels, config: RetrainConfig, card: dict[str, Any]
+) -> Retraining | None:
+    """A network that is in use beside a new one, on the pairs that the new one has not seen; see `Retraining`.
+
+    None where the two do not judge the same relations, or either knows class names.
+    """
+    new = OnnxScorer(network)
+    contract = current.contract
+    same = (contract.output, contract.vocabulary) == (new.contract.output, new.contract.vocabulary)
+    if not same or any(c.language is not None for c in (contract, new.contract)):
+        return None
+    was, now = (read_label_data(x, config.train.features, contract.vocabulary) for x in (before, after))
+    fed = now if contract.features == now.features else read_label_data(after, contract.features, contract.vocabulary)
+    plan = shared_split(was, now, config)
+    cards = ({**card, "file": str(current.name)}, card)
+    found = compare_networks(current, new, was, now, plan, cards, config.bootstrap, fed_before=fed)
+    share = scorer_share(makers_of(after.manifest), current.path.stem, current)
+    return found if share is None else replace(found, caveats=(f"before: {share.sentence}",))
+
+
+def _replay(run: Run, folder: Path, workers: int, tell: Progress) -> tuple[Comparison | None, Comparison | None]:
+    """Make a run again on the mended labels: as it was, and with the new network."""
+    require(
+        run.spec.system == "pipeline",
+        "only a run of the pipeline can be made again",
+        got=run.spec.system,
+        path=run.folder,
+    )
+    marks = {**run.spec.marks, **read_marks(folder / LABELS / MARKS_FILE)}
+    spec = replace(run.spec, labels=str(folder / LABELS), marks=marks)
+    steps = (
+        (BEFORE, spec, run.folder, run.name),
+        (AFTER, replace(spec, options={**spec.options, "srm": folder / NETWORK, "vectors": None}), folder / BEFORE,
+         f"{run.name}, retrained"),
+    )  # fmt: skip
+    found = []
+    for number, (name, wanted, against, title) in enumerate(steps):
+        report = evaluate_dataset(
+            wanted, folder / name, name=title, workers=workers, against=against, plots=False,
+            progress=lambda done, of, number=number: tell("replay", number * of + done, len(steps) * of),
+        )  # fmt: skip
+        found.append(report.comparison)
+    return found[0], found[1]
+
+
+def retraining_in_background(job: RetrainingJob, report: Callable[[tuple[str, int, int]], None]) -> dict[str, Any]:
+    """`run_retraining` for `pipeline.system.background`: its record."""
+    return run_retraining(job, lambda what, done, of: report((what, done, of))).record()
