@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_frame
 from pipeline.datasets.cameras import Recording, make_camera, or_note
-from pipeline.datasets.files import natural
+from pipeline.datasets.files import listing, natural
 from pipeline.datasets.semantic_abstraction_file import (
     has,
     item_count,
@@ -328,9 +328,8 @@ def _recognises(root: Path) -> bool:
     if split_files(root):
         return bool(_views_below(root, LEVELS))
     try:
-        with os.scandir(root) as entries:
-            folders = [e.name for e in entries if e.is_dir(follow_symlinks=False) and not e.name.startswith(".")]
-    except OSError:
+        folders, _ = listing(root, links=False)
+    except InputError:
         return False
     below = [next(iter(_views_below(root / name, LEVELS - 1)), None) for name in folders]
     good = sum(view is not None and _is_view(root / name, view) for name, view in zip(folders, below, strict=True))

@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.datasets.files import CUT_OFF
 from pipeline.system.errors import InputError
 
 MOST_VALUES = 100_000_000
 MOST_NAMES = 1_000_000
 """Bounds on what a file may make us read of one item and of one list: far above what the dataset has."""
-
-_CUT_OFF = "was the copy or the download interrupted?"
 
 
 @contextmanager
@@ -44,7 +43,7 @@ def open_view(path: Path) -> Iterator[Any]:
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError) as error:
         # h5py raises all of these for damaged files.
         raise InputError(
-            "an HDF5 file that cannot be read", got=str(error).strip("'\"")[:120], cause=_CUT_OFF, path=path
+            "an HDF5 file that cannot be read", got=str(error).strip("'\"")[:120], cause=CUT_OFF, path=path
         ) from error
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,11 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 
 from pipeline.proposals.class_names import read_class_names
 from pipeline.system.errors import InputError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # pyright: ignore[reportMissingImports]
+from pipeline.system.reading import parse_toml
 
 EXAMPLES = Path(__file__).with_name("detectors")
 """A TOML file for each form of output."""
@@ -126,7 +121,7 @@ def read_box_model(path: Path) -> BoxModel:
         The file cannot be read, or a key is unknown, missing or wrong.
     """
     try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        table: dict[str, Any] = parse_toml(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError("the detector's TOML file cannot be read", got=str(error), path=path) from error
     try:

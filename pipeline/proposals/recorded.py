@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import MaskCrop, RunLength, decode_crop
@@ -34,6 +34,7 @@ from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals, unknown_class
 from pipeline.system.errors import FrameUnusable, InputError
+from pipeline.system.reading import checked
 
 KEPT_ANSWERS = 32
 """Answers about the frame that was asked last, kept for when the same names are asked again."""
@@ -308,15 +309,9 @@ def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetectio
     shared: dict[str, str] = {}
     found: dict[str, FrameDetections] = {}
     for frame_id in list(frames):
-        try:
-            # What was read goes, frame by frame, so that both forms never stand side by side.
-            entries = reader.validate_python(frames.pop(frame_id))
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(p) for p in ("frames", frame_id, *first["loc"]))
-            raise InputError(
-                f"the recording does not follow the format at {place}", got=first["msg"], path=path
-            ) from error
+        # What was read goes, frame by frame, so that both forms never stand side by side.
+        wrong = "the recording does not follow the format at {}"
+        entries = checked(reader.validate_python, frames.pop(frame_id), wrong, path, inside=("frames", frame_id))
         found[frame_id] = _compact(entries, shared)
     return found
 
