@@ -17,6 +17,10 @@ from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_frame
 from pipeline.datasets.cameras import Recording, make_camera, or_note
 from pipeline.datasets.files import listing, natural
 from pipeline.datasets.semantic_abstraction_file import (
+    RANDOMIZED,
+    RENAMED,
+    SUFFIXES,
+    SYNONYMS,
     has,
     item_count,
     open_view,
@@ -25,6 +29,10 @@ from pipeline.datasets.semantic_abstraction_file import (
     read_integers,
     read_item,
     read_names,
+    read_split,
+    split_files,
+    view_name,
+    with_synonyms,
 )
 from pipeline.datasets.semantic_abstraction_objects import (
     SCENE_BOUNDS,
@@ -35,16 +43,6 @@ from pipeline.datasets.semantic_abstraction_objects import (
     fit_pose,
     object_ids,
     points_of,
-)
-from pipeline.datasets.semantic_abstraction_splits import (
-    RANDOMIZED,
-    RENAMED,
-    SUFFIXES,
-    SYNONYMS,
-    read_split,
-    split_files,
-    view_name,
-    with_synonyms,
 )
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import Camera, lift_pixels

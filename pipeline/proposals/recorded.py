@@ -30,9 +30,10 @@ from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import MaskCrop, RunLength, decode_crop
-from pipeline.language.naming import Synonyms, match
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.base import Proposals, no_proposals, unknown_class
+from pipeline.proposals.base import Proposals, no_proposals
+from pipeline.proposals.class_names import meant_names
 from pipeline.system.errors import FrameUnusable, InputError
 from pipeline.system.reading import checked
 
@@ -216,11 +217,8 @@ class RecordedDetector:
         """The recorded names that a name means."""
         meant = self._meanings.get(label)
         if meant is None:
-            known = self.vocabulary or ()
-            meant = match(label, known, self.synonyms)
-            if not meant:
-                raise unknown_class(label, known, f"the recording {self.path.name}")
-            self._meanings[label] = meant
+            where = f"the recording {self.path.name}"
+            self._meanings[label] = meant = meant_names(label, self.vocabulary or (), self.synonyms, where)
         return meant
 
     def _of_frame(self, frame: Frame) -> _Playback:

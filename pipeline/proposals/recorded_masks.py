@@ -20,9 +20,8 @@ from pydantic import BaseModel, Field, FiniteFloat
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import RunLength, decode_run_length, fill_polygons
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.detector_masks import DetectorSegmenter, Segments, segment_from
 from pipeline.proposals.recorded import RecordedDetector
-from pipeline.proposals.segmenter import Segmenter
+from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter, Segments, segment_from
 from pipeline.system.errors import FrameUnusable, InputError
 from pipeline.system.reading import checked
 

@@ -15,10 +15,9 @@ from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
 from pipeline.proposals.cache import CachedDetector, CachedSegmenter
 from pipeline.proposals.depth_segmenter import DepthSegmenter
-from pipeline.proposals.detector_masks import DetectorSegmenter
 from pipeline.proposals.ensemble import fused_detector
 from pipeline.proposals.recorded import RecordedDetector
-from pipeline.proposals.segmenter import Segmented, Segmenter
+from pipeline.proposals.segmenter import DetectorSegmenter, Segmented, Segmenter
 from pipeline.system.errors import InputError
 from pipeline.system.model_files import resolve_model
 from pipeline.system.plugins import load_plugins

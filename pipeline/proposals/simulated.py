@@ -30,8 +30,9 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.masks import MaskCrop
-from pipeline.language.naming import Synonyms, default_synonyms, match
-from pipeline.proposals.base import Proposals, no_proposals, unknown_class
+from pipeline.language.naming import Synonyms, default_synonyms
+from pipeline.proposals.base import Proposals, no_proposals
+from pipeline.proposals.class_names import meant_names
 from pipeline.system.errors import InputError
 from pipeline.system.reading import checked, parse_toml
 
@@ -201,9 +202,7 @@ class SimulatedDetector:
         """The classes that a name means: one query, however it is spelled."""
         meant = self._meanings.get((label, known))
         if meant is None:
-            meant = tuple(sorted(match(label, known, self.synonyms)))
-            if not meant:
-                raise unknown_class(label, known, "the dataset")
+            meant = tuple(sorted(meant_names(label, known, self.synonyms, "the dataset")))
             self._meanings[label, known] = meant
         return meant
 
