@@ -50,19 +50,18 @@ class BopDataset(Recording):
         if gray and len(gray) == len(self._folders):
             raise InputError("grey-scale images only", expected="a folder rgb/ with colour images", path=gray[0])
         self._class_names: tuple[str, ...] | None = None
-        self._place: dict[str, tuple[str, int]] = {}
-        for scene, folder in self._folders.items():
-            for image in read_images(folder / "scene_camera.json"):
-                self._place[f"{scene}/{image:06d}"] = (scene, image)
-        self.frame_ids = tuple(self._place)
+        self._index = {
+            f"{scene}/{image:06d}": (scene, image)
+            for scene, folder in self._folders.items()
+            for image in read_images(folder / "scene_camera.json")
+        }
+        self.frame_ids = tuple(self._index)
 
     @property
     def class_names(self) -> tuple[str, ...]:
         """The classes that are annotated anywhere, in the order of their object numbers."""
         if self._class_names is None:
-            numbers: set[int] = set()
-            for folder in self._folders.values():
-                numbers |= annotated_objects(folder)
+            numbers: set[int] = set().union(*map(annotated_objects, self._folders.values()))
             self._class_names = tuple(dict.fromkeys(self._label(number) for number in sorted(numbers)))
         return self._class_names
 
@@ -75,7 +74,7 @@ class BopDataset(Recording):
         return self._load(frame_id, annotated=False)
 
     def _load(self, frame_id: str, annotated: bool) -> Frame:
-        name, image = self._found(self._place, frame_id)
+        name, image = self._found(self._index, frame_id)
         scene = self._scene(name)
         table = scene.folder / "scene_camera.json"
         if image not in scene.camera:
@@ -300,11 +299,9 @@ def read_scene(folder: Path) -> BopScene:
     InputError
         A table that is malformed, or no `scene_camera.json`.
     """
-    optional: list[dict[int, Any] | None] = []
-    for name in ("scene_gt.json", "scene_gt_info.json"):
-        path = folder / name
-        optional.append(read_images(path) if path.is_file() else None)
-    return BopScene(folder, read_images(folder / "scene_camera.json"), *optional)
+    optional = (folder / name for name in ("scene_gt.json", "scene_gt_info.json"))
+    gt, gt_info = (read_images(path) if path.is_file() else None for path in optional)
+    return BopScene(folder, read_images(folder / "scene_camera.json"), gt, gt_info)
 
 
 def read_camera(entry: Any, path: Path, image: int) -> tuple[np.ndarray, float]:

@@ -140,8 +140,8 @@ def _fused(frames: list[Frame], T_camera_world: np.ndarray, config: ContextConfi
     )
     for frame in frames:
         assert frame.camera.T_world_camera is not None
-        doubtful = flying_pixels(frame.depth) | depth_edges(frame.depth)
-        depth = o3d.t.geometry.Image(o3d.core.Tensor(np.where(doubtful, np.float32(0), frame.depth)))
+        uncertain = flying_pixels(frame.depth) | depth_edges(frame.depth)
+        depth = o3d.t.geometry.Image(o3d.core.Tensor(np.where(uncertain, np.float32(0), frame.depth)))
         color = o3d.t.geometry.Image(o3d.core.Tensor(frame.rgb.astype(np.float32) / 255))
         K = o3d.core.Tensor(frame.camera.K)
         extrinsic = o3d.core.Tensor(np.linalg.inv(frame.camera.T_world_camera))

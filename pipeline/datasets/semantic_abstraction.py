@@ -95,7 +95,7 @@ class SemanticAbstractionDataset(Recording):
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        self._place: dict[str, tuple[str, int]] = {}
+        self._index: dict[str, tuple[str, int]] = {}
         self._views: dict[str, tuple[str, ...]] = {}
         names: set[str] = set()
         for view in sorted(_views_below(root, LEVELS), key=natural):
@@ -108,8 +108,8 @@ class SemanticAbstractionDataset(Recording):
                 pass
             ids = (view,) if count == 1 else tuple(f"{view}/{k}" for k in range(count))
             self._views[view] = ids
-            self._place.update({frame_id: (view, k) for k, frame_id in enumerate(ids)})
-        self.frame_ids = tuple(self._place)
+            self._index.update({frame_id: (view, k) for k, frame_id in enumerate(ids)})
+        self.frame_ids = tuple(self._index)
         self.class_names: tuple[str, ...] = tuple(sorted(names - NOT_AN_OBJECT))
 
     def load(self, frame_id: str) -> Frame:
@@ -194,7 +194,7 @@ class SemanticAbstractionDataset(Recording):
         return found
 
     def _view(self, frame_id: str) -> tuple[Path, int]:
-        known = self._place.get(frame_id.removesuffix(RANDOMIZED).removesuffix(RENAMED))
+        known = self._index.get(frame_id.removesuffix(RANDOMIZED).removesuffix(RENAMED))
         if known is None:
             raise unknown_frame(self, frame_id)
         return self.root / (known[0] + SUFFIX), known[1]

@@ -100,8 +100,8 @@ def camera_notes(settings: Settings, numbers: Sequence[float], whose: str) -> tu
     """What to say where the intrinsics are known from the format alone: nothing where a person told them."""
     if settings.intrinsics is not None:
         return ()
-    said = ",".join(f"{n:g}" for n in numbers)
-    return (f"the camera is {whose}, {said}, which no file states: --intrinsics fx,fy,cx,cy tells another",)
+    values = ",".join(f"{n:g}" for n in numbers)
+    return (f"the camera is {whose}, {values}, which no file states: --intrinsics fx,fy,cx,cy tells another",)
 
 
 def read_settings(root: Path) -> Settings:

@@ -196,13 +196,10 @@ class SunRgbdVoteNetDataset(Recording):
     def class_names(self) -> tuple[str, ...]:
         """Every name that any label file begins a line with, in alphabetical order."""
         if self._class_names is None:
-            names: set[str] = set()
-            for path in [] if self._labels is None else [self._labels / n for n in listing(self._labels)[1]]:
-                try:
-                    names.update(line.split(maxsplit=1)[0] for _, line in numbered_lines(path))
-                except InputError:  # Told when the frame is loaded.
-                    continue
-            self._class_names = tuple(sorted(names))
+            paths = [] if self._labels is None else [self._labels / n for n in listing(self._labels)[1]]
+            # What is unusable is told when the frame is loaded.
+            lines = [line for path in paths for _, line in or_note([], "", numbered_lines, path) or ()]
+            self._class_names = tuple(sorted({line.split(maxsplit=1)[0] for line in lines}))
         return self._class_names
 
     def load(self, frame_id: str) -> Frame:

@@ -78,9 +78,9 @@ def is_floor(surface: SurfaceBlocks, up: np.ndarray, offset: float) -> bool:
     off &= height < TALLEST_M
     along = surface.normals @ up
     level, upright = off & (along > _LEVEL), off & (np.abs(along) < UPRIGHT)
-    above, beside = _on_wall(up)
+    above, across = _on_wall(up)
     rolls = np.deg2rad(ROLLS_DEG)
-    wall_up = (above[:, None] * np.cos(rolls) + beside[:, None] * np.sin(rolls)).astype(np.float32)
+    wall_up = (above[:, None] * np.cos(rolls) + across[:, None] * np.sin(rolls)).astype(np.float32)
 
     def straight(blocks: np.ndarray) -> np.ndarray:
         cosine = np.abs(surface.normals[blocks] @ wall_up)
@@ -88,12 +88,12 @@ def is_floor(surface: SurfaceBlocks, up: np.ndarray, offset: float) -> bool:
 
     turned = np.zeros(len(rolls))
     for patch, around in _patches(surface, upright):
-        if _stands_out(surface, patch, around, above, beside):
+        if _stands_out(surface, patch, around, above, across):
             turned += np.count_nonzero(~straight(patch), axis=0)
     for patch, around in _patches(surface, level):
         hidden = height[around] > height[patch].max() + LEAST_THING_M
         if np.count_nonzero(hidden) < MOST_HIDDEN * len(around):
-            turned += len(patch) * _is_turned(surface, patch, above, beside)
+            turned += len(patch) * _is_turned(surface, patch, above, across)
     others = np.flatnonzero(off & ~level & ~upright)
     only_wall = np.count_nonzero(straight(others), axis=0) - BY_CHANCE * len(others)
     roll = int((turned - only_wall).argmin())
@@ -121,23 +121,23 @@ def _patches(surface: SurfaceBlocks, chosen: np.ndarray) -> Iterator[tuple[np.nd
 
 
 def _stands_out(
-    surface: SurfaceBlocks, patch: np.ndarray, around: np.ndarray, above: np.ndarray, beside: np.ndarray
+    surface: SurfaceBlocks, patch: np.ndarray, around: np.ndarray, above: np.ndarray, across: np.ndarray
 ) -> bool:
     """Whether a side is one of a thing, no wall or slope of a roof: what is seen beyond its edges lies behind it."""
     points, normals = surface.points[patch], surface.normals[patch]
     ring, tolerance = surface.points[around], plane_tolerance(surface.points[around])
     behind = np.zeros(len(around), np.bool_)
-    facing = np.rint(np.rad2deg(np.arctan2(normals @ above, normals @ beside)) / FACE_DEG)
+    facing = np.rint(np.rad2deg(np.arctan2(normals @ above, normals @ across)) / FACE_DEG)
     for face in (facing == k for k in np.unique(facing)):
         if np.count_nonzero(face) >= MIN_PATCH_BLOCKS:
             behind |= (ring - points[face].mean(axis=0)) @ normals[face].mean(axis=0) < -tolerance
     return bool(np.count_nonzero(behind) > LEAST_BEHIND * len(around))
 
 
-def _is_turned(surface: SurfaceBlocks, patch: np.ndarray, above: np.ndarray, beside: np.ndarray) -> np.ndarray:
+def _is_turned(surface: SurfaceBlocks, patch: np.ndarray, above: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Of each roll whether the edges of a level patch run mostly neither along nor across up on a wall."""
     points = surface.points[patch]
-    plan = np.stack([points @ beside, points @ above], axis=1).astype(np.float32)
+    plan = np.stack([points @ across, points @ above], axis=1).astype(np.float32)
     hull = np.asarray(cv2.convexHull(plan, returnPoints=False)[:, 0], np.int64)
     size = np.sqrt(cv2.contourArea(plan[hull]))
     corners = _corners(plan[hull], hull, CORNER * size)

@@ -169,8 +169,8 @@ class RecordedDetector:
         else:
             content = _read_object(self.path)
             self.made_by, self._recording = _maker(content), _read_frames(content, self.path)
-        said = "" if self.made_by is None else f"<{self.made_by}"
-        self._fingerprint = f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{min_score}{said}"
+        maker = "" if self.made_by is None else f"<{self.made_by}"
+        self._fingerprint = f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{min_score}{maker}"
         self._meanings: dict[str, tuple[str, ...]] = {}
         self._last: _Playback | None = None
 
@@ -291,8 +291,8 @@ def _read_object(path: Path) -> dict[str, Any]:
 
 def _maker(content: dict[str, Any]) -> str | None:
     """The detector that the recording names, where it names one."""
-    said = content.get(MADE_BY)
-    return said if isinstance(said, str) and said else None
+    maker = content.get(MADE_BY)
+    return maker if isinstance(maker, str) and maker else None
 
 
 def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetections]:

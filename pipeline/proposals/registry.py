@@ -271,19 +271,19 @@ class DetectorSetup:
         return found
 
 
-def made_by(said: str | None, detector: Detector) -> bool:
+def made_by(text: str | None, detector: Detector) -> bool:
     """Whether a detector is the one that labels or a run name as theirs; the segmenter of either does not count.
 
     Parameters
     ----------
-    said : str or None
+    text : str or None
         "name: fingerprint", with the segmenter's behind "+" and "|": `models["detector"]` of a manifest.
     detector : Detector
     """
     own = detector.detector if isinstance(detector, Segmented) else detector
     name, fingerprint = own.name, own.fingerprint()
-    said = said or ""
-    return said == f"{name}: {fingerprint}" or (said.startswith(f"{name}+") and f": {fingerprint}|" in said)
+    text = text or ""
+    return text == f"{name}: {fingerprint}" or (text.startswith(f"{name}+") and f": {fingerprint}|" in text)
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.registry import DetectorSetup, made_by
+from pipeline.system.background import SharedJob
 from pipeline.system.errors import InputError
-from pipeline.system.shared_job import SharedJob
 
 Step = tuple[str, int, int]
 """What is asked ("frames" of a detector, "networks"), how many are done, of how many."""
