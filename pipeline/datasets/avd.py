@@ -95,7 +95,7 @@ class AvdDataset(Recording):
         super().__init__(root, settings)
         self._tables: dict[str, _Tables] = {}
         self._scans: dict[str, _Scan] = {}
-        self._place: dict[str, tuple[str, str]] = {}
+        self._index: dict[str, tuple[str, str]] = {}
         labels: dict[int, str] = {}
         for name, folder, prefix in _scan_folders(root):
             listed, instances = _listed(folder)
@@ -103,9 +103,9 @@ class AvdDataset(Recording):
             stems = sorted(set(images) | listed | _depths(folder / "high_res_depth"))
             names = _names(folder)
             self._scans[name] = _Scan(folder, name, prefix, images, names, stems[0] if stems else "")
-            self._place.update({prefix + stem: (name, stem) for stem in stems})
+            self._index.update({prefix + stem: (name, stem) for stem in stems})
             labels.update({instance: label_of(instance, names) for instance in instances})
-        self.frame_ids = tuple(self._place)
+        self.frame_ids = tuple(self._index)
         self.notes = unit_notes(settings, UNITS_PER_METRE, "AVD's")
         self.class_names: tuple[str, ...] = tuple(dict.fromkeys(labels[i] for i in sorted(labels)))
 
@@ -155,14 +155,14 @@ class AvdDataset(Recording):
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """The frames that each split of the site tests on, as far as their scans are here; see `SPLITS`."""
-        places = self._place.items()
+        places = self._index.items()
         found = {
             split: tuple(frame_id for frame_id, (scan, _) in places if scan in scans) for split, scans in SPLITS.items()
         }
         return {split: ids for split, ids in found.items() if ids}
 
     def _stem(self, frame_id: str) -> tuple[_Scan, str]:
-        name, stem = self._found(self._place, frame_id)
+        name, stem = self._found(self._index, frame_id)
         return self._scans[name], stem
 
     def _read(self, scan: _Scan) -> _Tables:
@@ -235,14 +235,9 @@ def _read_tables(scan: _Scan) -> _Tables:
 
 def _listed(folder: Path) -> tuple[set[str], set[int]]:
     """The images that a scan's annotations list, and the instances; none where they cannot be read."""
-    try:
-        table = read_annotations(folder / "annotations.json")
-    except InputError:  # Told when a frame is loaded.
-        return set(), set()
-    instances: set[int] = set()
-    for entry in table.values():
-        instances |= instances_of(entry)
-    return set(table), instances
+    # What is unusable is told when a frame is loaded.
+    table = or_note([], "", read_annotations, folder / "annotations.json") or {}
+    return set(table), set().union(*map(instances_of, table.values()))
 
 
 def _names(folder: Path) -> dict[int, str]:

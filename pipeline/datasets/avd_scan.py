@@ -5,7 +5,6 @@ https://www.cs.unc.edu/~ammirato/active_vision_dataset_website
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.cameras import inverse, rigid
-from pipeline.datasets.files import as_floats, numbered_lines, read_bytes, read_json
+from pipeline.datasets.files import as_floats, numbered_lines, read_json, read_mat
 from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Annotation
 from pipeline.system.errors import InputError
@@ -234,18 +233,7 @@ def read_poses(path: Path) -> AvdPoses:
     InputError
         Missing, cut off, no MATLAB file, or of other content.
     """
-    data = read_bytes(path)
-    from scipy.io import loadmat
-
-    try:
-        table = loadmat(io.BytesIO(data), variable_names=["image_structs", "scale"])
-    except Exception as error:  # The package raises a dozen kinds of error for damaged files.
-        raise InputError(
-            "a MATLAB file that cannot be read",
-            got=str(error)[:120],
-            cause="was the copy or the download interrupted?",
-            path=path,
-        ) from error
+    table = read_mat(path, "image_structs", "scale")
     structs, scale = table.get("image_structs"), np.asarray(table.get("scale", ()))
     fields = structs.dtype.names or () if isinstance(structs, np.ndarray) else ()
     if not isinstance(structs, np.ndarray) or not {"image_name", "R", "t"} <= set(fields):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -15,6 +16,7 @@ import numpy as np
 
 from pipeline.system.errors import InputError
 
+CUT_OFF = "was the copy or the download interrupted?"
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
 
 
@@ -123,15 +125,35 @@ def as_floats(values: Any, count: int, path: Path, what: str = "numbers") -> np.
     return array
 
 
-def listing(folder: Path) -> tuple[list[str], list[str]]:
-    """Names of the folders and of the files in a folder, each in natural order, without hidden ones."""
+def read_mat(path: Path, *names: str) -> dict[str, Any]:
+    """The named variables of a MATLAB file, as far as it has them.
+
+    Raises
+    ------
+    InputError
+        Missing, cut off, or no MATLAB file.
+    """
+    data = read_bytes(path)
+    from scipy.io import loadmat
+
+    try:
+        return loadmat(io.BytesIO(data), variable_names=names)
+    except Exception as error:  # The package raises a dozen kinds of error for damaged files.
+        raise InputError("a MATLAB file that cannot be read", got=str(error)[:120], cause=CUT_OFF, path=path) from error
+
+
+def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
+    """Names of the folders and of the files in a folder, each in natural order, without hidden ones.
+
+    Without `links` a folder that is a link counts as a file.
+    """
     folders: list[str] = []
     files: list[str] = []
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
                 if not entry.name.startswith("."):
-                    (folders if entry.is_dir() else files).append(entry.name)
+                    (folders if entry.is_dir(follow_symlinks=links) else files).append(entry.name)
     except OSError as error:
         raise InputError("a folder cannot be listed", got=error.strerror, path=folder) from error
     return sorted(folders, key=natural), sorted(files, key=natural)
@@ -164,11 +186,11 @@ class Pair:
 
 def image_files(root: Path, folders: tuple[str, ...], suffixes: tuple[str, ...], what: str) -> list[Path]:
     """The image files of the only folder that is named as one of `folders`."""
-    found: dict[str, list[Path]] = {}
-    for name in listing(root)[0]:
-        if name.lower() in folders:
-            paths = [root / name / file for file in listing(root / name)[1]]
-            found[name] = [path for path in paths if path.suffix.lower() in suffixes]
+    found = {
+        name: [root / name / file for file in listing(root / name)[1] if Path(file).suffix.lower() in suffixes]
+        for name in listing(root)[0]
+        if name.lower() in folders
+    }
     full = {name: paths for name, paths in found.items() if paths}
     if not full:
         raise InputError(

@@ -67,10 +67,10 @@ class UpGiven:
     @cached_property
     def up(self) -> GivenUp | None:
         """What was told of the whole dataset, with its frame."""
-        said = self.settings.up
-        if said is None or said.frame is not None:
-            return said
-        return replace(said, frame="world" if self.posed else "camera")
+        told = self.settings.up
+        if told is None or told.frame is not None:
+            return told
+        return replace(told, frame="world" if self.posed else "camera")
 
     @cached_property
     def posed(self) -> bool | None:
@@ -102,8 +102,8 @@ class UpGiven:
         camera, settings, notes = self._camera(frame), self.settings, frame.notes
         if camera is frame.camera:
             if camera.up is None and (self.up is not None or settings.world_up is not None):
-                said = f"up {self.up}" if self.up is not None else "world_up"
-                notes = (*notes, f"{said} is of the world, and this frame has no pose: it is not used")
+                told = f"up {self.up}" if self.up is not None else "world_up"
+                notes = (*notes, f"{told} is of the world, and this frame has no pose: it is not used")
         elif settings.up is not None and settings.up.frame is None:
             notes = (*notes, f"up {settings.up} is taken as {self.up}")
         return replace(frame, camera=camera, notes=(*notes, *self.doubts(frame)))

@@ -15,13 +15,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.datasets.files import read_bytes
+from pipeline.datasets.files import CUT_OFF, read_bytes
 from pipeline.system.errors import InputError
 
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy")
 INTEGER_DEPTH_SUFFIXES = (".png", ".pgm")
 
-_CUT_OFF = "was the copy or the download interrupted?"
 _MAGIC = {
     b"\x89PNG\r\n\x1a\n": "png",
     b"\xff\xd8": "jpeg",
@@ -162,7 +161,7 @@ def _check_png(data: bytes, path: Path) -> None:
         if view[position + 4 : position + 8] == b"IEND":
             return
         position = end
-    raise InputError("a PNG that is cut off", got=f"{len(data)} bytes", cause=_CUT_OFF, path=path)
+    raise InputError("a PNG that is cut off", got=f"{len(data)} bytes", cause=CUT_OFF, path=path)
 
 
 def _check_jpeg(data: bytes, path: Path) -> None:
@@ -190,7 +189,7 @@ def _check_jpeg(data: bytes, path: Path) -> None:
                 if following is None:
                     break
                 position = following.start()
-    raise InputError("a JPEG that is cut off", got=f"{len(data)} bytes", cause=_CUT_OFF, path=path)
+    raise InputError("a JPEG that is cut off", got=f"{len(data)} bytes", cause=CUT_OFF, path=path)
 
 
 def _decode(data: bytes, kind: str, path: Path, flags: int) -> np.ndarray:
@@ -223,7 +222,7 @@ def _decode_pnm(data: bytes, path: Path, flags: int) -> np.ndarray:
             "a PGM or PPM that is cut off",
             got=f"{len(data) - header.end()} bytes of pixels",
             expected=count * dtype.itemsize,
-            cause=_CUT_OFF,
+            cause=CUT_OFF,
             path=path,
         )
     pixels = np.frombuffer(data, dtype, count, header.end()).reshape(height, width, channels)
@@ -239,7 +238,7 @@ def _decode_npy(data: bytes, path: Path) -> np.ndarray:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, EOFError, MemoryError, OverflowError, SyntaxError, TypeError) as error:
-        raise InputError("an NPY that cannot be read", got=str(error)[:120], cause=_CUT_OFF, path=path) from error
+        raise InputError("an NPY that cannot be read", got=str(error)[:120], cause=CUT_OFF, path=path) from error
     return np.asarray(array)
 
 

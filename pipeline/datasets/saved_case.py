@@ -8,6 +8,7 @@ outside its folder, and the sha256 of each stands in `spatialviz-case.json`.
 from __future__ import annotations
 
 import hashlib
+import io
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,9 +25,11 @@ from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.masks import RunLength, decode_run_length, encode_run_length
 from pipeline.system.errors import InputError
+from pipeline.system.reading import checked
 
 MANIFEST = "spatialviz-case.json"
 CASE_FORMAT = "spatialviz-case-1"
+DAMAGED = "the case is damaged at {}"
 COLOR = "rgb.png"
 UNITS = (1000.0, 10_000.0, 5000.0, 4000.0, 2000.0, 8000.0, 256.0, 1.0)
 """Depth units in one metre that are tried, so that depth is 16-bit integers to the last bit."""
@@ -114,8 +117,6 @@ def _annotation_record(a: Annotation) -> dict[str, Any]:
 
 def _depth_bytes(depth: np.ndarray) -> tuple[str, float | None, bytes]:
     """The depth's file, its units in one metre, and its bytes: integers where they give every pixel back."""
-    import io
-
     for units in UNITS:
         stored = np.round(depth.astype(np.float64) * units)
         if stored.max(initial=0) < 65536:
@@ -211,17 +212,14 @@ def _answered_up(manifest: dict[str, Any]) -> tuple[Three | None, UpSource | Non
 
 
 def _frame_part(manifest: dict[str, Any], path: Path) -> SavedFrame:
-    try:
-        return SavedFrame.model_validate(manifest.get("frame"))
-    except ValidationError as error:
-        raise damaged(error, path, "frame") from error
+    return checked(SavedFrame.model_validate, manifest.get("frame"), DAMAGED, path, inside=("frame",))
 
 
 def damaged(error: ValidationError, path: Path, *inside: str) -> InputError:
     """The first fault of a record, and where it stands."""
     first = error.errors()[0]
     place = ".".join(str(p) for p in (*inside, *first["loc"])) or "the top"
-    return InputError(f"the case is damaged at {place}", got=first["msg"], path=path)
+    return InputError(DAMAGED.replace("{}", place), got=first["msg"], path=path)
 
 
 def _annotation(saved: SavedAnnotation, shape: tuple[int, ...]) -> Annotation:

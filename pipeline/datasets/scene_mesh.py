@@ -8,7 +8,6 @@ there its own cloud stands.
 from __future__ import annotations
 
 import importlib
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import depth_edges, flying_pixels
 from pipeline.system.errors import FrameUnusable, InputError, MissingExtra
 from pipeline.system.paths import cache_folder
-from pipeline.system.whole_files import keep_whole
+from pipeline.system.whole_files import keep_whole, write_whole
 
 _VERSION = "1"
 
@@ -141,8 +140,8 @@ def _fused(frames: list[Frame], T_camera_world: np.ndarray, config: ContextConfi
     )
     for frame in frames:
         assert frame.camera.T_world_camera is not None
-        doubtful = flying_pixels(frame.depth) | depth_edges(frame.depth)
-        depth = o3d.t.geometry.Image(o3d.core.Tensor(np.where(doubtful, np.float32(0), frame.depth)))
+        uncertain = flying_pixels(frame.depth) | depth_edges(frame.depth)
+        depth = o3d.t.geometry.Image(o3d.core.Tensor(np.where(uncertain, np.float32(0), frame.depth)))
         color = o3d.t.geometry.Image(o3d.core.Tensor(frame.rgb.astype(np.float32) / 255))
         K = o3d.core.Tensor(frame.camera.K)
         extrinsic = o3d.core.Tensor(np.linalg.inv(frame.camera.T_world_camera))
@@ -223,10 +222,4 @@ def export_mesh(mesh: ContextMesh, path: Path) -> None:
         raise InputError("a mesh cannot be written as this", got=path.suffix, expected=".ply, .obj or .glb", path=path)
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
     data = solid.export(file_type=path.suffix.lower()[1:])
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_bytes(data.encode() if isinstance(data, str) else bytes(data))
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise InputError("the mesh cannot be written", got=error.strerror, path=path) from error
+    write_whole(path, data.encode() if isinstance(data, str) else bytes(data), "the mesh", make_folder=False)

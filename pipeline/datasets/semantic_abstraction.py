@@ -15,8 +15,12 @@ import numpy as np
 
 from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_frame
 from pipeline.datasets.cameras import Recording, make_camera, or_note
-from pipeline.datasets.files import natural
+from pipeline.datasets.files import listing, natural
 from pipeline.datasets.semantic_abstraction_file import (
+    RANDOMIZED,
+    RENAMED,
+    SUFFIXES,
+    SYNONYMS,
     has,
     item_count,
     open_view,
@@ -25,6 +29,10 @@ from pipeline.datasets.semantic_abstraction_file import (
     read_integers,
     read_item,
     read_names,
+    read_split,
+    split_files,
+    view_name,
+    with_synonyms,
 )
 from pipeline.datasets.semantic_abstraction_objects import (
     SCENE_BOUNDS,
@@ -35,16 +43,6 @@ from pipeline.datasets.semantic_abstraction_objects import (
     fit_pose,
     object_ids,
     points_of,
-)
-from pipeline.datasets.semantic_abstraction_splits import (
-    RANDOMIZED,
-    RENAMED,
-    SUFFIXES,
-    SYNONYMS,
-    read_split,
-    split_files,
-    view_name,
-    with_synonyms,
 )
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import Camera, lift_pixels
@@ -97,7 +95,7 @@ class SemanticAbstractionDataset(Recording):
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        self._place: dict[str, tuple[str, int]] = {}
+        self._index: dict[str, tuple[str, int]] = {}
         self._views: dict[str, tuple[str, ...]] = {}
         names: set[str] = set()
         for view in sorted(_views_below(root, LEVELS), key=natural):
@@ -110,8 +108,8 @@ class SemanticAbstractionDataset(Recording):
                 pass
             ids = (view,) if count == 1 else tuple(f"{view}/{k}" for k in range(count))
             self._views[view] = ids
-            self._place.update({frame_id: (view, k) for k, frame_id in enumerate(ids)})
-        self.frame_ids = tuple(self._place)
+            self._index.update({frame_id: (view, k) for k, frame_id in enumerate(ids)})
+        self.frame_ids = tuple(self._index)
         self.class_names: tuple[str, ...] = tuple(sorted(names - NOT_AN_OBJECT))
 
     def load(self, frame_id: str) -> Frame:
@@ -196,7 +194,7 @@ class SemanticAbstractionDataset(Recording):
         return found
 
     def _view(self, frame_id: str) -> tuple[Path, int]:
-        known = self._place.get(frame_id.removesuffix(RANDOMIZED).removesuffix(RENAMED))
+        known = self._index.get(frame_id.removesuffix(RANDOMIZED).removesuffix(RENAMED))
         if known is None:
             raise unknown_frame(self, frame_id)
         return self.root / (known[0] + SUFFIX), known[1]
@@ -328,9 +326,8 @@ def _recognises(root: Path) -> bool:
     if split_files(root):
         return bool(_views_below(root, LEVELS))
     try:
-        with os.scandir(root) as entries:
-            folders = [e.name for e in entries if e.is_dir(follow_symlinks=False) and not e.name.startswith(".")]
-    except OSError:
+        folders, _ = listing(root, links=False)
+    except InputError:
         return False
     below = [next(iter(_views_below(root / name, LEVELS - 1)), None) for name in folders]
     good = sum(view is not None and _is_view(root / name, view) for name, view in zip(folders, below, strict=True))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,11 +11,8 @@ from typing import Any, Literal
 
 from pipeline.geometry.camera import UpSource
 from pipeline.system.errors import InputError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # pyright: ignore[reportMissingImports]
+from pipeline.system.reading import parse_toml
+from pipeline.system.whole_files import write_whole
 
 FILE_NAME = "spatialviz.toml"
 KEYS = ("name", "intrinsics", "depth_scale", "world_up", "up", "frame_up")
@@ -105,8 +100,8 @@ def camera_notes(settings: Settings, numbers: Sequence[float], whose: str) -> tu
     """What to say where the intrinsics are known from the format alone: nothing where a person told them."""
     if settings.intrinsics is not None:
         return ()
-    said = ",".join(f"{n:g}" for n in numbers)
-    return (f"the camera is {whose}, {said}, which no file states: --intrinsics fx,fy,cx,cy tells another",)
+    values = ",".join(f"{n:g}" for n in numbers)
+    return (f"the camera is {whose}, {values}, which no file states: --intrinsics fx,fy,cx,cy tells another",)
 
 
 def read_settings(root: Path) -> Settings:
@@ -121,8 +116,8 @@ def read_settings(root: Path) -> Settings:
     if not path.is_file():
         return Settings()
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        table = parse_toml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise InputError("the settings cannot be read", got=str(error), path=path) from error
     # Tables such as [generator] say how the data came to be; they are for people and other tools.
     table = {key: value for key, value in table.items() if key == TABLE or not isinstance(value, dict)}
@@ -172,13 +167,8 @@ def write_settings(
     lines += _tables(root / FILE_NAME)
     if told:
         lines += ["", f"[{TABLE}]", *(f"{_quoted(frame)} = {list(v)!r}" for frame, v in told.items())]
-    path, temporary = root / FILE_NAME, root / f".{FILE_NAME}.{os.getpid()}"
-    try:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError("the settings cannot be written", got=error.strerror, path=path) from error
-    return path
+    write_whole(root / FILE_NAME, ("\n".join(lines) + "\n").encode(), "the settings", make_folder=False)
+    return root / FILE_NAME
 
 
 def _tables(path: Path) -> list[str]:

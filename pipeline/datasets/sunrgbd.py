@@ -6,16 +6,14 @@ Published: `image/`, `depth/`, `intrinsics.txt` and `extrinsics/`, a folder a pi
 
 from __future__ import annotations
 
-import io
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import Recording, nearest_rotation, one_file, or_note, read_pair
-from pipeline.datasets.files import COLOR_SUFFIXES, as_floats, listing, natural, numbered_lines, read_bytes, read_matrix
+from pipeline.datasets.files import COLOR_SUFFIXES, as_floats, listing, natural, numbered_lines, read_mat, read_matrix
 from pipeline.datasets.images import read_color
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.boxes import Box3D
@@ -107,20 +105,10 @@ def _tilt(folder: Path) -> np.ndarray:
 
 def _entries(folder: Path) -> tuple[list[str], list[str]]:
     """Names of the folders, without links, and of the files; none where the folder may not be read."""
-    folders: list[str] = []
-    files: list[str] = []
     try:
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                if entry.name.startswith("."):
-                    continue
-                if entry.is_dir(follow_symlinks=False):
-                    folders.append(entry.name)
-                else:
-                    files.append(entry.name)
-    except OSError:
+        return listing(folder, links=False)
+    except InputError:
         return [], []
-    return folders, files
 
 
 def _is_frame(folder: Path) -> bool:
@@ -208,13 +196,10 @@ class SunRgbdVoteNetDataset(Recording):
     def class_names(self) -> tuple[str, ...]:
         """Every name that any label file begins a line with, in alphabetical order."""
         if self._class_names is None:
-            names: set[str] = set()
-            for path in [] if self._labels is None else [self._labels / n for n in listing(self._labels)[1]]:
-                try:
-                    names.update(line.split(maxsplit=1)[0] for _, line in numbered_lines(path))
-                except InputError:  # Told when the frame is loaded.
-                    continue
-            self._class_names = tuple(sorted(names))
+            paths = [] if self._labels is None else [self._labels / n for n in listing(self._labels)[1]]
+            # What is unusable is told when the frame is loaded.
+            lines = [line for path in paths for _, line in or_note([], "", numbered_lines, path) or ()]
+            self._class_names = tuple(sorted({line.split(maxsplit=1)[0] for line in lines}))
         return self._class_names
 
     def load(self, frame_id: str) -> Frame:
@@ -281,18 +266,7 @@ def _points(path: Path) -> np.ndarray:
     InputError
         Missing, cut off, no MATLAB file, or of another shape.
     """
-    data = read_bytes(path)
-    from scipy.io import loadmat
-
-    try:
-        table: Any = loadmat(io.BytesIO(data), variable_names=["instance"]).get("instance")
-    except Exception as error:  # The package raises a dozen kinds of error for damaged files.
-        raise InputError(
-            "a MATLAB file that cannot be read",
-            got=str(error)[:120],
-            cause="was the copy or the download interrupted?",
-            path=path,
-        ) from error
+    table = read_mat(path, "instance").get("instance")
     if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] < 3 or table.dtype.kind not in "fiu":
         raise InputError(
             "the file has no list of points",

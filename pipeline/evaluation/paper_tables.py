@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
+from pipeline.datasets.semantic_abstraction_file import SUBSETS, subsets_of
 from pipeline.datasets.settings import read_settings
 from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.grounding_tables import OPM_ONLY, clusters_of, column, has_opm, read_reported

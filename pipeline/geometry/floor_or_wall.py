@@ -3,16 +3,25 @@
 The two look alike, and so do most things on them: a box on a floor is a cabinet on a wall, a hole in a table a window.
 But what hangs on a wall hangs straight, and what stands on a floor stands as it likes: a thing that is turned about the
 plane's normal away from where up would be on a wall, stands on a floor.
+
+A frame's surface is looked at in blocks of pixels: as much as its large planes need.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
 
-from pipeline.geometry.surface_blocks import PARALLEL_DEG, UPRIGHT, SurfaceBlocks, plane_tolerance
+from pipeline.geometry.camera import Camera, lift_pixels
+from pipeline.geometry.normals import surface_normals
+
+PARALLEL_DEG = 8.0
+UPRIGHT_DEG = 10.0
+UPRIGHT = float(np.sin(np.deg2rad(UPRIGHT_DEG)))
 
 LOOKED_UP_DEG = 38.0
 """No one looks up at a wall by more than this."""
@@ -69,9 +78,9 @@ def is_floor(surface: SurfaceBlocks, up: np.ndarray, offset: float) -> bool:
     off &= height < TALLEST_M
     along = surface.normals @ up
     level, upright = off & (along > _LEVEL), off & (np.abs(along) < UPRIGHT)
-    above, beside = _on_wall(up)
+    above, across = _on_wall(up)
     rolls = np.deg2rad(ROLLS_DEG)
-    wall_up = (above[:, None] * np.cos(rolls) + beside[:, None] * np.sin(rolls)).astype(np.float32)
+    wall_up = (above[:, None] * np.cos(rolls) + across[:, None] * np.sin(rolls)).astype(np.float32)
 
     def straight(blocks: np.ndarray) -> np.ndarray:
         cosine = np.abs(surface.normals[blocks] @ wall_up)
@@ -79,12 +88,12 @@ def is_floor(surface: SurfaceBlocks, up: np.ndarray, offset: float) -> bool:
 
     turned = np.zeros(len(rolls))
     for patch, around in _patches(surface, upright):
-        if _stands_out(surface, patch, around, above, beside):
+        if _stands_out(surface, patch, around, above, across):
             turned += np.count_nonzero(~straight(patch), axis=0)
     for patch, around in _patches(surface, level):
         hidden = height[around] > height[patch].max() + LEAST_THING_M
         if np.count_nonzero(hidden) < MOST_HIDDEN * len(around):
-            turned += len(patch) * _is_turned(surface, patch, above, beside)
+            turned += len(patch) * _is_turned(surface, patch, above, across)
     others = np.flatnonzero(off & ~level & ~upright)
     only_wall = np.count_nonzero(straight(others), axis=0) - BY_CHANCE * len(others)
     roll = int((turned - only_wall).argmin())
@@ -112,23 +121,23 @@ def _patches(surface: SurfaceBlocks, chosen: np.ndarray) -> Iterator[tuple[np.nd
 
 
 def _stands_out(
-    surface: SurfaceBlocks, patch: np.ndarray, around: np.ndarray, above: np.ndarray, beside: np.ndarray
+    surface: SurfaceBlocks, patch: np.ndarray, around: np.ndarray, above: np.ndarray, across: np.ndarray
 ) -> bool:
     """Whether a side is one of a thing, no wall or slope of a roof: what is seen beyond its edges lies behind it."""
     points, normals = surface.points[patch], surface.normals[patch]
     ring, tolerance = surface.points[around], plane_tolerance(surface.points[around])
     behind = np.zeros(len(around), np.bool_)
-    facing = np.rint(np.rad2deg(np.arctan2(normals @ above, normals @ beside)) / FACE_DEG)
+    facing = np.rint(np.rad2deg(np.arctan2(normals @ above, normals @ across)) / FACE_DEG)
     for face in (facing == k for k in np.unique(facing)):
         if np.count_nonzero(face) >= MIN_PATCH_BLOCKS:
             behind |= (ring - points[face].mean(axis=0)) @ normals[face].mean(axis=0) < -tolerance
     return bool(np.count_nonzero(behind) > LEAST_BEHIND * len(around))
 
 
-def _is_turned(surface: SurfaceBlocks, patch: np.ndarray, above: np.ndarray, beside: np.ndarray) -> np.ndarray:
+def _is_turned(surface: SurfaceBlocks, patch: np.ndarray, above: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Of each roll whether the edges of a level patch run mostly neither along nor across up on a wall."""
     points = surface.points[patch]
-    plan = np.stack([points @ beside, points @ above], axis=1).astype(np.float32)
+    plan = np.stack([points @ across, points @ above], axis=1).astype(np.float32)
     hull = np.asarray(cv2.convexHull(plan, returnPoints=False)[:, 0], np.int64)
     size = np.sqrt(cv2.contourArea(plan[hull]))
     corners = _corners(plan[hull], hull, CORNER * size)
@@ -147,3 +156,63 @@ def _corners(outline: np.ndarray, numbers: np.ndarray, slack: float) -> np.ndarr
     """The numbers of those points of an outline ((N, 2)) that draw it within `slack` metres."""
     drawn = cv2.approxPolyDP(outline, slack, True)[:, 0]
     return numbers[[int(np.abs(outline - corner).sum(axis=1).argmin()) for corner in drawn]]
+
+
+NEAREST_M, FARTHEST_M = 0.15, 10.0
+GRID_BLOCKS = 12_000
+VOTERS = 4000
+
+
+@dataclass(frozen=True)
+class SurfaceBlocks:
+    """What is seen in each block of pixels that has a depth.
+
+    Attributes
+    ----------
+    points, normals : (N, 3) float32
+        Camera frame, metres; the normals point towards the camera.
+    flat : (N,) bool
+        Whether the normal is known.
+    v, u : (N,) int64
+        Row and column of the block.
+    shape : (int, int)
+        Rows and columns of blocks.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    flat: np.ndarray
+    v: np.ndarray
+    u: np.ndarray
+    shape: tuple[int, int]
+
+    @cached_property
+    def voters(self) -> np.ndarray:
+        """Some of the flat normals, evenly: enough to weigh directions; planes are fitted to all points."""
+        normals = self.normals[self.flat]
+        return normals[:: max(1, len(normals) // VOTERS)]
+
+
+def surface_blocks(depth: np.ndarray, camera: Camera) -> SurfaceBlocks:
+    """Means over blocks of pixels, of inverse depth: in it a plane stays a plane."""
+    height, width = depth.shape
+    side = max(1, round(float(np.sqrt(height * width / GRID_BLOCKS))))
+    rows, columns = height // side, width // side
+    cut = depth[: rows * side, : columns * side]
+    has = (cut > NEAREST_M) & (cut < FARTHEST_M)
+    inverse = np.divide(1.0, cut, out=np.zeros(cut.shape, np.float32), where=has)
+    filled = cv2.resize(has.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    mean = cv2.resize(inverse, (columns, rows), interpolation=cv2.INTER_AREA)
+    z = np.divide(filled, mean, out=np.zeros_like(mean), where=filled > 0.5)
+    K = camera.K.copy()
+    K[:2] /= side
+    K[:2, 2] -= (side - 1) / (2 * side)
+    blocks = Camera(K, columns, rows)
+    normals, known = surface_normals(z, blocks, radius=2)
+    v, u = np.nonzero(z > 0)
+    return SurfaceBlocks(lift_pixels(z[v, u], blocks, v, u), normals[v, u], known[v, u], v, u, (rows, columns))
+
+
+def plane_tolerance(points: np.ndarray) -> np.ndarray:
+    """(N,) metres within which points ((N, 3)) lie in a plane."""
+    return 0.008 + 0.006 * points[:, 2] ** 2

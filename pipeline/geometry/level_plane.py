@@ -10,9 +10,16 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.camera import Camera, lift_pixels
-from pipeline.geometry.floor_or_wall import is_floor, may_be_wall
+from pipeline.geometry.floor_or_wall import (
+    PARALLEL_DEG,
+    UPRIGHT,
+    SurfaceBlocks,
+    is_floor,
+    may_be_wall,
+    plane_tolerance,
+    surface_blocks,
+)
 from pipeline.geometry.normals import depth_noise, surface_normals
-from pipeline.geometry.surface_blocks import PARALLEL_DEG, UPRIGHT, SurfaceBlocks, plane_tolerance, surface_blocks
 from pipeline.system.errors import InputError
 
 SAME_SURFACE_DEG = 15.0

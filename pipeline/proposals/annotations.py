@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.language.naming import Synonyms, match
-from pipeline.proposals.base import Proposals, no_proposals, unknown_class
+from pipeline.language.naming import Synonyms
+from pipeline.proposals.base import Proposals, no_proposals
+from pipeline.proposals.class_names import meant_names
 
 
 @dataclass(frozen=True)
@@ -42,14 +43,8 @@ class AnnotationDetector:
         wanted = list(here)
         if labels is not None:
             known = tuple(dict.fromkeys([*here, *self.class_names]))
-            wanted = []
-            for label in labels:
-                # A name of the whole dataset decides first, so that "box" means
-                # the same classes in every frame.
-                matched = match(label, known, self.synonyms)
-                if not matched:
-                    raise unknown_class(label, known, "the dataset")
-                wanted += matched
+            # A name of the whole dataset decides first, so that "box" means the same classes in every frame.
+            wanted = [n for label in labels for n in meant_names(label, known, self.synonyms, "the dataset")]
         found = [a for a in frame.annotations if a.label in wanted]
         if not found:
             return no_proposals(frame.height, frame.width)

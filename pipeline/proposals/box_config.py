@@ -1,20 +1,21 @@
-"""What a user says of a detector of their own in a TOML file: its input, its outputs, its class names."""
+"""What a user says of a detector of their own in a TOML file (its input, its outputs, its class names), and its outputs
+read as the file describes them.
+"""
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
+from pipeline.proposals.captions import sigmoid
 from pipeline.proposals.class_names import read_class_names
 from pipeline.system.errors import InputError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # pyright: ignore[reportMissingImports]
+from pipeline.system.reading import parse_toml
 
 EXAMPLES = Path(__file__).with_name("detectors")
 """A TOML file for each form of output."""
@@ -126,7 +127,7 @@ def read_box_model(path: Path) -> BoxModel:
         The file cannot be read, or a key is unknown, missing or wrong.
     """
     try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        table: dict[str, Any] = parse_toml(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError("the detector's TOML file cannot be read", got=str(error), path=path) from error
     try:
@@ -169,3 +170,193 @@ def find_box_model(model: Path) -> Path:
         cause=f"examples are in {EXAMPLES}",
         path=model,
     )
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """All that the network gave.
+
+    Attributes
+    ----------
+    boxes : (N, 4) float64
+        x0, y0, x1, y1 in the units of the file's description.
+    scores : (N, C) float32
+        Probabilities of the classes. Where the file gives one class for each box, the others are 0.
+    """
+
+    boxes: np.ndarray
+    scores: np.ndarray
+
+
+def output_names(config: BoxOutput) -> list[str]:
+    """The outputs that a description names."""
+    given = (config.rows, config.boxes, config.scores, config.classes)
+    names = [n for n in given if isinstance(n, str)]
+    return [*names, *(config.scores if isinstance(config.scores, tuple) else ()), *config.distances]
+
+
+def decode(outputs: Mapping[str, np.ndarray], config: BoxOutput, classes: int, size: tuple[int, int]) -> Candidates:
+    """Boxes and probabilities.
+
+    Parameters
+    ----------
+    outputs : mapping of str to ndarray
+        By name.
+    classes : int
+        How many class names there are.
+    size : (int, int)
+        Height and width of the input.
+
+    Raises
+    ------
+    InputError
+        Where the outputs have other shapes than the description says.
+    """
+    count = classes + (config.background != "none")
+    if config.form == "rows":
+        boxes, scores = _rows(outputs[config.rows or ""], config.columns, config.activation, count)
+    elif config.form == "separate":
+        boxes, scores = _separate(outputs, config, count)
+    else:
+        boxes, scores = _distances(outputs, config, count, size)
+        return Candidates(boxes, _foreground(scores, config))
+    return Candidates(_corners(boxes.astype(np.float64), config.box), _foreground(scores, config))
+
+
+def _rows(values: np.ndarray, columns: Sequence[str], activation: str, count: int) -> tuple[np.ndarray, np.ndarray]:
+    widths = {"box": 4, "scores": count, "objectness": 1, "score": 1, "class": 1}
+    total = sum(widths[c] for c in columns)
+    table = _unbatched(values, 2, "rows")
+    # Ultralytics gives the columns first.
+    if table.shape[1] != total and table.shape[0] == total:
+        table = table.T
+    if table.shape[1] != total:
+        raise InputError(
+            "the output of the rows has another number of columns than the TOML file says",
+            got=list(values.shape),
+            expected=f"{total}: " + ", ".join(f"{widths[c]} of {c}" for c in columns),
+        )
+    ends = np.cumsum([widths[c] for c in columns])
+    parts = dict(zip(columns, np.split(table, ends[:-1], axis=1), strict=True))
+    if "scores" in parts:
+        scores = _activated(parts["scores"], activation)
+    else:
+        scores = _one_hot(_activated(parts["score"][:, 0], activation), parts["class"][:, 0], count)
+    if "objectness" in parts:
+        scores = scores * _activated(parts["objectness"], "none" if activation == "none" else "sigmoid")
+    return parts["box"], scores
+
+
+def _separate(outputs: Mapping[str, np.ndarray], config: BoxOutput, count: int) -> tuple[np.ndarray, np.ndarray]:
+    boxes = _unbatched(outputs[config.boxes or ""], 2, "boxes")
+    values = outputs[str(config.scores)]
+    if boxes.shape[1] != 4:
+        raise InputError("the output of the boxes has another shape", got=list(boxes.shape), expected="[N, 4]")
+    if config.classes is None:
+        table = _unbatched(values, 2, "scores")
+        if table.shape == (count, len(boxes)) and count != len(boxes):
+            table = table.T
+        if table.shape != (len(boxes), count):
+            raise InputError(
+                "the output of the scores has another shape",
+                got=list(values.shape),
+                expected=f"{len(boxes)} boxes by {count} classes",
+            )
+        return boxes, _activated(table, config.activation)
+    scores, classes = _unbatched(values, 1, "scores"), _unbatched(outputs[config.classes], 1, "classes")
+    if not len(scores) == len(classes) == len(boxes):
+        raise InputError(
+            "boxes, scores and classes are not equally many", got=f"{len(boxes)}, {len(scores)}, {len(classes)}"
+        )
+    return boxes, _one_hot(_activated(scores, config.activation), classes, count)
+
+
+def _distances(
+    outputs: Mapping[str, np.ndarray], config: BoxOutput, count: int, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes of generalised focal loss heads: from a cell's centre the mean of each distribution, times the stride.
+
+    Li et al., Generalized Focal Loss, NeurIPS 2020, equation 5. PicoDet and NanoDet give these maps.
+    """
+    boxes, scores = [], []
+    assert isinstance(config.scores, tuple)
+    for score_name, name, stride in zip(config.scores, config.distances, config.strides, strict=True):
+        table, spread = _unbatched(outputs[score_name], 2, score_name), _unbatched(outputs[name], 2, name)
+        height, width = -(-size[0] // stride), -(-size[1] // stride)
+        bins = spread.shape[1] // 4
+        if (
+            table.shape != (height * width, count)
+            or len(spread) != len(table)
+            or spread.shape[1] != 4 * bins
+            or not bins
+        ):
+            raise InputError(
+                f"the outputs of stride {stride} have other shapes",
+                got=f"{list(table.shape)}, {list(spread.shape)}",
+                expected=f"[{height * width}, {count}], [{height * width}, 4 x bins]",
+            )
+        chance = _activated(spread.reshape(-1, 4, bins), "softmax")
+        reach = (chance @ np.arange(bins, dtype=np.float64)) * stride
+        y, x = np.divmod(np.arange(height * width), width)
+        center = (np.stack([x, y], axis=1) + 0.5) * stride
+        boxes.append(np.concatenate([center - reach[:, :2], center + reach[:, 2:]], axis=1))
+        scores.append(_activated(table, config.activation))
+    return np.concatenate(boxes), np.concatenate(scores)
+
+
+def _unbatched(values: np.ndarray, rank: int, what: str) -> np.ndarray:
+    """Without axes of one that come first, and last where a number stands alone."""
+    found = values
+    while found.ndim > rank and found.shape[0] == 1:
+        found = found[0]
+    while found.ndim > rank and found.shape[-1] == 1:
+        found = found[..., 0]
+    if found.ndim != rank:
+        raise InputError(f"the output of the {what} has another rank", got=list(values.shape), expected=f"rank {rank}")
+    return found
+
+
+def _activated(values: np.ndarray, activation: str) -> np.ndarray:
+    if activation == "sigmoid":
+        return sigmoid(values)
+    if activation == "softmax":
+        raised = np.exp(values - values.max(axis=-1, keepdims=True))
+        return raised / raised.sum(axis=-1, keepdims=True)
+    return values
+
+
+def _one_hot(scores: np.ndarray, classes: np.ndarray, count: int) -> np.ndarray:
+    """(N, count); a number below 0 stands for no detection, as some exports pad their lists."""
+    numbers = np.rint(classes).astype(np.int64)
+    if len(numbers) and numbers.max() >= count:
+        raise InputError(
+            "the network gives more classes than there are names", got=int(numbers.max()), expected=f"below {count}"
+        )
+    table = np.zeros((len(scores), count), np.float32)
+    real = np.flatnonzero(numbers >= 0)
+    table[real, numbers[real]] = scores[real]
+    return table
+
+
+def _foreground(scores: np.ndarray, config: BoxOutput) -> np.ndarray:
+    part = {"none": slice(None), "first": slice(1, None), "last": slice(None, -1)}[config.background]
+    scores = scores[:, part].astype(np.float32)
+    if len(scores) and not (scores.min() >= -1e-3 and scores.max() <= 1 + 1e-3):
+        raise InputError(
+            "the scores are no probabilities",
+            got=f"{float(scores.min()):.3g} to {float(scores.max()):.3g}",
+            expected="0..1",
+            cause='are these logits? say activation = "sigmoid" or "softmax"',
+        )
+    return np.clip(scores, 0, 1)
+
+
+def _corners(boxes: np.ndarray, form: str) -> np.ndarray:
+    first, second = boxes[:, :2], boxes[:, 2:]
+    if form == "yxyx":
+        return boxes[:, [1, 0, 3, 2]]
+    if form == "cxcywh":
+        return np.concatenate([first - second / 2, first + second / 2], axis=1)
+    if form == "xywh":
+        return np.concatenate([first, first + second], axis=1)
+    return boxes

@@ -1,4 +1,4 @@
-"""Detectors of boxes that need no code: what their tensors are is said in a TOML file."""
+"""Detectors of boxes that need no code: what their tensors are stands in a TOML file."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import numpy as np
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals
-from pipeline.proposals.box_config import BoxInput, find_box_model, read_box_model
-from pipeline.proposals.box_decoding import Candidates, decode, output_names
+from pipeline.proposals.box_config import BoxInput, Candidates, decode, find_box_model, output_names, read_box_model
 from pipeline.proposals.class_names import metadata_names, names_hash
 from pipeline.proposals.network import MAX_PER_NAME, NetworkDetector, proposals_of
 from pipeline.proposals.selection import class_wise
@@ -115,17 +114,17 @@ class BoxDetector(NetworkDetector):
         unknown = [n for n in (config.name, *config.extra) if n is not None and n not in shapes]
         rest = [n for n in shapes if n not in config.extra]
         if unknown or len(rest) != 1 or (config.name is not None and rest != [config.name]):
-            said = ", ".join([*([config.name] if config.name else []), *config.extra]) or "one input"
+            given = ", ".join([*([config.name] if config.name else []), *config.extra]) or "one input"
             raise InputError(
                 "the model has other inputs than the TOML file says",
                 got=signature(self._session)[:240],
-                expected=said,
+                expected=given,
                 cause="inputs besides the picture are named under [input.extra]" if len(rest) > 1 else None,
                 path=self.config_path,
             )
         shape = shapes[rest[0]]
         channels, sides = (shape[1:2], shape[2:]) if config.layout == "NCHW" else (shape[3:], shape[1:3])
-        said_sides = config.size or (None, None)
+        given_sides = config.size or (None, None)
         if len(shape) != 4 or (isinstance(channels[0], int) and channels[0] != 3):
             other = "NHWC" if config.layout == "NCHW" else "NCHW"
             raise InputError(
@@ -136,16 +135,16 @@ class BoxDetector(NetworkDetector):
                 path=self.config_path,
             )
         found = []
-        for declared, said in zip(sides, said_sides, strict=True):
-            if not isinstance(declared, int) and said is None:
+        for declared, given in zip(sides, given_sides, strict=True):
+            if not isinstance(declared, int) and given is None:
                 raise InputError(
                     "the model takes any size", expected="size = [HEIGHT, WIDTH] under [input]", path=self.config_path
                 )
-            if isinstance(declared, int) and said is not None and said != declared:
+            if isinstance(declared, int) and given is not None and given != declared:
                 raise InputError(
-                    "the model takes another size", got=list(said_sides), expected=list(sides), path=self.config_path
+                    "the model takes another size", got=list(given_sides), expected=list(sides), path=self.config_path
                 )
-            found.append(declared if isinstance(declared, int) else said)
+            found.append(declared if isinstance(declared, int) else given)
         return rest[0], (found[0], found[1])
 
     def _checked_outputs(self) -> list[str]:

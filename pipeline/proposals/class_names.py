@@ -31,13 +31,18 @@ def wanted_names(
     """
     if labels is None:
         return list(dict.fromkeys(vocabulary))
-    wanted: dict[str, None] = {}
-    for label in labels:
-        matched = match(label, vocabulary, synonyms)
-        if not matched:
-            raise unknown_class(label, vocabulary, where, ADVICE.format(json.dumps(label)))
-        wanted |= dict.fromkeys(matched)
-    return list(wanted)
+    meant = [meant_names(label, vocabulary, synonyms, where, ADVICE.format(json.dumps(label))) for label in labels]
+    return list(dict.fromkeys(name for names in meant for name in names))
+
+
+def meant_names(
+    label: str, known: Sequence[str], synonyms: Synonyms | None, where: str, advice: str | None = None
+) -> tuple[str, ...]:
+    """Those of the known names that a label means; UnknownClass, with `where` they are known, if it means none."""
+    meant = match(label, known, synonyms)
+    if not meant:
+        raise unknown_class(label, known, where, advice)
+    return meant
 
 
 def synonyms_hash(synonyms: Synonyms | None) -> str:

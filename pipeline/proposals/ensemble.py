@@ -79,18 +79,12 @@ class EnsembleDetector:
 
     @property
     def vocabulary(self) -> tuple[str, ...] | None:
-        known = [member.vocabulary for member in self.members]
-        if any(names is None for names in known):
-            return None
-        return tuple(sorted({name for names in known for name in names or ()}))
+        return _together([member.vocabulary for member in self.members])
 
     @property
     def default_labels(self) -> tuple[str, ...] | None:
         """What it looks for where it is asked for everything; None where that may be any name."""
-        known = [known_names(member) for member in self.members]
-        if any(names is None for names in known):
-            return None
-        return tuple(sorted({name for names in known for name in names or ()}))
+        return _together([known_names(member) for member in self.members])
 
     @property
     def reads_annotations(self) -> bool:
@@ -146,6 +140,12 @@ class EnsembleDetector:
     def _gives(self, names: Sequence[str] | None, name: str) -> bool:
         """Whether a detector that was asked for `names` (None: any) could have said `name`."""
         return names is None or any(same_name(own, name, self.synonyms) for own in names)
+
+
+def _together(known: Sequence[tuple[str, ...] | None]) -> tuple[str, ...] | None:
+    """The names that any of several detectors knows; None where one knows any."""
+    names = {name for own in known for name in own or ()}
+    return None if None in known else tuple(sorted(names))
 
 
 def _suppressed(boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray) -> FusedBoxes:

@@ -26,14 +26,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import MaskCrop, RunLength, decode_crop
-from pipeline.language.naming import Synonyms, match
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.base import Proposals, no_proposals, unknown_class
+from pipeline.proposals.base import Proposals, no_proposals
+from pipeline.proposals.class_names import meant_names
 from pipeline.system.errors import FrameUnusable, InputError
+from pipeline.system.reading import checked
 
 KEPT_ANSWERS = 32
 """Answers about the frame that was asked last, kept for when the same names are asked again."""
@@ -167,8 +169,8 @@ class RecordedDetector:
         else:
             content = _read_object(self.path)
             self.made_by, self._recording = _maker(content), _read_frames(content, self.path)
-        said = "" if self.made_by is None else f"<{self.made_by}"
-        self._fingerprint = f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{min_score}{said}"
+        maker = "" if self.made_by is None else f"<{self.made_by}"
+        self._fingerprint = f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{min_score}{maker}"
         self._meanings: dict[str, tuple[str, ...]] = {}
         self._last: _Playback | None = None
 
@@ -215,11 +217,8 @@ class RecordedDetector:
         """The recorded names that a name means."""
         meant = self._meanings.get(label)
         if meant is None:
-            known = self.vocabulary or ()
-            meant = match(label, known, self.synonyms)
-            if not meant:
-                raise unknown_class(label, known, f"the recording {self.path.name}")
-            self._meanings[label] = meant
+            where = f"the recording {self.path.name}"
+            self._meanings[label] = meant = meant_names(label, self.vocabulary or (), self.synonyms, where)
         return meant
 
     def _of_frame(self, frame: Frame) -> _Playback:
@@ -292,8 +291,8 @@ def _read_object(path: Path) -> dict[str, Any]:
 
 def _maker(content: dict[str, Any]) -> str | None:
     """The detector that the recording names, where it names one."""
-    said = content.get(MADE_BY)
-    return said if isinstance(said, str) and said else None
+    maker = content.get(MADE_BY)
+    return maker if isinstance(maker, str) and maker else None
 
 
 def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetections]:
@@ -308,15 +307,9 @@ def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetectio
     shared: dict[str, str] = {}
     found: dict[str, FrameDetections] = {}
     for frame_id in list(frames):
-        try:
-            # What was read goes, frame by frame, so that both forms never stand side by side.
-            entries = reader.validate_python(frames.pop(frame_id))
-        except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(p) for p in ("frames", frame_id, *first["loc"]))
-            raise InputError(
-                f"the recording does not follow the format at {place}", got=first["msg"], path=path
-            ) from error
+        # What was read goes, frame by frame, so that both forms never stand side by side.
+        wrong = "the recording does not follow the format at {}"
+        entries = checked(reader.validate_python, frames.pop(frame_id), wrong, path, inside=("frames", frame_id))
         found[frame_id] = _compact(entries, shared)
     return found
 

@@ -15,15 +15,15 @@ from typing import Any
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, Field, FiniteFloat
 
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import RunLength, decode_run_length, fill_polygons
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.detector_masks import DetectorSegmenter, Segments, segment_from
 from pipeline.proposals.recorded import RecordedDetector
-from pipeline.proposals.segmenter import Segmenter
+from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter, Segments, segment_from
 from pipeline.system.errors import FrameUnusable, InputError
+from pipeline.system.reading import checked
 
 
 class CocoImage(BaseModel):
@@ -82,16 +82,8 @@ def open_recorded_masks(path: str | Path, synonyms: Synonyms | None = None) -> S
         raise InputError("the recorded masks are not JSON", got=str(error), path=path) from error
     if isinstance(content, dict) and "frames" in content:
         return DetectorSegmenter(RecordedDetector(path), synonyms)
-    try:
-        return CocoMasks(path, CocoFile.model_validate(content), synonyms)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(p) for p in first["loc"])
-        raise InputError(
-            f"the masks follow neither COCO nor the format of recordings at {place or 'the top'}",
-            got=first["msg"],
-            path=path,
-        ) from error
+    wrong = "the masks follow neither COCO nor the format of recordings at {}"
+    return CocoMasks(path, checked(CocoFile.model_validate, content, wrong, path), synonyms)
 
 
 class CocoMasks:

@@ -15,10 +15,9 @@ from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
 from pipeline.proposals.cache import CachedDetector, CachedSegmenter
 from pipeline.proposals.depth_segmenter import DepthSegmenter
-from pipeline.proposals.detector_masks import DetectorSegmenter
 from pipeline.proposals.ensemble import fused_detector
 from pipeline.proposals.recorded import RecordedDetector
-from pipeline.proposals.segmenter import Segmented, Segmenter
+from pipeline.proposals.segmenter import DetectorSegmenter, Segmented, Segmenter
 from pipeline.system.errors import InputError
 from pipeline.system.model_files import resolve_model
 from pipeline.system.plugins import load_plugins
@@ -272,19 +271,19 @@ class DetectorSetup:
         return found
 
 
-def made_by(said: str | None, detector: Detector) -> bool:
+def made_by(text: str | None, detector: Detector) -> bool:
     """Whether a detector is the one that labels or a run name as theirs; the segmenter of either does not count.
 
     Parameters
     ----------
-    said : str or None
+    text : str or None
         "name: fingerprint", with the segmenter's behind "+" and "|": `models["detector"]` of a manifest.
     detector : Detector
     """
     own = detector.detector if isinstance(detector, Segmented) else detector
     name, fingerprint = own.name, own.fingerprint()
-    said = said or ""
-    return said == f"{name}: {fingerprint}" or (said.startswith(f"{name}+") and f": {fingerprint}|" in said)
+    text = text or ""
+    return text == f"{name}: {fingerprint}" or (text.startswith(f"{name}+") and f": {fingerprint}|" in text)
 
 
 @dataclass(frozen=True)

@@ -12,17 +12,15 @@ import json
 import os
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from pipeline.metrics.calibration_metrics import IDENTITY, Platt, fit_platt, sigmoid
 from pipeline.proposals.base import Detector
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    pass
+from pipeline.system.reading import checked
 
 SCORE_LIMIT = 1e-6
 """Scores are clipped to this and one minus this before their logit is taken."""
@@ -68,11 +66,11 @@ class ScoreCalibration:
     """
 
     detector: str | None
-    a: float
-    b: float
-    positives: int
-    negatives: int
-    k: int
+    a: Annotated[FiniteFloat, Field(gt=0)]
+    b: FiniteFloat
+    positives: Annotated[int, Field(ge=0)]
+    negatives: Annotated[int, Field(ge=0)]
+    k: Annotated[int, Field(ge=1)]
     dataset: str | None = None
     frames: tuple[FittedFrame, ...] = field(default=(), repr=False)
 
@@ -112,28 +110,13 @@ class ScoreCalibration:
         return replace(self, detector=None)
 
 
-class _FittedFrame(BaseModel):
-    """An entry of the file's frames."""
-
-    model_config = ConfigDict(extra="ignore")
-    frame: str
-    scene: str
-    rgb_hash: str
-
-
 class _File(BaseModel):
-    """A score calibration as JSON; what else the file says is not looked at."""
+    """What tells a score calibration as JSON; what else the file says is not looked at."""
 
-    model_config = ConfigDict(extra="ignore")
     format: str = Field(pattern=f"^{FORMAT}$")
-    detector: str | None
-    a: FiniteFloat = Field(gt=0)
-    b: FiniteFloat
-    positives: int = Field(ge=0)
-    negatives: int = Field(ge=0)
-    k: int = Field(ge=1)
-    dataset: str | None = None
-    frames: tuple[_FittedFrame, ...] = ()
+
+
+_CALIBRATION = TypeAdapter(ScoreCalibration)
 
 
 def save_calibration(calibration: ScoreCalibration, path: str | Path, report: dict[str, Any] | None = None) -> None:
@@ -159,16 +142,13 @@ def load_calibration(path: str | Path) -> ScoreCalibration:
     """
     path = Path(path)
     try:
-        content = _File.model_validate(json.loads(path.read_text(encoding="utf-8")))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise InputError("the score calibration cannot be read", got=reason, path=path) from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(p) for p in first["loc"]) or "the top"
-        raise InputError(f"this is no score calibration, by its {place}", got=first["msg"], path=path) from error
-    frames = tuple(FittedFrame(f.frame, f.scene, f.rgb_hash) for f in content.frames)
-    return ScoreCalibration(**content.model_dump(exclude={"format", "frames"}), frames=frames)
+    wrong = "this is no score calibration, by its {}"
+    checked(_File.model_validate, content, wrong, path)
+    return checked(_CALIBRATION.validate_python, content, wrong, path)
 
 
 def score_logit(scores: np.ndarray) -> np.ndarray:

@@ -15,7 +15,6 @@ on other frames, names or processes, and with another recall, say, the same obje
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,19 +25,16 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 import xxhash
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.masks import MaskCrop
-from pipeline.language.naming import Synonyms, default_synonyms, match
-from pipeline.proposals.base import Proposals, no_proposals, unknown_class
+from pipeline.language.naming import Synonyms, default_synonyms
+from pipeline.proposals.base import Proposals, no_proposals
+from pipeline.proposals.class_names import meant_names
 from pipeline.system.errors import InputError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # pyright: ignore[reportMissingImports]
+from pipeline.system.reading import checked, parse_toml
 
 REGIONS = 16
 """Stretches of background in a frame that may be taken for an object."""
@@ -126,20 +122,11 @@ def read_options(path: str | Path) -> SimulationOptions:
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
-        table: Any = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        table: Any = json.loads(text) if path.suffix.lower() == ".json" else parse_toml(text)
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError("the options of the simulated detector cannot be read", got=str(error), path=path) from error
-    try:
-        return SimulationOptions.model_validate(table)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(p) for p in first["loc"]) or "the top"
-        raise InputError(
-            f"the options of the simulated detector are wrong at {place}",
-            got=first["msg"],
-            expected="one of " + ", ".join(SimulationOptions.model_fields) if "extra" in first["type"] else None,
-            path=path,
-        ) from error
+    wrong = "the options of the simulated detector are wrong at {}"
+    return checked(SimulationOptions.model_validate, table, wrong, path, keys=SimulationOptions.model_fields)
 
 
 @dataclass(frozen=True)
@@ -215,9 +202,7 @@ class SimulatedDetector:
         """The classes that a name means: one query, however it is spelled."""
         meant = self._meanings.get((label, known))
         if meant is None:
-            meant = tuple(sorted(match(label, known, self.synonyms)))
-            if not meant:
-                raise unknown_class(label, known, "the dataset")
+            meant = tuple(sorted(meant_names(label, known, self.synonyms, "the dataset")))
             self._meanings[label, known] = meant
         return meant
 

@@ -57,8 +57,8 @@ def is_abandoned(temporary: Path) -> bool:
         return False
 
 
-def write_whole(path: Path, data: bytes, what: str) -> None:
-    """Write a file whole or not at all; its folder is made where it is missing.
+def write_whole(path: Path, data: bytes, what: str, make_folder: bool = True) -> None:
+    """Write a file whole or not at all; its folder is made where it is missing, unless that is an error.
 
     Raises
     ------
@@ -67,7 +67,8 @@ def write_whole(path: Path, data: bytes, what: str) -> None:
     """
     temporary = temporary_beside(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if make_folder:
+            path.parent.mkdir(parents=True, exist_ok=True)
         write_synced(temporary, data)
         os.replace(temporary, path)
     except OSError as error:

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.datasets.synthetic import choose_views, make_room
-from pipeline.datasets.synthetic.views import camera_at
+from pipeline.datasets.synthetic.render import camera_at
 from pipeline.geometry.camera import Camera
 from pipeline.language.relation_names import DIRECTIONAL, HORIZONTAL
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, f1_of

@@ -14,8 +14,8 @@ from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.worklist import write_queue
 from pipeline.labels.reading import Labels
 from pipeline.proposals.registry import DetectorSetup
+from pipeline.system.background import SharedJob
 from pipeline.system.errors import InputError
-from pipeline.system.shared_job import SharedJob
 
 
 class Held:

@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.synthetic import make_room
-from pipeline.datasets.synthetic.render import sense_view
-from pipeline.datasets.synthetic.views import camera_at
+from pipeline.datasets.synthetic.render import camera_at, sense_view
 from pipeline.geometry.camera import Camera, intrinsics
 
 FX, FY, CX, CY = 1049.51, 1092.28, 927.269, 545.76

@@ -15,26 +15,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from semantic_abstraction_subsets import novel_class, novel_room, novel_visual, novel_vocabulary
 from semantic_abstraction_writer import TRUE_POSE, ViewTruth, Written, scene_pose, write_view
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.datasets import GivenExpression, given_expressions, has_moves, open_dataset, splits, survey
 from pipeline.datasets.semantic_abstraction import RELATIONS, SemanticAbstractionDataset
-from pipeline.datasets.semantic_abstraction_objects import fit_pose
-from pipeline.datasets.semantic_abstraction_splits import (
+from pipeline.datasets.semantic_abstraction_file import (
     NOVEL_CLASSES,
     RANDOMIZED,
     RENAMED,
     SUBSETS,
     SYNONYMS,
-    novel_class,
-    novel_room,
-    novel_visual,
-    novel_vocabulary,
     read_split,
     subsets_of,
     with_synonyms,
 )
+from pipeline.datasets.semantic_abstraction_objects import fit_pose
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import backproject, to_world
 from pipeline.geometry.frame import Frame

@@ -14,7 +14,7 @@ import pytest
 from run_records import random_records
 
 from pipeline.datasets import given_expressions, open_dataset
-from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
+from pipeline.datasets.semantic_abstraction_file import SUBSETS, subsets_of
 from pipeline.evaluation.grounding_tables import read_reported
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import ALL_NEGATIVE, AVD, IMITATION, SA, Evaluated, paper_tables, tables_of_run

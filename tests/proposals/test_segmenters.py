@@ -27,8 +27,8 @@ from pipeline.geometry.normals import surface_normals
 from pipeline.proposals import AnnotationDetector, CachedDetector, Proposals, Segmented, Segmenter, make_segmenter
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.depth_segmenter import NEIGHBOURS, DepthSegmenter, minimum_cut
-from pipeline.proposals.detector_masks import DetectorSegmenter, Segments, assign
 from pipeline.proposals.recorded_masks import open_recorded_masks
+from pipeline.proposals.segmenter import DetectorSegmenter, Segments, assign
 from pipeline.system.errors import FrameUnusable, InputError
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -39,7 +39,7 @@ QUICK = BootstrapConfig(resamples=300)
 def views() -> AblationViews:
     """Cameras are the best of few and not of many: choosing them costs most."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.datasets.synthetic.views.CANDIDATES", 4)
+        patch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", 4)
         return ablation_views(SMALL)
 
 

@@ -34,8 +34,7 @@ from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.evaluation.shared_makers import scorer_share
 from pipeline.labels.makers import makers_of
-from pipeline.labels.pictures import labelled_dataset
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.registry import DetectorSetup
 from pipeline.relations import shipped_network

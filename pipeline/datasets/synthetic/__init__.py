@@ -2,9 +2,15 @@
 
 from pipeline.datasets.synthetic.dataset import RenderReport, render_dataset
 from pipeline.datasets.synthetic.layout import Instance, Room
-from pipeline.datasets.synthetic.render import RenderedFrame, exact_view, render_view, sense_view
+from pipeline.datasets.synthetic.render import (
+    RenderedFrame,
+    camera_at,
+    choose_views,
+    exact_view,
+    render_view,
+    sense_view,
+)
 from pipeline.datasets.synthetic.rooms import make_room
-from pipeline.datasets.synthetic.views import camera_at, choose_views
 
 __all__ = [
     "Instance",

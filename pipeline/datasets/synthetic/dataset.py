@@ -17,9 +17,8 @@ import numpy as np
 
 from pipeline.datasets.synthetic.layout import Room
 from pipeline.datasets.synthetic.raycast import silhouette
-from pipeline.datasets.synthetic.render import RenderedFrame, render_view
+from pipeline.datasets.synthetic.render import RenderedFrame, choose_views, render_view
 from pipeline.datasets.synthetic.rooms import make_room
-from pipeline.datasets.synthetic.views import choose_views
 from pipeline.system.errors import InputError
 
 ROOMS_A_SEED = 1_000_000

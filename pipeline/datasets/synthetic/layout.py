@@ -112,10 +112,12 @@ def part_boxes(model: Model, position: np.ndarray, yaw: float) -> np.ndarray:
     return np.concatenate([centre, (high - low) / 2, np.full((len(low), 1), yaw)], axis=1)
 
 
-def foot_of(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """The plan rectangle (low (2,), high (2,)) of the parts the model stands on, in its own frame."""
+def foot_of(model: Model, yaw: float) -> np.ndarray:
+    """(4, 2): the corners of the plan rectangle of the parts that a turned model stands on, about its origin."""
     parts = [part for part in model.parts if part.low[2] < 0.01]
-    return np.min([part.low[:2] for part in parts], axis=0), np.max([part.high[:2] for part in parts], axis=0)
+    low, high = np.min([part.low[:2] for part in parts], axis=0), np.max([part.high[:2] for part in parts], axis=0)
+    corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
+    return corners @ axis_rotation(yaw, 2)[:2, :2].T
 
 
 def overlaps(a: np.ndarray, b: np.ndarray, touch: float = TOUCH_M) -> np.ndarray:
@@ -178,9 +180,7 @@ class Layout:
     def stand(self, model: Model, x: float, y: float, yaw: float = 0.0) -> int | None:
         """Put the model on the floor, or on the rug it stands wholly on; None where it does not fit."""
         z, support = 0.0, FLOOR
-        low, high = foot_of(model)
-        corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
-        corners = corners @ axis_rotation(yaw, 2)[:2, :2].T + [x, y]
+        corners = foot_of(model, yaw) + np.array([x, y])
         for index in self.rugs:
             rug = self.instances[index]
             local = (corners - rug.position[:2]) @ rug.R[:2, :2]
@@ -221,9 +221,7 @@ class Layout:
         top = base.model.surfaces[surface]
         if model.size[2] > top.room:
             return None
-        low, high = foot_of(model)
-        corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
-        corners = corners @ axis_rotation(yaw, 2)[:2, :2].T
+        corners = foot_of(model, yaw)
         x0, y0 = np.array([top.x0, top.y0]) - corners.min(axis=0)
         x1, y1 = np.array([top.x1, top.y1]) - corners.max(axis=0)
         if x1 < x0 or y1 < y0:
@@ -251,13 +249,7 @@ class Layout:
 
     def hang(self, model: Model, wall: str, along: float, z: float) -> int | None:
         """Hang the model on a wall ("back", "left", "right", "front"), its foot at height z."""
-        gap, reach = 0.001, float(model.high[1])
-        x, y, yaw = {
-            "back": (along, self.depth - reach - gap, 0.0),
-            "left": (reach + gap, along, np.pi / 2),
-            "right": (self.width - reach - gap, along, -np.pi / 2),
-            "front": (along, reach + gap, np.pi),
-        }[wall]
+        x, y, yaw = self._at_wall(wall, along, float(model.high[1]), 0.001)
         position = np.array([x, y, z])
         boxes = part_boxes(model, position, yaw)
         if self._boxes and overlaps(boxes, np.concatenate(self._boxes)).any():
@@ -266,14 +258,17 @@ class Layout:
 
     def against(self, model: Model, wall: str, along: float, gap: float = 0.03) -> int | None:
         """Stand the model with its back to a wall."""
-        reach = float(model.high[1]) + SKIRTING_M + gap
-        x, y, yaw = {
-            "back": (along, self.depth - reach, 0.0),
-            "left": (reach, along, np.pi / 2),
-            "right": (self.width - reach, along, -np.pi / 2),
-            "front": (along, reach, np.pi),
-        }[wall]
+        x, y, yaw = self._at_wall(wall, along, float(model.high[1]) + SKIRTING_M + gap, 0.0)
         return self.stand(model, x, y, yaw)
+
+    def _at_wall(self, wall: str, along: float, reach: float, gap: float) -> tuple[float, float, float]:
+        """x, y and yaw of what reaches so far back from its origin, and leaves a gap to the wall."""
+        return {
+            "back": (along, self.depth - reach - gap, 0.0),
+            "left": (reach + gap, along, np.pi / 2),
+            "right": (self.width - reach - gap, along, -np.pi / 2),
+            "front": (along, reach + gap, np.pi),
+        }[wall]
 
     def lay_rug(self, model: Model, x: float, y: float, yaw: float = 0.0) -> int | None:
         """Lay a rug on the floor; what comes later may stand on it."""

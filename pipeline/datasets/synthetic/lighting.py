@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 
 import numpy as np
 
@@ -165,13 +166,12 @@ def _tame(light: np.ndarray, position: np.ndarray, depth: np.ndarray) -> np.ndar
     L, P = (np.pad(a, widths, mode="edge") for a in (light, position))
     total, weight = np.full_like(light, 1e-6), np.full((h, w), 1e-6, dtype=np.float32)
     reach = np.square(0.04 * np.maximum(depth, 0.3))
-    for dy in (-2, 0, 2):
-        for dx in (-2, 0, 2):
-            window = (slice(2 + dy, 2 + dy + h), slice(2 + dx, 2 + dx + w))
-            away = P[window] - position
-            near = np.einsum("ijk,ijk->ij", away, away) < reach
-            total += near[..., None] * L[window]
-            weight += near
+    for dy, dx in product((-2, 0, 2), repeat=2):
+        window = (slice(2 + dy, 2 + dy + h), slice(2 + dx, 2 + dx + w))
+        away = P[window] - position
+        near = np.einsum("ijk,ijk->ij", away, away) < reach
+        total += near[..., None] * L[window]
+        weight += near
     mean = total / weight[..., None]
     return np.clip(light, 0.72 * mean, 1.8 * mean)
 
@@ -196,20 +196,19 @@ def _smooth(
     L, P, N = (np.pad(a, widths, mode="edge") for a in (light, position, normal))
     tolerance = 1.0 / (0.006 * np.maximum(depth, 0.3))
     total, weight = np.zeros_like(light), np.zeros((h, w), dtype=np.float32)
-    for dy in offsets:
-        for dx in offsets:
-            window = (slice(pad + dy, pad + dy + h), slice(pad + dx, pad + dx + w))
-            # A chord of a round surface lies across the mean of the normals at its ends.
-            off = 0.5 * np.abs(np.einsum("ijk,ijk->ij", normal + N[window], P[window] - position))
-            alike = np.einsum("ijk,ijk->ij", normal, N[window])
-            k = np.clip(1.5 - off * tolerance, 0, 1) * np.clip(4 * alike - 3, 0.0, 1)
-            if likeness:
-                change = np.abs(L[window][..., 1] / light[..., 1] - 1) / likeness
-                k *= np.clip(2 - 2 * change, 0, 1)
-            if dy == dx == 0:
-                k += 1e-4
-            total += k[..., None] * L[window]
-            weight += k
+    for dy, dx in product(offsets, repeat=2):
+        window = (slice(pad + dy, pad + dy + h), slice(pad + dx, pad + dx + w))
+        # A chord of a round surface lies across the mean of the normals at its ends.
+        off = 0.5 * np.abs(np.einsum("ijk,ijk->ij", normal + N[window], P[window] - position))
+        alike = np.einsum("ijk,ijk->ij", normal, N[window])
+        k = np.clip(1.5 - off * tolerance, 0, 1) * np.clip(4 * alike - 3, 0.0, 1)
+        if likeness:
+            change = np.abs(L[window][..., 1] / light[..., 1] - 1) / likeness
+            k *= np.clip(2 - 2 * change, 0, 1)
+        if dy == dx == 0:
+            k += 1e-4
+        total += k[..., None] * L[window]
+        weight += k
     return total / weight[..., None]
 
 
@@ -225,16 +224,15 @@ def gather(lights: LightMap, s: Surfaces, v: np.ndarray, u: np.ndarray) -> np.nd
     here = np.einsum("ij,ij->i", s.normal, s.position)
     total, weight = np.zeros_like(s.position), np.zeros(len(y), dtype=np.float32)
     tolerance = 1.0 / (0.01 * np.maximum(s.depth, 0.3))
-    for dy in (0, 1):
-        for dx in (0, 1):
-            index = np.minimum(y0 + dy, rows - 1) * columns + np.minimum(x0 + dx, columns - 1)
-            bilinear = (fy if dy else 1 - fy) * (fx if dx else 1 - fx)
-            entry = lights.entries.take(index, axis=0)
-            off = np.abs(np.einsum("ij,ij->i", s.normal, entry[:, 3:6]) - here)
-            alike = np.einsum("ij,ij->i", s.normal, entry[:, 6:])
-            k = (bilinear + 0.02) * (np.clip(1.5 - off * tolerance, 0, 1) * np.clip(2 * alike - 1, 0, 1) + 1e-4)
-            total += k[:, None] * entry[:, :3]
-            weight += k
+    for dy, dx in product((0, 1), repeat=2):
+        index = np.minimum(y0 + dy, rows - 1) * columns + np.minimum(x0 + dx, columns - 1)
+        bilinear = (fy if dy else 1 - fy) * (fx if dx else 1 - fx)
+        entry = lights.entries.take(index, axis=0)
+        off = np.abs(np.einsum("ij,ij->i", s.normal, entry[:, 3:6]) - here)
+        alike = np.einsum("ij,ij->i", s.normal, entry[:, 6:])
+        k = (bilinear + 0.02) * (np.clip(1.5 - off * tolerance, 0, 1) * np.clip(2 * alike - 1, 0, 1) + 1e-4)
+        total += k[:, None] * entry[:, :3]
+        weight += k
     return total / weight[:, None]
 
 

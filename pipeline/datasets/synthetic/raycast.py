@@ -128,38 +128,26 @@ def _rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.n
 @lru_cache(maxsize=4)
 def build_scene(room: Room) -> Scene:
     """The room's triangles in world coordinates with everything shading needs; kept for the last rooms."""
-    vertices, faces, face_part = [], [], []
-    owner, turns, shifts, lows, highs, materials = [], [], [], [], [], []
     placed = [(-1, part, np.eye(3), np.zeros(3)) for part in room.shell]
     placed += [
         (k, part, instance.R, instance.position)
         for k, instance in enumerate(room.instances)
         for part in instance.model.parts
     ]
-    start = 0
-    for number, (index, part, R, position) in enumerate(placed):
-        world = part.vertices @ R.T + position
-        vertices.append(world)
-        faces.append(part.faces + start)
-        face_part.append(np.full(len(part.faces), number, dtype=np.int32))
-        owner.append(index)
-        turns.append(R)
-        shifts.append(position)
-        lows.append(part.low)
-        highs.append(part.high)
-        materials.append(part.material)
-        start += len(world)
-    mesh = np.concatenate(vertices), np.concatenate(faces)
+    owners, parts, turns, shifts = zip(*placed, strict=True)
+    world = [part.vertices @ R.T + position for _, part, R, position in placed]
+    starts = np.cumsum([0, *(len(points) for points in world[:-1])])
+    mesh = np.concatenate(world), np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)])
     return Scene(
         room,
         *mesh,
-        np.concatenate(face_part),
-        np.array(owner, dtype=np.int32),
+        np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.faces) for part in parts]),
+        np.array(owners, dtype=np.int32),
         np.array(turns, dtype=np.float32),
         np.array(shifts, dtype=np.float32),
-        np.array(lows, dtype=np.float32),
-        np.array(highs, dtype=np.float32),
-        tuple(materials),
+        np.array([part.low for part in parts], dtype=np.float32),
+        np.array([part.high for part in parts], dtype=np.float32),
+        tuple(part.material for part in parts),
         Tracer(*mesh),
     )
 

@@ -16,8 +16,8 @@ from pipeline.datasets.synthetic import objects as o
 from pipeline.datasets.synthetic.layout import Layout, Room, overlaps, part_boxes
 from pipeline.datasets.synthetic.model import PALETTES, Material, Model, Palette, Part, Surface, assemble, rgb
 from pipeline.datasets.synthetic.raycast import build_scene, pixel_rays
+from pipeline.datasets.synthetic.render import PROBE, camera_at
 from pipeline.datasets.synthetic.shapes import ball, block, cylinder, lathe
-from pipeline.datasets.synthetic.views import PROBE, camera_at
 from pipeline.geometry.camera import Camera, intrinsics
 
 Rng = np.random.Generator

@@ -12,7 +12,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from pipeline.datasets.synthetic.views import camera_at
+from pipeline.datasets.synthetic.render import camera_at
 from pipeline.geometry.camera import Camera
 
 Rng = np.random.Generator

@@ -29,7 +29,7 @@ from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.masks import MaskCrop, decode_run_length, encode_run_length, fill_polygons
 from pipeline.labels.exports.provenance import ExportedFrom
-from pipeline.proposals.detector_masks import share_inside
+from pipeline.proposals.segmenter import share_inside
 from pipeline.system.errors import InputError, require
 
 LARGEST = 1 << 31
