@@ -39,8 +39,8 @@ from pipeline.language.naming import Synonyms
 from pipeline.proposals.registry import DetectorSetup
 from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
+from pipeline.system.background import SharedJob
 from pipeline.system.errors import InputError, require
-from pipeline.system.shared_job import SharedJob
 from pipeline.system.staging import staged_folder
 from pipeline.training.label_data import read_label_data
 
