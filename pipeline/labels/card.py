@@ -79,12 +79,6 @@ class Counts:
     usable: int
     boxed: int
 
-    @property
-    def undecided_share(self) -> float:
-        """Share of U among all judged (pair, relation)."""
-        judged = sum(map(sum, self.states.values()))
-        return sum(u for _, u, _ in self.states.values()) / judged if judged else 0.0
-
 
 def count_labels(labels: Labels) -> Counts:
     """Count states, expressions and objects, a batch at a time."""
@@ -177,6 +171,7 @@ configs:
 def _page(labels: Labels, counts: Counts, licence: str) -> str:
     manifest, name = labels.manifest, _plain(dataset_name(labels))
     total = {table: manifest.tables[table].rows for table in TABLES}
+    judged, undecided = sum(map(sum, counts.states.values())), sum(u for _, u, _ in counts.states.values())
     ambiguity = counts.ambiguous / total["expressions"] if total["expressions"] else 0.0
     makers = "\n".join(f"* {what.capitalize()}: {_plain(who)}." for what, who in makers_of(manifest).lines().items())
     states = "".join(
@@ -205,7 +200,7 @@ level right, up and forward: T (1) it holds, F (-1) it does not, U (0) too close
 ## What is in them
 
 * Objects that are asked for: {counts.usable} of {total['objects']}; with a 3D box: {counts.boxed}.
-* Too close to call (U): {counts.undecided_share:.1%} of all judged relations of pairs.
+* Too close to call (U): {undecided / max(judged, 1):.1%} of all judged relations of pairs.
 * Ambiguous expressions, with more than one acceptable answer: {counts.ambiguous} ({ambiguity:.1%}).
 
 | relation | T | U | F | expressions |

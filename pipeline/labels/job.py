@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import Any, Literal
 
 from pipeline.labels.config import LabelConfig, SelectConfig
-from pipeline.labels.engines import ShardReport, run_local
+from pipeline.labels.engines import ShardReport, needed_ray, run_local, run_ray
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import SourceSpec, input_changed, make_plan, part_of, save_plan
 from pipeline.labels.profiles import NONE, TRAINED, open_second_opinion
@@ -114,8 +114,6 @@ def label_dataset(
     plan = make_plan(spec.absolute(), config, frames_a_shard=frames_a_shard, limit=limit, frames_of=frames_of, out=out)
     open_second_opinion(config.second_opinion)
     if engine == "ray":
-        from pipeline.labels.engines import needed_ray
-
         needed_ray()
     shards = plan.shards if part is None else part_of(plan.shards, *part)
     store.prepare()
@@ -123,19 +121,14 @@ def label_dataset(
     store.clear_unfinished()
     total = sum(len(s.frames) for s in shards)
     reports: list[ShardReport] = []
-    so_far = 0
 
     def done(report: ShardReport) -> None:
-        nonlocal so_far
         reports.append(report)
-        so_far += report.frames
         if progress is not None:
-            progress(so_far, total)
+            progress(sum(r.frames for r in reports), total)
 
     try:
         if engine == "ray":
-            from pipeline.labels.engines import run_ray
-
             run_ray(plan, shards, store, workers, done, gpus_a_detector=gpus_a_detector)
         else:
             run_local(plan, shards, store, workers, done)

@@ -36,11 +36,6 @@ LISTED_WARNINGS = 100
 CARD_FILE, CROISSANT_FILE = "README.md", "croissant.json"
 
 
-def missing_shards(plan: Plan, store: Store) -> tuple[Shard, ...]:
-    """The shards that are not there yet."""
-    return tuple(shard for shard in plan.shards if not store.has_part(shard.name))
-
-
 def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: Path | None = None) -> Manifest:
     """Merge the finished shards of a labels folder.
 
@@ -65,7 +60,7 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     selection = selection or SelectConfig()
     store = Store(where)
     plan = load_plan(store)
-    missing = missing_shards(plan, store)
+    missing = [shard for shard in plan.shards if not store.has_part(shard.name)]
     if missing:
         raise InputError(
             f"{len(missing)} of {len(plan.shards)} shards are missing",
@@ -245,16 +240,13 @@ def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
     path = out / f"{name}.parquet"
     digest = RowHash(name)
     waiting: list[pa.Table] = []
-    rows = 0
     with pq.ParquetWriter(path, arrow_schema(name), compression="zstd") as writer:
         for part in parts:
             digest.update(part)
             if part.num_rows:
                 waiting.append(part)
-                rows += part.num_rows
-            if rows >= ROW_GROUP:
+            if sum(rows.num_rows for rows in waiting) >= ROW_GROUP:
                 _write_group(writer, waiting)
-                rows = 0
         _write_group(writer, waiting)
     with open(path, "rb") as written:
         os.fsync(written.fileno())

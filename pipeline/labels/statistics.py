@@ -306,19 +306,19 @@ class Database:
         InputError
             A file turned out to be damaged.
         """
-        with self._said_plainly():
+        with self._plain_errors():
             return self._connection.execute(sql, values or None).fetchall()
 
     def row(self, sql: str, **values: Any) -> dict[str, Any]:
         """The only row of an aggregate, by column."""
-        with self._said_plainly():
+        with self._plain_errors():
             found = self._connection.execute(sql, values or None)
             (only,) = found.fetchall()
             return dict(zip([column[0] for column in found.description or ()], only, strict=True))
 
     def columns(self, sql: str, **values: Any) -> dict[str, np.ndarray]:
         """All rows of a query whose columns hold numbers without nulls, as arrays."""
-        with self._said_plainly():
+        with self._plain_errors():
             found = self._connection.execute(sql, values or None).fetchnumpy()
         return {name: np.asarray(column) for name, column in found.items()}
 
@@ -329,7 +329,7 @@ class Database:
             yield first, first + FRAMES_AT_ONCE - 1
 
     @contextmanager
-    def _said_plainly(self) -> Iterator[None]:
+    def _plain_errors(self) -> Iterator[None]:
         import duckdb
 
         try:

@@ -7,7 +7,7 @@ and the paper's PCA box of every object. Only usable objects take part.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -65,10 +65,6 @@ class LabelledFrame:
         """(N, N) int64: index of the one relation that holds of a pair; -1 where none or several do."""
         holds = self.states == T
         return np.where(holds.sum(axis=2) == 1, holds.argmax(axis=2), -1)
-
-    def limited_to(self, kept: Sequence[int]) -> LabelledFrame:
-        """The same with only these relations."""
-        return replace(self, states=self.states[..., list(kept)])
 
 
 @dataclass(frozen=True, eq=False)

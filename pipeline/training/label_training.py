@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +171,7 @@ def _language(job: LabelTraining, data: LabelData) -> tuple[ClassVectors | None,
 
 def _of_vocabulary(frames: Sequence[LabelledFrame], model: TrainedModel, data: LabelData) -> list[LabelledFrame]:
     kept = [data.vocabulary.index(relation) for relation in model.vocabulary]
-    return [frame.limited_to(kept) for frame in frames]
+    return [replace(frame, states=frame.states[..., kept]) for frame in frames]
 
 
 def _worded(scorer: OnnxScorer, frame: LabelledFrame, names: Sequence[str]) -> np.ndarray:

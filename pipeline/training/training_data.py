@@ -23,7 +23,7 @@ from pipeline.datasets.synthetic import Instance, Room, choose_views, make_room,
 from pipeline.datasets.synthetic.scattered import make_scattered, roaming_cameras
 from pipeline.datasets.synthetic.solids import solid_view
 from pipeline.geometry.camera import Camera
-from pipeline.geometry.lifting import LiftedObject, lift
+from pipeline.geometry.lifting import lift
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.features import FEATURES, Appearance
 from pipeline.relations.relations import directional_states
@@ -300,7 +300,9 @@ def _seen_samples(
     kept = [k for k, item in enumerate(lifted) if item.quality.points >= MIN_POINTS]
     boxes = np.array([_tight_box(masks[k]) for k in kept], np.float64).reshape(-1, 4)
     seen = Appearance(boxes, ("",) * len(kept), camera.width, camera.height)
-    return samples_of(room, [lifted[k] for k in kept], viewer, [exact[k] for k in kept], seen)
+    rows = {name: contract.describe([lifted[k] for k in kept], viewer, seen) for name, contract in FEATURES.items()}
+    whole = np.array([exact[k] for k in kept], np.float64).reshape(-1, 2, 3)
+    return FrameSamples(room, rows, rows["rel14"][:, :3], rows["rel14"][:, 3:], whole[:, 0], whole[:, 1])
 
 
 def _in_steps(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -309,20 +311,6 @@ def _in_steps(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     disparity = product / np.maximum(depth, 0.1) + rng.normal(0, rng.uniform(0.02, 0.15), depth.shape)
     stepped = product / np.maximum(np.round(disparity * step) / step, 0.5)
     return np.where(depth > 0, stepped, 0).astype(np.float32)
-
-
-def samples_of(
-    room: int,
-    lifted: Sequence[LiftedObject],
-    viewer: ViewerAxes,
-    exact: Sequence[tuple[np.ndarray, np.ndarray]],
-    seen: Appearance,
-) -> FrameSamples:
-    """The samples of one view: objects as seen, and (lo, hi) of each as it is, in the same order."""
-    rows = {name: features.describe(lifted, viewer, seen) for name, features in FEATURES.items()}
-    extents = rows["rel14"]
-    whole = np.array(exact, np.float64).reshape(-1, 2, 3)
-    return FrameSamples(room, rows, extents[:, :3], extents[:, 3:], whole[:, 0], whole[:, 1])
 
 
 def degraded(

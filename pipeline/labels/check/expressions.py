@@ -168,7 +168,7 @@ def _against_objects(view: FrameView, row: int) -> Iterator[Found]:
 
 
 def _against_relations(view: FrameView, row: int) -> Iterator[Found]:
-    """State, margin and sets, as `labels.expressions.candidate_expressions` makes them."""
+    """State, margin and sets, as `labels.labelling.candidate_expressions` makes them."""
     rows = view.expressions
     relation = rows["relation"][row]
     if relation not in view.states:

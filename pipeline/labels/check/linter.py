@@ -114,7 +114,11 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
             yield from check_expressions(view, expression_rules)
     yield from ups.finish()
     if "file" in groups:
-        yield from _broke_off(streams)
+        for name, stream in streams.items():
+            # Damage that showed only while the table was read.
+            if stream.problem is not None and stream.opened:
+                message = f"{stream.path.name} could not be read to its end: {stream.problem}"
+                yield _finding("file/unreadable", message, {"table": name})
 
 
 def _surveyed(objects: TableStream) -> tuple[tuple[str, ...], SizeSurvey]:
@@ -126,14 +130,6 @@ def _surveyed(objects: TableStream) -> tuple[tuple[str, ...], SizeSurvey]:
         found |= {label for label in rows["label"] if label is not None}
         survey.add(rows)
     return tuple(sorted(found)), survey
-
-
-def _broke_off(streams: dict[str, TableStream]) -> Iterator[Finding]:
-    """Tables whose damage showed only while they were read."""
-    for name, stream in streams.items():
-        if stream.problem is not None and stream.opened:
-            message = f"{stream.path.name} could not be read to its end: {stream.problem}"
-            yield _finding("file/unreadable", message, {"table": name})
 
 
 DISAGREE_DEG = 10.0

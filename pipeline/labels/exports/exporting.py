@@ -88,7 +88,9 @@ def export_labels(
     if images not in ("none", "copy"):
         raise InputError("images", got=repr(images), expected="none | copy")
     out = Path(out).expanduser()
-    _keep_the_labels(labels, out)
+    target, root = out.resolve(), labels.root.resolve()
+    if target == root or target in root.parents:
+        raise InputError("an export cannot replace the labels", expected="another folder", path=out)
 
     def opened() -> Dataset:
         return dataset or labelled_dataset(labels.manifest)
@@ -173,13 +175,6 @@ def _read_mark(folder: Path) -> dict[str, object] | None:
     except (OSError, ValueError):
         return None
     return found if isinstance(found, dict) else None
-
-
-def _keep_the_labels(labels: Labels, out: Path) -> None:
-    """An export must not take the place of the labels, nor of a folder that they are in."""
-    target, root = out.resolve(), labels.root.resolve()
-    if target == root or target in root.parents:
-        raise InputError("an export cannot replace the labels", expected="another folder", path=out)
 
 
 def _format(name: str) -> ExportFormat:

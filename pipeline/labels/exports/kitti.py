@@ -103,7 +103,8 @@ def write_kitti(job: Job) -> Written:
             if not frame["ok"]:
                 continue
             usable.write(f"{rows.index:06d}\n")
-            level = level_rotation(frame["up"])
+            # From the camera frame into the level one; image-up where up is unknown.
+            level = viewer_axes(IMAGE_UP if frame["up"] is None else np.asarray(frame["up"])).R_level_camera
             _write(job.folder / "calib" / f"{rows.index:06d}.txt", _calibration(frame["K"], level))
             lines = [_line(row, tokens, level) for row in rows.objects]
             _write(job.folder / "label_2" / f"{rows.index:06d}.txt", lines)
@@ -272,11 +273,6 @@ FORMAT = ExportFormat(
 
 UPRIGHT = 1e-7
 """How far the second axis of a box may stand off the vertical, as a sine."""
-
-
-def level_rotation(up: list[float] | None) -> np.ndarray:
-    """(3, 3) rotation from the camera frame into the level camera frame; image-up where `up` is unknown."""
-    return viewer_axes(IMAGE_UP if up is None else np.asarray(up)).R_level_camera
 
 
 def projection(K: list[float] | None, R_level_camera: np.ndarray) -> np.ndarray:

@@ -64,11 +64,10 @@ def write_vqa(job: Job) -> Written:
 
 def boxed_by_people(provenance: Provenance, rows: FrameRows) -> frozenset[int]:
     """Numbers of the objects of a frame whose 3D box a person set."""
-    frame = rows.frame["frame"]
     return frozenset(
         row["object"]
         for row in rows.objects
-        for entry in provenance.of("objects", frame, str(row["object"]))
+        for entry in provenance.of("objects", rows.frame["frame"], str(row["object"]))
         if entry["column"] == "size" and entry["source"] == "human"
     )
 

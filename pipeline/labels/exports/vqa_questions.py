@@ -105,8 +105,8 @@ def frame_questions(
     """
     if not rows.frame["ok"] or not rows.objects:
         return []
-    labels = [row["label"] for row in rows.objects]
-    clear = alone(labels) & [row["usable"] and can_be_asked(row["label"]) for row in rows.objects]
+    named_alone = alone([row["label"] for row in rows.objects])
+    clear = named_alone & [row["usable"] and can_be_asked(row["label"]) for row in rows.objects]
     scene = Scene(rows, config, np.array([row["object"] for row in rows.objects], np.int64), clear, figures)
     units: dict[str, Callable[[], Iterable[Unit]]] = {
         "relation": lambda: relation_units(scene, relations),
