@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
 import shutil
 import signal
 import sqlite3
-import subprocess
-import sys
-import tempfile
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -20,18 +16,17 @@ import pytest
 from benchmarks.journal_writers import prove, read_report, write_many
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from waiting import LONG_S, wait_until
+from journal_checks import NAME, journal  # noqa: F401
+from waiting import wait_until
 
-from pipeline.corrections.journal.connection import network_file_system, writing
-from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved, new_ulid
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
+from pipeline.corrections.journal.events import Conflict, Edit, Saved, new_ulid
+from pipeline.corrections.journal.field_refs import FieldRef, relation_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
 from pipeline.corrections.journal.undo import history, redo, undo
 from pipeline.system.errors import InputError
 
 LEFT = relation_ref("scene/0", 1, 2, "left")
 RIGHT = relation_ref("scene/0", 2, 1, "right")
-NAME = object_ref("scene/0", 1, "label")
 
 
 @pytest.fixture(scope="module")
@@ -40,11 +35,6 @@ def empty(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("empty") / JOURNAL_FILE
     open_journal(path).close()
     return path
-
-
-@pytest.fixture
-def journal(tmp_path: Path) -> Journal:
-    return open_journal(tmp_path / JOURNAL_FILE, labels="made-once")
 
 
 def test_an_event_comes_back_as_it_was_saved(journal: Journal) -> None:
@@ -328,126 +318,3 @@ def test_what_was_acknowledged_survives_a_killed_writer(tmp_path: Path) -> None:
     # At most the one that was on its way when the writer died.
     assert len(found) <= len(told) + 1
     assert isinstance(journal.append([Edit(NAME, "mug", "cup")], "ann"), Saved)
-
-
-def test_a_full_disk_is_told_and_hands_the_edit_back(journal: Journal) -> None:
-    with writing(journal.engine) as connection:
-        pages = connection.exec_driver_sql("PRAGMA page_count").scalar()
-    limited = open_journal(journal.location)
-    # SQLite reports this limit as it does a disk without space: SQLITE_FULL.
-    from sqlalchemy import event
-
-    event.listen(limited.engine, "begin", lambda c: c.exec_driver_sql(f"PRAGMA max_page_count = {pages}"))
-
-    def fill() -> None:
-        for k in range(400):
-            limited.append([Edit(object_ref("f", k, "label"), "mug", "cup", reason="x" * 1500)], "ann")
-
-    with pytest.raises(NotSaved, match=r"could not be saved; got .*full.*free some space") as error:
-        fill()
-    (kept,) = error.value.edits
-    assert "\n" not in str(error.value)
-    before = len(journal.events())
-    assert isinstance(journal.append([kept], "ann", group=error.value.group), Saved)
-    assert len(journal.events()) == before + 1
-
-
-def _append_without_rights(place: str) -> str:
-    """In a child: as a user who may read the folder and not write to it."""
-    program = f"""
-import os
-from pipeline.system.errors import InputError
-from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.journal.events import Edit, NotSaved
-from pipeline.corrections.journal.journal import open_journal
-import sqlalchemy.dialects.sqlite.pysqlite, sqlite3
-if os.getuid() == 0:
-    os.setgroups([]); os.setgid(65534); os.setuid(65534)
-try:
-    journal = open_journal({place!r})
-    journal.append([Edit(object_ref("f", 1, "label"), "mug", "cup")], "ann")
-    print("saved")
-except NotSaved as error:
-    print("NotSaved", len(error.edits), error)
-except InputError as error:
-    print("InputError", error)
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=LONG_S, check=False,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
-    )  # fmt: skip
-    assert "Traceback" not in done.stderr, done.stderr
-    return done.stdout.strip()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="rights of POSIX")
-def test_a_read_only_folder_is_told_in_one_line() -> None:
-    folder = Path(tempfile.mkdtemp(prefix="spatialviz-"))
-    try:
-        os.chmod(folder, 0o555)
-        said = _append_without_rights(str(folder / JOURNAL_FILE))
-        assert said.startswith("InputError no journal can be made (the folder cannot be written)")
-        os.chmod(folder, 0o755)
-        open_journal(folder / JOURNAL_FILE).append([Edit(NAME, "mug", "cup")], "ann")
-        os.chmod(folder / JOURNAL_FILE, 0o444)
-        os.chmod(folder, 0o555)
-        said = _append_without_rights(str(folder / JOURNAL_FILE))
-        assert said.startswith("InputError" if "opened" in said else "NotSaved 1"), said
-        assert len(said.splitlines()) == 1
-        assert "readonly" in said or "unable to open" in said
-    finally:
-        os.chmod(folder, 0o755)
-        shutil.rmtree(folder)
-
-
-def test_a_journal_of_a_newer_release_and_other_files_are_refused(tmp_path: Path) -> None:
-    journal = open_journal(tmp_path / JOURNAL_FILE)
-    with sqlite3.connect(journal.location) as raw:
-        raw.execute("UPDATE journal_head SET version = 3")
-        raw.execute("PRAGMA user_version = 3")
-    with pytest.raises(InputError, match="newer release"):
-        open_journal(journal.location)
-    (tmp_path / "text").write_text("no database, and long enough to be read as one " * 9)
-    with pytest.raises(InputError, match="its first bytes are not those of a journal"):
-        open_journal(tmp_path / "text")
-    with sqlite3.connect(tmp_path / "other.sqlite") as raw:
-        raw.execute("CREATE TABLE events (x)")
-    with pytest.raises(InputError, match="something else"):
-        open_journal(tmp_path / "other.sqlite")
-    for where in (tmp_path, tmp_path / "nowhere" / "j.sqlite", "mysql://a@b/c", "postgresql://a@b:x/c"):
-        with pytest.raises(InputError):
-            open_journal(where)
-    with pytest.raises(InputError, match="no journal here"):
-        open_journal(tmp_path / "absent.sqlite", must_exist=True)
-    assert not (tmp_path / "absent.sqlite").exists()
-
-
-def test_saved_means_on_the_disk(journal: Journal) -> None:
-    with writing(journal.engine) as connection:
-        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
-        assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 2  # FULL
-
-
-def test_network_file_systems_are_told_apart(tmp_path: Path) -> None:
-    mounts = tmp_path / "mounts"
-    mounts.write_text(
-        "/dev/sda / ext4 rw 0 0\nserver:/x /mnt/team\\040share nfs4 rw 0 0\n"
-        "/dev/sdb /mnt/team\\040share/disk xfs rw 0 0\n"
-    )
-    assert network_file_system("/mnt/team share/labels/journal.sqlite", mounts) == "nfs4"
-    assert network_file_system("/mnt/team share/disk/journal.sqlite", mounts) is None
-    assert network_file_system("/mnt/team shares/journal.sqlite", mounts) is None
-    assert network_file_system("/mnt/x", tmp_path / "absent") is None
-
-
-def test_the_migration_makes_the_table_that_the_code_expects(journal: Journal) -> None:
-    from sqlalchemy import inspect
-
-    from pipeline.corrections.journal.chain import EVENTS
-
-    found = {c["name"]: (str(c["type"]), c["nullable"]) for c in inspect(journal.engine).get_columns("events")}
-    dialect = journal.engine.dialect
-    assert found == {c.name: (c.type.compile(dialect), bool(c.nullable)) for c in EVENTS.columns}
-    assert json.dumps(sorted(i["name"] or "" for i in inspect(journal.engine).get_indexes("events"))) == json.dumps(
-        sorted(str(i.name) for i in EVENTS.indexes)
-    )

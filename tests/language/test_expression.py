@@ -7,11 +7,12 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from expression_checks import refused, triple
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.language import grammar, lexicon
-from pipeline.language.expression import Expression, Node, Query, parse
+from pipeline.language.expression import Node, Query, parse
 from pipeline.language.lexicon import FAR, SAYS, SAYS_SWAPPED, wording
 from pipeline.language.relation_names import MIRRORED, RELATIONS
 from pipeline.system.errors import InputError
@@ -25,20 +26,6 @@ NAMES = [
 SIMPLE = ["mug", "laptop", "cracker box", "table", "red cup", "sofa chair", "t-shirt", "master chef can", "box of tea"]
 PLAIN_PHRASES = [(p, r) for r, phrases in SAYS.items() if r != "between" for p in phrases]
 SWAPPED_PHRASES = [(p, r) for r, phrases in SAYS_SWAPPED.items() for p in phrases]
-
-
-def triple(text: str, **options: object) -> tuple[str, str, str]:
-    expression = parse(text, **options).expression  # type: ignore[arg-type]
-    return expression.target, expression.relation, expression.reference
-
-
-def refused(text: str, **options: object) -> str:
-    with pytest.raises(InputError) as caught:
-        parse(text, **options)  # type: ignore[arg-type]
-    message = str(caught.value)
-    assert "\n" not in message
-    assert len(message) < 700
-    return message
 
 
 # ---- one relation ------------------------------------------------------------------------------------------------
@@ -325,120 +312,6 @@ def test_spans_of_a_nested_expression_do_not_overlap() -> None:
         ("door", "reference", 3),
     ]  # fmt: skip
     assert all(a.end <= b.start for a, b in pairwise(spans))
-
-
-# ---- vocabularies of relations -----------------------------------------------------------------------------------
-
-AVD = ("left", "right", "above", "below", "front", "behind")
-SEMANTIC_ABSTRACTION = ("behind", "left", "right", "front", "on", "in")
-
-
-def test_on_is_read_as_above_where_there_is_no_on() -> None:
-    expression = parse("mug on top of the table", relations=AVD).expression
-    assert (expression.relation, expression.mapped_from) == ("above", "on")
-    assert expression.note is not None
-    assert "on top of" in expression.note
-    held = parse("table holding a mug", relations=AVD).expression
-    assert (held.relation, held.inverse, held.mapped_from) == ("below", False, "on")
-    under = parse("mug under the table", relations=AVD).expression
-    assert (under.relation, under.mapped_from) == ("below", "under")
-
-
-def test_nothing_is_mapped_without_need() -> None:
-    for relations in (None, RELATIONS, SEMANTIC_ABSTRACTION):
-        expression = parse("mug on the table", relations=relations).expression
-        assert (expression.relation, expression.mapped_from, expression.note) == ("on", None, None)
-    for phrase in ("below", "lower than"):
-        assert parse(f"mug {phrase} table", relations=AVD).expression.mapped_from is None
-    assert parse("mug under the table").expression.mapped_from is None
-
-
-@pytest.mark.parametrize(
-    ("text", "relations"),
-    [("mug in the box", AVD), ("mug above the box", SEMANTIC_ABSTRACTION), ("mug near the box", AVD),
-     ("mug on the box", ["left"]), ("mug on the box", [])],
-)  # fmt: skip
-def test_a_relation_that_is_not_on_offer_is_refused(text: str, relations: list[str]) -> None:
-    message = refused(text, relations=relations)
-    assert "not in this vocabulary" in message
-    assert all(wording in message for wording in relations)
-
-
-# ---- errors ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("", "empty"), (" \t\n", "empty"), ("mug", "no relation"), ("the mug", "TARGET RELATION REFERENCE"),
-        ("zzz abov qqq", "'above'"), ("mug lefft of laptop", "'left of'"), ("mug behnd the laptop", "'behind'"),
-        ("mug left laptop", "'left of'"), ("mug nxt to the laptop", "'next to'"), ("mug infrunt of x", "in front of"),
-        ("mug on the table besid the lamp", "'beside'"), ("the mug against the wall", "known relations: left of"),
-        ("left of the laptop", "target is missing"), ("find the mug left of", "reference is missing"),
-        ("mug left of the", "reference is missing"), ("left of", "target is missing"), ("mug on on laptop", "missing"),
-        ("the mug on the left", "side"), ("the mug on the right", "side"), ("mug to the left side", "'left"),
-        ("the chair between the tables", "two references"),
-        ("the chair between the table and", "reference is missing"), ("mug not on the table", "negation"),
-        ("mug without a handle left of x1", "negation"), ("it on the table", "names no object"),
-        ("mug left of it", "names no object"), ("what is on the table?", "target is missing"),
-        ("the mug and the cup left of the laptop", "second target"),
-        ("mug left of a laptop and the lamp", "second reference"),
-        ("put the mug on the table", "not a known relation"), ("x" * 301 + " on y", "too long"),
-        ("mug\x00left of laptop", "control character"), ("mug left of \x1b[31mlaptop", "control character"),
-        ("mug left of <b>laptop</b>", "cannot be read"), ("mug \u202eleft of laptop", "control character"),
-        ("mug left of laptop \ud800", "control character"), ("mug on its top table", "cannot be read"),
-        ("mug 😀 left of laptop", "cannot be read"),
-    ],
-)  # fmt: skip
-def test_errors_say_what_is_wrong(text: str, says: str) -> None:
-    message = refused(text)
-    assert says in message
-    message.encode("utf-8")
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "facing the couch, the lamp on the left of it", "the left side of the car's front",
-        "the lamp to the couch's left",
-        "from the sofa's point of view, the lamp left of the table", "the mug facing the laptop",
-        "from the perspective of the sofa, the lamp left of the table",
-        "looking at the front of the couch, the lamp behind it",
-        "facing the couch from the side you sit on it, choose the lamp to the left of this couch",
-        "as seen from the door, the chair left of the table", "if you sit on the sofa, the lamp is right of the tv",
-        "from the point of view of the sofa, the lamp left of the table", "when facing the tv, the lamp left of the tv",
-        "with your back to the door, the chair left of the table",
-    ],
-)  # fmt: skip
-def test_an_objects_own_view_is_refused_with_the_reason(text: str) -> None:
-    assert "no object's own front is known" in refused(text)
-
-
-def test_known_names_are_not_taken_for_a_view() -> None:
-    assert (
-        triple("front facing camera left of the mug", class_names=["front facing camera"])[0] == "front facing camera"
-    )
-
-
-@pytest.mark.parametrize("bad", [None, 3, b"mug on table", ["mug"]])
-def test_only_text_is_an_expression(bad: object) -> None:
-    with pytest.raises(InputError, match="must be text"):
-        parse(bad)  # type: ignore[arg-type]
-
-
-def test_a_name_is_no_list_of_names() -> None:
-    assert "class_names" in refused("mug on table", class_names="mug")
-    assert "relations" in refused("mug on table", relations="on")
-    assert "class name" in refused("mug on table", class_names=[3])
-
-
-def test_an_expression_is_checked_when_built() -> None:
-    assert str(Expression("mug", "left", "laptop", "")) == "mug left of laptop"
-    for bad in (("mug", "abov", "laptop"), ("", "left", "laptop"), ("mug", "left", " "), ("mug", "between", "x")):
-        with pytest.raises(InputError):
-            Expression(*bad, text="")
-    with pytest.raises(InputError):
-        Expression("mug", "left", "laptop", "", second_reference="lamp")
 
 
 def check(query: Query) -> None:

@@ -2,46 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from pycocotools import mask as coco
-from scenes import frame_of, upright
+from proposal_checks import SEEDS, _own_cache, equal, frame  # noqa: F401
 
-from pipeline.datasets import open_dataset
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import decode_run_length
-from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.proposals import AnnotationDetector, CachedDetector, Detector, Proposals, make_detector, top_k
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import no_proposals
-from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.selection import suppress
 from pipeline.proposals.yolo_seg import letterbox
 from pipeline.system.errors import InputError
-
-SEEDS = st.integers(0, 2**32 - 1)
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
-
-
-@pytest.fixture(scope="module")
-def frame() -> Frame:
-    boxes = [upright((x, 0.9, 2), (0.3, 0.4, 0.3)) for x in (-0.6, 0.0, 0.6)]
-    return frame_of(boxes, ["coffee mug", "laptop", "coffee mug"])
 
 
 def proposals_of(boxes: np.ndarray, scores: np.ndarray) -> Proposals:
@@ -192,222 +172,6 @@ def test_an_unknown_detector_and_a_missing_model_are_refused() -> None:
     assert isinstance(make_detector("annotations"), Detector)
 
 
-# Recordings.
-
-
-def compressed(mask: np.ndarray) -> dict[str, Any]:
-    encoded: Any = coco.encode(np.asfortranarray(mask.astype(np.uint8)))
-    return {"size": list(mask.shape), "counts": encoded["counts"].decode()}
-
-
-def uncompressed(mask: np.ndarray) -> dict[str, Any]:
-    flat = mask.ravel(order="F").astype(np.int8)
-    change = np.flatnonzero(np.diff(flat)) + 1
-    runs = np.diff(np.concatenate([[0], change, [len(flat)]])).tolist()
-    return {"size": list(mask.shape), "counts": runs if not flat[0] else [0, *runs]}
-
-
-@given(SEEDS)
-@settings(max_examples=40)
-def test_both_run_length_codings_decode_to_the_mask(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    mask = cv2.resize(rng.random((6, 7)), (40, 30)) > rng.uniform(0, 1)
-    for coding in (compressed, uncompressed):
-        encoded = coding(mask)
-        decoded = decode_run_length(encoded["size"], encoded["counts"])
-        assert decoded.dtype == np.bool_
-        np.testing.assert_array_equal(decoded, mask)
-
-
-def entry(label: str = "coffee mug", score: Any = 0.9, bbox: Any = (10, 20, 60, 80), **more: Any) -> dict[str, Any]:
-    return {"label": label, "score": score, "bbox": list(bbox), **more}
-
-
-def recording(folder: Path, *entries: dict[str, Any], frame_id: str = "scene/0") -> Path:
-    path = folder / "found.json"
-    path.write_text(json.dumps({"frames": {frame_id: list(entries)}}))
-    return path
-
-
-def test_a_recording_plays_back_what_was_written(tmp_path: Path, frame: Frame) -> None:
-    mask = frame.annotations[0].mask
-    assert mask is not None
-    cv2.imwrite(str(tmp_path / "m.png"), mask.view(np.uint8) * 255)
-    path = recording(
-        tmp_path,
-        entry(mask=compressed(mask)),
-        entry(score=0.8, mask=uncompressed(mask)),
-        entry("laptop", 0.7, mask="m.png"),
-        entry("laptop", 0.1),
-    )
-    detector = make_detector("recorded", model=path)
-    assert detector.vocabulary == ("coffee mug", "laptop")
-    found = detector.detect(frame, None)
-    assert found.masks is not None
-    assert found.has_mask is not None
-    for k in range(3):
-        np.testing.assert_array_equal(found.masks[k], mask)
-    np.testing.assert_array_equal(found.masks[3], box_mask(np.array([10, 20, 60, 80]), 240, 320))
-    assert found.has_mask.tolist() == [True, True, True, False]
-    np.testing.assert_allclose(found.scores, [0.9, 0.8, 0.7, 0.1])
-    np.testing.assert_array_equal(found.boxes, np.tile([10, 20, 60, 80], (4, 1)))
-    # A detection keeps its identity whatever is asked for.
-    some = detector.detect(frame, ["laptops"])
-    assert some.ids.tolist() == [2, 3]
-    assert [some.label(i) for i in range(2)] == ["laptop", "laptop"]
-    assert make_detector("recorded", model=path, min_score=0.5).detect(frame, ["laptop"]).ids.tolist() == [2]
-
-
-def test_arrays_play_back_too(tmp_path: Path, frame: Frame) -> None:
-    masks = np.stack([a.mask for a in frame.annotations if a.mask is not None])
-    boxes = np.stack([a.bbox for a in frame.annotations])
-    arrays: dict[str, Any] = {"boxes": boxes, "scores": np.array([0.9, 0.8, 0.7])}
-    arrays["labels"] = np.array(["mug", "laptop", "mug"])
-    np.savez(tmp_path / "scene__0.npz", **arrays, masks=masks)
-    np.savez(tmp_path / "scene__1.npz", **arrays)
-    detector = RecordedDetector(tmp_path)
-    assert detector.vocabulary == ("laptop", "mug")
-    found = detector.detect(frame, ["mug"])
-    assert found.ids.tolist() == [0, 2]
-    assert found.masks is not None
-    np.testing.assert_array_equal(found.masks, masks[[0, 2]])
-    bare = detector.detect(replace(frame, id="scene/1"), ["mug"])
-    assert bare.has_mask is not None
-    assert not bare.has_mask.any()
-    with pytest.raises(InputError, match="no detections for frame scene/2"):
-        detector.detect(replace(frame, id="scene/2"), None)
-
-
-def test_a_known_class_that_is_absent_is_an_honest_nothing(tmp_path: Path, frame: Frame) -> None:
-    path = tmp_path / "found.json"
-    path.write_text(json.dumps({"frames": {"scene/0": [entry()], "scene/1": [entry("lamp")], "scene/2": []}}))
-    detector = RecordedDetector(path)
-    assert len(detector.detect(frame, ["lamp"])) == 0
-    assert len(detector.detect(replace(frame, id="scene/2"), None)) == 0
-    with pytest.raises(InputError, match=r"does not know the class 'lammp'.*'lamp'"):
-        detector.detect(frame, ["lammp"])
-    with pytest.raises(InputError, match="no detections for frame scene/9"):
-        detector.detect(replace(frame, id="scene/9"), None)
-
-
-FULL = 240 * 320
-
-
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        (entry(score=1.5), r"frames.scene/0.0.score"),
-        (entry(score=-0.1), "score"),
-        (entry(score="high"), "score"),
-        (entry(score=float("nan")), "score"),
-        (entry(bbox=(1, 2, 3)), "bbox"),
-        (entry(bbox=(1, 2, 3, float("nan"))), "finite|bbox"),
-        (entry(bbox=(1, 2, 3, float("inf"))), "finite|bbox"),
-        (entry(label=""), "label"),
-        ({"score": 0.5, "bbox": [0, 0, 1, 1]}, "label"),
-        (entry(mask={"size": [240, 320], "counts": [5, 5]}), "do not fill the mask"),
-        (entry(mask={"size": [240, 320], "counts": [FULL + 5, -5]}), "do not fill the mask"),
-        (entry(mask={"size": [240, 320], "counts": "0"}), "do not fill the mask"),
-        (entry(mask={"size": [240, 320], "counts": "ooooooo"}), "do not fill the mask"),
-        (entry(mask={"size": [240, 320], "counts": "\u4e00\x00\x7f"}), "do not fill the mask"),
-        (entry(mask={"size": [240, 320], "counts": ""}), "do not fill the mask"),
-        (entry(mask={"size": [10, 10], "counts": [50, 50]}), "another size"),
-        (entry(mask={"size": [320, 240], "counts": [FULL]}), "another size"),
-        (entry(mask={"size": [-240, -320], "counts": [FULL]}), "another size|do not fill"),
-        (entry(mask={"size": [10**6, 10**6], "counts": [10**12]}), "another size"),
-        (entry(mask={"size": [240], "counts": [FULL]}), "mask"),
-        (entry(mask="../outside.png"), "outside the recording's folder"),
-        (entry(mask="/etc/hostname"), "outside the recording's folder"),
-        (entry(mask="sub/../../outside.png"), "outside the recording's folder"),
-        (entry(mask="absent.png"), "not a readable"),
-        (entry(mask="nul\x00.png"), "not a readable"),
-        (entry(mask="found.json"), "not a readable"),
-        (entry(mask="."), "not a readable"),
-    ],
-)
-def test_a_hostile_recording_is_refused_in_one_line(
-    tmp_path: Path, frame: Frame, bad: dict[str, Any], message: str
-) -> None:
-    folder = tmp_path / "in"
-    folder.mkdir()
-    cv2.imwrite(str(tmp_path / "outside.png"), np.zeros((240, 320), np.uint8))
-    path = recording(folder, bad)
-    with pytest.raises(InputError, match=message) as caught:
-        RecordedDetector(path).detect(frame, None)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"{", b"[]", b'{"frames": []}', b'{"frames": {"a": 3}}', b"\xff\xfe\x00", b'{"other": 1}', b"[" * 100_000],
-)
-def test_a_file_that_is_no_recording_is_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "found.json"
-    path.write_bytes(content)
-    with pytest.raises(InputError) as caught:
-        RecordedDetector(path)
-    assert str(path) in str(caught.value)
-
-
-def test_a_link_out_of_the_folder_is_not_followed(tmp_path: Path, frame: Frame) -> None:
-    folder = tmp_path / "in"
-    folder.mkdir()
-    cv2.imwrite(str(tmp_path / "outside.png"), np.zeros((240, 320), np.uint8))
-    (folder / "link.png").symlink_to(tmp_path / "outside.png")
-    with pytest.raises(InputError, match="outside"):
-        RecordedDetector(recording(folder, entry(mask="link.png"))).detect(frame, None)
-
-
-GOOD_ARRAYS: dict[str, Any] = {
-    "boxes": np.array([[1, 2, 30, 40.0]]),
-    "scores": np.array([0.5]),
-    "labels": np.array(["mug"]),
-}
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"boxes": np.zeros((3, 5))},
-        {"boxes": np.zeros((2, 4))},
-        {"scores": np.array([2.0])},
-        {"scores": np.array([[0.5]])},
-        {"labels": np.array([{"a": 1}], dtype=object)},
-        {"labels": np.array(["mug", "cup"])},
-        {"masks": np.zeros((1, 4, 4), bool)},
-        {"masks": np.zeros((2, 240, 320), bool)},
-        {"boxes": np.array([["a", "b", "c", "d"]])},
-        {"boxes": None},
-    ],
-)
-def test_hostile_arrays_are_refused(tmp_path: Path, frame: Frame, change: dict[str, Any]) -> None:
-    arrays: dict[str, Any] = {k: v for k, v in (GOOD_ARRAYS | change).items() if v is not None}
-    np.savez(tmp_path / "scene__0.npz", **arrays)
-    with pytest.raises(InputError):
-        RecordedDetector(tmp_path).detect(frame, None)
-
-
-@pytest.mark.parametrize("damage", ["empty", "text", "cut", "npy", "noise"])
-def test_a_damaged_array_file_is_refused(tmp_path: Path, frame: Frame, damage: str) -> None:
-    path = tmp_path / "scene__0.npz"
-    np.savez_compressed(path, **GOOD_ARRAYS)
-    whole = bytearray(path.read_bytes())
-    if damage == "npy":
-        with path.open("wb") as file:
-            np.save(file, np.zeros(4))
-    else:
-        whole[150:200] = bytes(50)
-        half = bytes(whole[: len(whole) // 2])
-        path.write_bytes({"empty": b"", "text": b"hello", "cut": half, "noise": bytes(whole)}[damage])
-    with pytest.raises(InputError, match="not a recording"):
-        RecordedDetector(tmp_path).detect(frame, None)
-
-
-def test_a_missing_recording_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no recording"):
-        RecordedDetector(tmp_path / "none.json")
-
-
 # The cache.
 
 
@@ -434,13 +198,6 @@ class Counting:
         masks[:, 10:60, 20 : 20 + self.runs * 10] = True
         boxes = np.tile(np.array([20, 10, 50, 60], np.float32), (n, 1))
         return Proposals(boxes, np.full(n, 0.5, np.float32), np.arange(n), names, masks, np.arange(n))
-
-
-def equal(a: Proposals, b: Proposals) -> bool:
-    same = all(np.array_equal(getattr(a, k), getattr(b, k)) for k in ("boxes", "scores", "label_index", "ids"))
-    if a.masks is None or b.masks is None:
-        return same and a.masks is b.masks and a.labels == b.labels
-    return same and np.array_equal(a.masks, b.masks) and a.labels == b.labels
 
 
 def cached(detector: Counting, folder: Path) -> CachedDetector:
@@ -524,138 +281,3 @@ def test_nothing_half_written_is_left(tmp_path: Path, frame: Frame, monkeypatch:
 def test_the_cache_lies_where_the_environment_says(tmp_path: Path, frame: Frame) -> None:
     CachedDetector(Counting()).detect(frame, ["mug"])
     assert list((Path(os.environ["SPATIALVIZ_CACHE"]) / "proposals").glob("*.npz"))
-
-
-# A real network.
-
-
-@pytest.fixture(scope="module")
-def yolo_file(shared_data: Path) -> Path:
-    return shared_data / "onnx" / "yolov8n_seg_480x640.onnx"
-
-
-@pytest.fixture(scope="module")
-def yolo(yolo_file: Path) -> Detector:
-    from pipeline.proposals.yolo_seg import YoloSegDetector
-
-    return YoloSegDetector(yolo_file)
-
-
-@pytest.fixture(scope="module")
-def dining(shared_data: Path) -> list[Frame]:
-    dataset = open_dataset(
-        shared_data / "real" / "slambook-diningroom", intrinsics=(518, 519, 325.5, 253.5), depth_scale=1000
-    )
-    return [dataset.load(f) for f in dataset.frame_ids]
-
-
-@pytest.fixture(scope="module")
-def kitchen(shared_data: Path) -> list[Frame]:
-    dataset = open_dataset(shared_data / "real" / "7scenes-redkitchen")
-    return [dataset.load(f) for f in dataset.frame_ids[3:9]]
-
-
-def names_in(found: Proposals) -> list[str]:
-    return [found.label(i) for i in range(len(found))]
-
-
-def test_the_network_finds_what_is_there(yolo: Detector, dining: list[Frame], kitchen: list[Frame]) -> None:
-    for frame in dining:
-        found = names_in(yolo.detect(frame, ["chair", "dining table"]))
-        assert found.count("chair") >= 2
-        assert "dining table" in found
-    for frame in kitchen:
-        assert "cup" in names_in(yolo.detect(frame, ["cup"]))
-        assert "chair" in names_in(yolo.detect(frame, ["chairs"]))
-        assert len(yolo.detect(frame, ["zebra"])) == 0
-
-
-def test_masks_lie_in_their_boxes_and_scores_fall(yolo: Detector, dining: list[Frame], kitchen: list[Frame]) -> None:
-    for frame in (*dining, *kitchen):
-        found = yolo.detect(frame, None)
-        assert found.masks is not None
-        assert found.masks.shape[1:] == frame.depth.shape
-        assert (np.diff(found.scores) <= 0).all()
-        assert (found.scores >= 0.15).all()
-        overlap = iou_2d(found.boxes, found.boxes)
-        assert (overlap[~np.eye(len(found), dtype=bool)] <= 0.5).all()
-        own = []
-        for box, mask in zip(found.boxes, found.masks, strict=True):
-            v, u = np.nonzero(mask)
-            x0, y0, x1, y1 = np.floor(box[0]), np.floor(box[1]), np.ceil(box[2]), np.ceil(box[3])
-            assert x0 <= u.min() <= u.max() < x1
-            assert y0 <= v.min() <= v.max() < y1
-            own.append(iou_2d(box, np.array([u.min(), v.min(), u.max() + 1, v.max() + 1]))[0, 0])
-        assert min(own) > 0.2
-        assert np.median(own) > 0.85
-
-
-def test_a_detection_is_the_same_whatever_is_asked(yolo: Detector, kitchen: list[Frame]) -> None:
-    frame = kitchen[0]
-    both, chairs = yolo.detect(frame, ["chair", "cup"]), yolo.detect(frame, ["chair"])
-    for k, number in enumerate(chairs.ids):
-        at = np.flatnonzero(both.ids == number)
-        assert len(at) == 1
-        assert both.scores[at[0]] == chairs.scores[k]
-        np.testing.assert_array_equal(both.boxes[at[0]], chairs.boxes[k])
-    again = yolo.detect(frame, ["chair"])
-    assert equal(again, chairs)
-
-
-@pytest.mark.parametrize(("down", "across"), [(160, 0), (0, 320), (200, 100)])
-def test_a_moved_picture_moves_the_detections(yolo: Detector, kitchen: list[Frame], down: int, across: int) -> None:
-    """A picture of another shape goes through the letterbox and its masks come back in place."""
-    frame = kitchen[0]
-    h, w = 480 + down, 640 + across
-    rgb = np.full((h, w, 3), 114, np.uint8)
-    rgb[down:, across:] = frame.rgb
-    wider = Frame("wider", rgb, np.ones((h, w), np.float32), replace(frame.camera, height=h, width=w))
-    moved, here = yolo.detect(wider, ["tv", "chair"]), yolo.detect(frame, ["tv", "chair"])
-    assert here.masks is not None
-    assert moved.masks is not None
-    for k in range(2):
-        overlap = iou_2d(here.boxes[k] + [across, down] * 2, moved.boxes)[0]
-        best = int(overlap.argmax())
-        assert overlap[best] > 0.8
-        mask = moved.masks[best][down:, across:]
-        assert (here.masks[k] & mask).sum() / (here.masks[k] | mask).sum() > 0.75
-
-
-def test_an_unknown_name_is_refused_with_what_is_near(yolo: Detector, kitchen: list[Frame]) -> None:
-    with pytest.raises(InputError, match=r"does not know the class 'chiar'.*'chair'"):
-        yolo.detect(kitchen[0], ["chiar"])
-
-
-def test_what_a_cached_result_depends_on_is_in_the_fingerprint(yolo_file: Path) -> None:
-    from pipeline.proposals.yolo_seg import YoloSegDetector
-
-    other = default_synonyms().extended([["puff", "chair"]])
-    made = [
-        YoloSegDetector(yolo_file),
-        YoloSegDetector(yolo_file, min_score=0.3),
-        YoloSegDetector(yolo_file, synonyms=other),
-    ]
-    assert len({d.fingerprint() for d in made}) == 3
-    assert YoloSegDetector(yolo_file).fingerprint() == made[0].fingerprint()
-    assert YoloSegDetector(yolo_file, synonyms=Synonyms.load()).fingerprint() == made[0].fingerprint()
-    assert isinstance(make_detector("yolo-seg", model=yolo_file), CachedDetector)
-
-
-@pytest.mark.parametrize(
-    "name", ["picodet_s_416_coco.onnx", "gdino_stub.onnx", "sam_encoder_nchw_stub.onnx", "sam_decoder_stub.onnx"]
-)
-def test_a_model_of_another_contract_is_refused(shared_data: Path, name: str) -> None:
-    with pytest.raises(InputError, match="not a yolo-seg model") as caught:
-        make_detector("yolo-seg", model=shared_data / "onnx" / name)
-    assert "\n" not in str(caught.value)
-    assert name in str(caught.value)
-
-
-@pytest.mark.parametrize("content", [None, b"", b"this is no model", b"\x08\x07" * 100])
-def test_a_file_that_is_no_model_is_refused(tmp_path: Path, content: bytes | None) -> None:
-    path = tmp_path / "model.onnx"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(InputError, match=r"model\.onnx") as caught:
-        make_detector("yolo-seg", model=path)
-    assert "\n" not in str(caught.value)

@@ -7,24 +7,20 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from box_worlds import box_world
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from network_checks import random_rows, scene  # noqa: F401
 from other_makers import FIGURES, REGIMES, figures, tallied
-from scenes import filled_cloud, frame_of, up_of, upright
 
 from pipeline.answering.ask import ask
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import open_pipeline
 from pipeline.datasets import open_dataset
-from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import LiftedObject, Quality, extents, fit_box
-from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.metrics.calibration_metrics import (
     IDENTITY,
@@ -36,8 +32,8 @@ from pipeline.metrics.calibration_metrics import (
 )
 from pipeline.proposals import AnnotationDetector
 from pipeline.relations import RuleScorer, make_scorer, shipped_network
-from pipeline.relations.features import FEATURES, feature_set
-from pipeline.relations.model import Contract, OnnxScorer
+from pipeline.relations.features import FEATURES
+from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import directional_states
 from pipeline.relations.scorer import rule_probabilities, stacked_extents
 from pipeline.system.errors import InputError
@@ -45,30 +41,6 @@ from pipeline.system.paths import asset_path
 from pipeline.training.evaluation import clear_cut, clear_cut_report, evaluate
 
 LEFT, RIGHT, ABOVE, BELOW, FRONT, BEHIND = range(6)
-
-
-def lifted(points: np.ndarray, viewer: ViewerAxes, mode: Any = "gravity") -> LiftedObject:
-    points = points.astype(np.float32)
-    box, confidence = fit_box(points, viewer, mode)
-    lo, hi, source = extents(points, box, viewer)
-    quality = Quality(len(points), len(points), 1.0, 0.0, False, 2.0, False, "annotation")
-    return LiftedObject(points, box, confidence, lo, hi, source, None, quality)
-
-
-def some_objects(viewer: ViewerAxes, seed: int = 0, count: int = 5) -> list[LiftedObject]:
-    """Clouds of solid boxes, the same ones in level coordinates whatever the viewer."""
-    rng = np.random.default_rng(seed)
-    found = []
-    for _ in range(count):
-        box = upright(rng.uniform((-1.5, -0.5, 1.5), (1.5, 1.0, 4)), rng.uniform(0.1, 0.8, 3), rng.uniform(0, 90))
-        found.append(lifted(filled_cloud(box, rng, 800) @ viewer.R_level_camera, viewer))
-    return found
-
-
-def random_rows(seed: int, count: int = 6) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    lo = rng.uniform((-2, -1, 1), (2, 1, 4), (count, 3))
-    return np.concatenate([lo, lo + rng.uniform(0.0, 1.0, (count, 3))], axis=1)
 
 
 def viewed_rows(seed: int, count: int = 6) -> np.ndarray:
@@ -80,112 +52,6 @@ def viewed_rows(seed: int, count: int = 6) -> np.ndarray:
 @pytest.fixture(scope="module")
 def shipped() -> OnnxScorer:
     return OnnxScorer(shipped_network())
-
-
-# Features.
-
-
-def slow_rel14(a: np.ndarray, b: np.ndarray) -> list[float]:
-    delta, gap, share, ratio = [], [], [], []
-    for k in range(3):
-        (alo, ahi), (blo, bhi) = (a[k], a[3 + k]), (b[k], b[3 + k])
-        delta.append((alo + ahi) / 2 - (blo + bhi) / 2)
-        gap.append(alo - bhi if alo > bhi else -(blo - ahi) if blo > ahi else 0.0)
-        ea, eb = max(ahi - alo, 0.001), max(bhi - blo, 0.001)
-        share.append(max(min(ahi, bhi) - max(alo, blo), 0.0) / min(ea, eb))
-        ratio.append(np.log(ea / eb))
-    return [*delta, *gap, *share, *ratio, (a[2] + a[5]) / 2, (b[2] + b[5]) / 2]
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 10_000))
-def test_rel14_is_what_it_says_for_every_pair(seed: int) -> None:
-    rows = random_rows(seed)
-    features = FEATURES["rel14"].pair(rows)
-    for i in range(len(rows)):
-        for j in range(len(rows)):
-            np.testing.assert_allclose(features[i, j], slow_rel14(rows[i], rows[j]), atol=1e-12)
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 10_000))
-def test_rel14_changes_its_sign_when_the_pair_is_swapped(seed: int) -> None:
-    features = FEATURES["rel14"].pair(random_rows(seed))
-    swapped = features.transpose(1, 0, 2)
-    odd = [*range(0, 6), *range(9, 12)]
-    np.testing.assert_allclose(swapped[..., odd], -features[..., odd], atol=1e-12)
-    np.testing.assert_array_equal(swapped[..., 6:9], features[..., 6:9])
-    np.testing.assert_array_equal(swapped[..., [12, 13]], features[..., [13, 12]])
-
-
-def test_rel26_adds_place_size_and_cut_of_each_to_rel14() -> None:
-    viewer = viewer_axes(up_of(15))
-    objects = some_objects(viewer)
-    objects[2] = replace(objects[2], quality=replace(objects[2].quality, touches_border=True))
-    contract = feature_set("rel26")
-    rows = contract.describe(objects, viewer)
-    features = contract.pair(rows)
-    np.testing.assert_array_equal(features[..., :14], FEATURES["rel14"].pair(rows[:, :6]))
-    assert contract.columns[14:20] == (
-        "right_a", "up_a", "log_size_right_a", "log_size_up_a", "log_size_forward_a", "cut_a",
-    )  # fmt: skip
-    for i, j in ((0, 2), (2, 1), (3, 3)):
-        for half, item in ((features[i, j, 14:20], objects[i]), (features[i, j, 20:], objects[j])):
-            np.testing.assert_allclose(half[:2], (item.lo + item.hi)[:2] / 2)
-            np.testing.assert_allclose(np.exp(half[2:5]), item.hi - item.lo)
-            assert half[5] == item.quality.touches_border
-    assert {k for k in range(5) if features[k, 0, 19]} == {2}
-
-
-def test_paper30_is_both_raw_boxes_in_the_camera_frame() -> None:
-    viewer = viewer_axes(up_of(25))
-    objects = some_objects(viewer)
-    contract = feature_set("paper30")
-    features = contract.pair(contract.describe(objects, viewer))
-    assert features.shape == (5, 5, 30)
-    assert contract.dimension == 30
-    assert contract.columns[0] == "a_T0"
-    assert contract.columns[15:19] == ("b_T0", "b_T1", "b_T2", "b_R00")
-    for i, j in ((0, 1), (3, 2), (4, 4)):
-        for half, item in ((features[i, j, :15], objects[i]), (features[i, j, 15:], objects[j])):
-            box, _ = pca_box(item.points)
-            np.testing.assert_allclose(half[:3], box.center)
-            np.testing.assert_allclose(half[3:12].reshape(3, 3), box.R)
-            np.testing.assert_allclose(half[12:], box.size)
-
-
-@pytest.mark.parametrize("name", ["rel14", "rel26", "canon30"])
-def test_level_features_do_not_depend_on_pitch_and_raw_boxes_do(name: str) -> None:
-    flat, steep = viewer_axes(up_of(0)), viewer_axes(up_of(30, 4))
-    described = [FEATURES[name].describe(some_objects(v), v) for v in (flat, steep)]
-    np.testing.assert_allclose(described[0], described[1], atol=2e-4)
-    raw = [FEATURES["paper30"].describe(some_objects(v), v) for v in (flat, steep)]
-    assert np.abs(raw[0] - raw[1]).max() > 0.1
-
-
-def test_features_do_not_depend_on_how_the_shown_box_is_fitted() -> None:
-    viewer = viewer_axes(up_of(20))
-    rng = np.random.default_rng(3)
-    cloud = filled_cloud(upright((0.3, 0.2, 2), (0.5, 0.3, 0.2), 30), rng, 500) @ viewer.R_level_camera
-    for contract in (c for c in FEATURES.values() if not c.boxes):
-        one, other = (contract.describe([lifted(cloud, viewer, mode)], viewer) for mode in ("gravity", "pca-raw"))
-        np.testing.assert_array_equal(one, other)
-
-
-def test_an_object_of_which_only_a_box_is_known_has_features() -> None:
-    viewer = viewer_axes(up_of(0))
-    seen = some_objects(viewer)[0]
-    assert seen.box is not None
-    drawn = replace(seen, points=np.empty((0, 3), np.float32))
-    for contract in (c for c in FEATURES.values() if not c.boxes):
-        row = contract.describe([drawn], viewer)
-        assert np.isfinite(row).all()
-    np.testing.assert_array_equal(FEATURES["paper30"].describe([drawn], viewer)[0, :3], seen.box.center)
-
-
-def test_an_unknown_contract_is_refused() -> None:
-    with pytest.raises(InputError, match=r"feature contract.*'rel15'.*rel14"):
-        feature_set("rel15")
 
 
 # Antisymmetry and calibration.
@@ -301,15 +167,6 @@ def test_clear_cut_asks_for_ten_centimetres_along_the_dominant_axis() -> None:
     assert clear_cut(lo, hi, by_centers=True)[1, 0] == RIGHT
 
 
-# The scorer.
-
-
-@pytest.fixture(scope="module")
-def scene() -> Frame:
-    boxes = [upright((x, 0.9, z), (0.3, 0.3, 0.3)) for x, z in ((-0.6, 2), (0.6, 2), (0, 3.2))]
-    return frame_of(boxes, ["a", "b", "c"])
-
-
 def test_the_network_scores_six_relations_and_the_rule_the_others(scene: Frame, shipped: OnnxScorer) -> None:
     context = PreparedFrame(scene)
     objects = [o.lifted for o in all_objects(context, AnnotationDetector(("a", "b", "c")))]
@@ -352,117 +209,6 @@ def test_scorers_by_name(tmp_path: Path) -> None:
         make_scorer(tmp_path / "absent.onnx")
     with pytest.raises(InputError, match="not part of this installation"):
         asset_path("srm", "absent.onnx")
-
-
-# The contract.
-
-
-def written(path: Path, metadata: dict[str, str], inputs: int = 14, outputs: int = 6) -> Path:
-    """A network of the given shape that says the given things about itself."""
-    pytest.importorskip("onnx")
-    from pipeline.training.onnx_file import write_onnx
-
-    rng = np.random.default_rng(0)
-    write_onnx(path, [(rng.normal(size=(inputs, outputs)), np.zeros(outputs))], metadata)
-    return path
-
-
-def said(**changes: Any) -> dict[str, str]:
-    contract = Contract(
-        "rel14", FEATURES["rel14"].columns, np.zeros(14), np.ones(14), DIRECTIONAL,
-        dict.fromkeys(DIRECTIONAL, (1.0, 0.0)), 0, "abc",
-    )  # fmt: skip
-    metadata = contract.metadata()
-    metadata.update({f"srm.{key}": value for key, value in changes.items()})
-    return {key: value for key, value in metadata.items() if value != ""}
-
-
-def test_a_contract_survives_the_file_to_the_last_digit(tmp_path: Path) -> None:
-    rng = np.random.default_rng(1)
-    calibration: dict[str, tuple[float, float]] = {r: (1.1, 1 / 3) for r in DIRECTIONAL}  # noqa: C420
-    contract = Contract(
-        "canon30", FEATURES["canon30"].columns, rng.normal(size=30), rng.uniform(0.1, 2, 30), DIRECTIONAL,
-        calibration, 7, "f00d",
-    )  # fmt: skip
-    scorer = OnnxScorer(written(tmp_path / "m.onnx", contract.metadata(), inputs=30))
-    np.testing.assert_array_equal(scorer.contract.mean, contract.mean)
-    np.testing.assert_array_equal(scorer.contract.std, contract.std)
-    for key in ("features", "columns", "vocabulary", "calibration", "seed", "data"):
-        assert getattr(scorer.contract, key) == getattr(contract, key)
-    assert scorer.name == "canon30"
-
-
-def test_the_scorer_standardises_and_calibrates(tmp_path: Path) -> None:
-    rows = random_rows(2)
-    plain = OnnxScorer(written(tmp_path / "a.onnx", said()))
-    moved = OnnxScorer(written(tmp_path / "b.onnx", said(mean=json.dumps([0.5] * 14), std=json.dumps([2.0] * 14))))
-    bent = dict.fromkeys(DIRECTIONAL, (2.0, 0.5))
-    sharp = OnnxScorer(written(tmp_path / "c.onnx", said(calibration=json.dumps(bent))))
-    np.testing.assert_allclose(plain.probabilities(rows), sigmoid(plain.logits(rows)))
-    np.testing.assert_allclose(sharp.probabilities(rows), sigmoid(2 * plain.logits(rows) + 0.5))
-    W = np.random.default_rng(0).normal(size=(14, 6))
-    expected = antisymmetric(((FEATURES["rel14"].pair(rows) - 0.5) / 2.0) @ W, DIRECTIONAL)
-    np.testing.assert_allclose(moved.logits(rows), expected, atol=1e-4)
-
-
-def test_a_network_for_some_relations_leaves_the_others_to_the_rule(tmp_path: Path, scene: Frame) -> None:
-    pair = json.dumps(["on", "behind"])
-    calibration = json.dumps({"on": [1.0, 0.0], "behind": [1.0, 0.0]})
-    scorer = OnnxScorer(written(tmp_path / "m.onnx", said(vocabulary=pair, calibration=calibration), outputs=2))
-    context = PreparedFrame(scene)
-    objects = [o.lifted for o in all_objects(context, AnnotationDetector(("a", "b", "c")))]
-    scores = scorer.score(objects, context.viewer)
-    assert [r for r, by in scores.scored_by.items() if by == "rel14"] == ["behind", "on"]
-    np.testing.assert_array_equal(scores.of("left"), RuleScorer().score(objects, context.viewer).of("left"))
-
-
-BENT = {r: [1.0, 0.0] for r in DIRECTIONAL}
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"contract": ""}, "not a relation network.*no contract"),
-        ({"contract": "spatialviz-srm-9"}, "not a relation network.*spatialviz-srm-9"),
-        ({"features": "rel15"}, "features that are not known.*'rel15'"),
-        ({"features": "paper30"}, "paper30 is another one.*14 features"),
-        ({"columns": json.dumps([*FEATURES["rel14"].columns[:-2], "forward_b", "a"])}, "'forward_b' in place 12"),
-        ({"mean": json.dumps([0.0] * 13)}, "mean and deviation"),
-        ({"std": json.dumps([1.0] * 13 + [0.0])}, "mean and deviation"),
-        ({"mean": json.dumps([0.0] * 13)[:-1]}, "cannot be read"),
-        ({"std": ""}, "cannot be read.*KeyError"),
-        ({"seed": "many"}, "cannot be read"),
-        ({"calibration": "[1, 2]"}, "cannot be read"),
-        ({"vocabulary": json.dumps([*DIRECTIONAL[:-1], "beneath"])}, "vocabulary is not known.*beneath"),
-        ({"vocabulary": json.dumps(["left"] * 6)}, "vocabulary is not known"),
-        ({"vocabulary": "[]"}, "vocabulary is not known"),
-        ({"calibration": json.dumps({"left": [1, 0]})}, "for other relations"),
-        ({"calibration": json.dumps({**BENT, "left": [-1, 0]})}, "calibration must be"),
-        ({"calibration": json.dumps({**BENT, "left": [2, 0]})}, "the same for inverse relations.*left"),
-        ({"calibration": json.dumps({**BENT, "left": [float("nan"), 0]})}, "calibration must be"),
-    ],
-)
-def test_a_wrong_pairing_is_refused_with_its_reason(tmp_path: Path, changes: dict, message: str) -> None:
-    path = written(tmp_path / "m.onnx", said(**changes))
-    with pytest.raises(InputError, match=message) as error:
-        OnnxScorer(path)
-    assert error.value.path == path
-
-
-def test_a_graph_of_another_shape_is_refused(tmp_path: Path) -> None:
-    for inputs, outputs in ((30, 6), (14, 9)):
-        with pytest.raises(InputError, match="does not fit its metadata"):
-            OnnxScorer(written(tmp_path / "m.onnx", said(), inputs, outputs))
-
-
-def test_files_of_another_kind_are_refused(tmp_path: Path, shared_data: Path) -> None:
-    with pytest.raises(InputError, match="not a relation network"):
-        make_scorer(shared_data / "onnx" / "yolov8n_seg_480x640.onnx")
-    broken = tmp_path / "broken.onnx"
-    broken.write_bytes(shipped_network().read_bytes()[:5000])
-    for path in (broken, tmp_path):
-        with pytest.raises(InputError):
-            OnnxScorer(path)
 
 
 # The shipped network.

@@ -1,0 +1,22 @@
+"""What tests of expressions share."""
+
+from __future__ import annotations
+
+import pytest
+
+from pipeline.language.expression import parse
+from pipeline.system.errors import InputError
+
+
+def triple(text: str, **options: object) -> tuple[str, str, str]:
+    expression = parse(text, **options).expression  # type: ignore[arg-type]
+    return expression.target, expression.relation, expression.reference
+
+
+def refused(text: str, **options: object) -> str:
+    with pytest.raises(InputError) as caught:
+        parse(text, **options)  # type: ignore[arg-type]
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < 700
+    return message
