@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from rich.text import Text
 
@@ -26,14 +26,11 @@ from pipeline.evaluation.summary import RunSummary, need_verdicts, oracle_table,
 from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 from spatialviz.cli_eval import Eval, Failures, Query, Tables
 from spatialviz.options import FINE, NO, print_json, warn
 from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, table_record
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
 
 MOST_SHOWN = 1000
 """Rows of SQL on the terminal."""

@@ -6,7 +6,7 @@ import math
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pipeline.corrections.journal.effective_frame import setting_of
 from pipeline.corrections.journal.journal import JOURNAL_FILE
@@ -32,14 +32,12 @@ from pipeline.language.counted import counted
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.features import CLI_FEATURES
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.training.train import TrainConfig, need_torch
 from spatialviz.cli_corrections import Review
 from spatialviz.options import FINE, NO, warn, warn_skipped
 from spatialviz.printing import figure, print_rows, progress_bars, say
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 
 def run_review(command: Review) -> int:

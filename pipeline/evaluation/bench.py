@@ -33,6 +33,7 @@ from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.relation_names import VOCABULARIES
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.peak_memory import PeakMemory
 from pipeline.training.label_data import pair_set, read_label_data
@@ -136,8 +137,6 @@ def _inputs(dataset: str, labels: Path | None, recording: Path | None) -> Iterat
 
 def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], ArrowTable]:
     """Every expression in this process, with what each stage took."""
-    import pyarrow as pa
-
     evaluator = Evaluator(spec)
     blocks = blocks_of(frames_in(evaluator.labels, "expressions"))
     if not blocks:
@@ -156,8 +155,6 @@ def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], ArrowTable]
 
 def _as_many(records: ArrowTable, rows: int, clusters: int) -> ArrowTable:
     """The records repeated to so many rows in so many scenes."""
-    import pyarrow as pa
-
     many = records.take(np.arange(rows) % records.num_rows)
     scenes = pa.array([f"{k * clusters // rows:06d}" for k in range(rows)])
     return many.set_column(many.schema.get_field_index("scene"), "scene", scenes)

@@ -14,6 +14,7 @@ from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.metrics.intervals import Estimate, McNemar, mcnemar, mean_estimate
+from pipeline.system.arrow import pq
 from pipeline.system.errors import InputError
 
 MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
@@ -78,8 +79,6 @@ def read_records(run: Path) -> ArrowTable:
     InputError
         There is no run, or it measured relations alone.
     """
-    import pyarrow.parquet as pq
-
     path = Path(run) / "records.parquet"
     try:
         return pq.read_table(path)

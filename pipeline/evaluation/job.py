@@ -47,6 +47,7 @@ from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
+from pipeline.system.arrow import pq
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
@@ -123,8 +124,6 @@ def evaluate_dataset(
     InputError
         Dataset, labels or runs cannot be used, or `out` holds something else.
     """
-    import pyarrow.parquet as pq
-
     start = perf_counter()
     out = Path(out)
     for name_of, count_of in (("--limit", spec.limit), ("--workers", workers)):

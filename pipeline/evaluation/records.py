@@ -16,6 +16,7 @@ from pipeline.diagnosis.substitution import CONF, LIFT, SRM
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.expression import Query
+from pipeline.system.arrow import pa
 
 if TYPE_CHECKING:
     from pyarrow import Schema as ArrowSchema
@@ -80,8 +81,6 @@ columns of the diagnosis for systems that are not the pipeline."""
 
 def records_schema() -> ArrowSchema:
     """The Arrow schema of `COLUMNS`; a box is four numbers in pixels."""
-    import pyarrow as pa
-
     kinds = {
         "string": pa.string(), "int32": pa.int32(), "int8": pa.int8(), "bool": pa.bool_(), "float32": pa.float32(),
         "box": pa.list_(pa.float32(), 4), "strings": pa.list_(pa.string()),

@@ -24,6 +24,7 @@ from pipeline.relations.features import geometry_of
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
+from pipeline.system.arrow import pq
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import metadata, open_session
 from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, object_rows, rows_of_frame
@@ -124,8 +125,6 @@ def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | 
 
 
 def _part(labels: Labels, table: str, names: Sequence[str], first: int, stop: int) -> dict[str, np.ndarray]:
-    import pyarrow.parquet as pq
-
     chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
     found = pq.read_table(labels.root / f"{table}.parquet", columns=list(names), filters=chosen)
     return column_arrays(found.select(list(names)))

@@ -43,6 +43,7 @@ from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.splits import DROPPED
 from pipeline.metrics.tables import Table
 from pipeline.relations.model import OnnxScorer
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
 
 VLM_FILE = "relation_records_vlm.parquet"
@@ -79,8 +80,6 @@ class RelationRun:
 @contextmanager
 def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[Callable[[ArrowTable], None] | None]:
     """Where relation records go while frames are evaluated; None where relations are not measured."""
-    import pyarrow.parquet as pq
-
     if spec.relations is None:
         yield None
         return
@@ -233,9 +232,6 @@ def ask_relations(
     ServerError
         The server gives no answer at all.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     client = ChatClient(
         options.url, options.model, timeout_s=options.timeout_s, requests_per_minute=options.requests_per_minute
     )

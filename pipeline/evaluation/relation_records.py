@@ -27,6 +27,7 @@ from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS
 from pipeline.relations.model import OnnxScorer
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import parts_seen
 
@@ -130,8 +131,6 @@ class RelationPass:
 def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> ArrowSchema:
     """`state` holds a state for each relation; `p` for each scorer a probability for each of its relations, and
     `learnt_from` the part of its training ("train", "validation") that the frame belongs to, else null."""
-    import pyarrow as pa
-
     relations = [r for r in PAIRWISE if r in labels.relation_names]
     text = [pa.field(s.name, pa.struct([pa.field(r, pa.float32()) for r in s.relations])) for s in systems]
     about = [
@@ -168,8 +167,6 @@ def _rows(
     found: Sequence[np.ndarray],
     labels: Labels,
 ) -> ArrowTable:
-    import pyarrow as pa
-
     count = len(pairs.a)
 
     def struct(values: list[Any], names: Sequence[str]) -> Any:
@@ -204,8 +201,6 @@ def _part_of(system: RelationSystem, pairs: FramePairs, labels: Labels) -> str |
 
 def read_pair_names(path: Path) -> list[tuple[str, str, str]]:
     """Frame and class names (of a, of b) of each pair, in the order of `read_relation_records`."""
-    import pyarrow.parquet as pq
-
     table = pq.read_table(path, columns=["frame", "label_a", "label_b"])
     return list(zip(*(column.to_pylist() for column in table.columns), strict=True))
 
@@ -218,8 +213,6 @@ def read_relation_records(path: Path) -> RelationRecords:
     InputError
         The file is missing, or is something else.
     """
-    import pyarrow.parquet as pq
-
     try:
         file = pq.ParquetFile(path)
         schema = file.schema_arrow

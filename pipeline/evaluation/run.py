@@ -33,6 +33,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.tables import read_table
 from pipeline.language.expression import Query
 from pipeline.proposals.base import reads_annotations
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 from pipeline.system.worker_pool import results_of
 
@@ -180,8 +181,6 @@ class Evaluator:
 
     def block(self, first: int, stop: int) -> tuple[ArrowTable, ArrowTable | None]:
         """The records of the frames from index `first` up to `stop`: of expressions, and of pairs where asked for."""
-        import pyarrow as pa
-
         with self.clock.stage("read"):
             cases = {t.frame_index: t for t in read_cases(self.labels, first, stop)} if self.spec.grounding else {}
             pairs = {} if self.relations is None else self.relations.cases(first, stop)
@@ -217,8 +216,6 @@ def chosen_ids(labels: Labels, limit: int | None) -> set[tuple[int, str]] | None
 
 def table_of(rows: Sequence[dict[str, Any]]) -> ArrowTable:
     """Records as an Arrow table."""
-    import pyarrow as pa
-
     return pa.table({name: [row[name] for row in rows] for name in COLUMNS}, records_schema())
 
 

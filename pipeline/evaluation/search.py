@@ -30,6 +30,7 @@ from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
+from pipeline.system.arrow import pc
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -358,8 +359,6 @@ def completions(source: str | Path | ArrowTable, most: int = 200) -> tuple[Field
 
 def _occurring(field: Field, column: Any, most: int) -> tuple[str, ...]:
     """The values of a field, as `Field.values`."""
-    import pyarrow.compute as pc
-
     # Ids are not chosen from a list.
     if field.kind == "text" and field.column != "id":
         counts = column.drop_null().value_counts().to_pylist()

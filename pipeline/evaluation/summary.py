@@ -16,6 +16,7 @@ from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.evaluation.records import ArrowTable
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
+from pipeline.system.arrow import pc
 from pipeline.system.errors import InputError
 
 EXACT = 1e-9
@@ -137,8 +138,6 @@ def summarise_run(records: ArrowTable, config: BootstrapConfig | None = None) ->
     """
     need_verdicts(records)
     if records.column("verdict").null_count:
-        import pyarrow.compute as pc
-
         records = records.filter(pc.is_valid(records.column("verdict")))  # pyright: ignore[reportAttributeAccessIssue]
     clusters, unit = clusters_of(records)
     verdict = np.array(records.column("verdict").to_pylist(), object)

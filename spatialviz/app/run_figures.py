@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
 
 from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
 from pipeline.evaluation.loss_plots import MOST_SHOWN
@@ -11,10 +10,8 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.search import Field, completions
 from pipeline.evaluation.slices import Slices, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 STANDS_IN = "stands_in"
 """The column, and the field of a search, that says in which relation an answer stands."""
@@ -61,7 +58,6 @@ class RunFigures:
         records = self.run.records
         if isinstance(self._standings, str) or STANDS_IN in records.column_names:
             return records
-        import pyarrow as pa
 
         return records.append_column(STANDS_IN, pa.array(self._standings.column()))
 

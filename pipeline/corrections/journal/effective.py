@@ -10,7 +10,7 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xxhash
@@ -57,10 +57,8 @@ from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.model import OnnxScorer
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _NAMED = ("table", "frame", "key", "column")
 _KEYS = {"objects": ("object",), "relations": ("a", "b"), "expressions": ("id",)}
@@ -218,8 +216,6 @@ def effective_tables(
     InputError
         The labels, the journal or a frame of the dataset cannot be read.
     """
-    import pyarrow as pa
-
     events = journal.events() if isinstance(journal, Journal) else tuple(journal)
     corrector = Corrector(labels, dataset)
     by_frame = grouped(events, lambda e: e.ref.frame)

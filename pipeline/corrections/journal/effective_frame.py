@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +19,8 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.reading import Labels
 from pipeline.labels.tables import arrow_schema, build_table
 from pipeline.language.relation_names import MIRRORED, PAIRWISE
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 Row = dict[str, Any]
 BOX_COLUMNS = ("center", "R", "size")

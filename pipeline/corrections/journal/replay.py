@@ -13,16 +13,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, judged_item, judged_key, same_value, shown_value
 from pipeline.geometry.boxes import iou_2d
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from pipeline.system.arrow import pa
 
 ANCHOR_IOU = 0.5
 """An object's automatic 2D box must overlap by this much with what it was when it was corrected."""
@@ -247,7 +245,5 @@ class Origin:
 
 def provenance_schema() -> pa.Schema:
     """The table of provenance: one row a value that is not the labeller's; `was` is the labeller's value as JSON."""
-    import pyarrow as pa
-
     kinds = {"frame_index": pa.int32(), "time": pa.timestamp("us", "UTC")}
     return pa.schema([pa.field(name, kinds.get(name, pa.string())) for name in ORIGIN_FIELDS])

@@ -20,7 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -29,10 +29,8 @@ from pipeline.corrections.journal.field_refs import FieldRef, judged_item, same_
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import by_ref, standing_at
 from pipeline.relations.relations import letter
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 Kind = Literal["relation", "object", "expression"]
 State = Literal["unreviewed", "accepted", "corrected", "rejected", "unsure"]
@@ -132,8 +130,6 @@ def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
     InputError
         A state is none of STATES.
     """
-    import pyarrow as pa
-
     checked_states(states)
     kept = queue.select([name for name in queue.column_names if name != "state"])
     column = [states.get(key, "unreviewed") for key in item_keys(queue)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -34,10 +34,8 @@ from pipeline.corrections.review.reviewed import (
 )
 from pipeline.labels.check.linter import check_labels
 from pipeline.labels.reading import Labels
+from pipeline.system.arrow import pa
 from pipeline.training.label_data import LabelData, read_label_data
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 LEAST = 0.02
 """Evidence that is weaker is not worth a reason, and a label without any is not in the queue."""
@@ -244,8 +242,6 @@ def _merged(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
 
 
 def _ranked(columns: dict[str, Any], limit: int | None, metadata: dict[str, str]) -> pa.Table:
-    import pyarrow as pa
-
     keys = ("order", "b", "a", "frame_index", "score")
     order = np.lexsort([-columns[k] if k == "score" else np.nan_to_num(columns[k], nan=-1) for k in keys])
     order = order if limit is None else order[: max(limit, 0)]

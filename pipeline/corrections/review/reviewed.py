@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import xxhash
@@ -46,11 +46,9 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest, labels_version
 from pipeline.metrics.intervals import Agreement, cohen_kappa
 from pipeline.relations.relations import F, T, U
+from pipeline.system.arrow import pa
 from pipeline.system.errors import require
 from pipeline.training.label_data import LabelData
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 DISAGREE = "reviewers disagree"
 """How the reason begins."""
@@ -252,8 +250,6 @@ def _strewn(first: list[int], again: list[int], keys: list[ItemKey]) -> list[int
 
 def _without_others(queue: pa.Table) -> pa.Table:
     """The queue without the reasons that tell what people said."""
-    import pyarrow as pa
-
     at = queue.schema.get_field_index("reasons")
     reasons = [[r for r in row if not r.startswith(DISAGREE)] for row in queue.column("reasons").to_pylist()]
     field = queue.schema.field(at)

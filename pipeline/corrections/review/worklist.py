@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,10 +27,8 @@ from pipeline.corrections.review.items import (
     key_stands,
 )
 from pipeline.labels.tables import write_table
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, require
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 VERSION_KEY = b"labels_version"
 _UNREVIEWED, _UNSURE = STATES.index("unreviewed"), STATES.index("unsure")
@@ -249,9 +246,6 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
     InputError
         It is no queue, damaged, or of other labels.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     path = Path(path)
     try:
         queue = pq.ParquetFile(path).read()
@@ -275,8 +269,6 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
 
 
 def _check_columns(queue: pa.Table, path: Path) -> None:
-    import pyarrow as pa
-
     text, number, real = pa.string(), pa.int32(), pa.float64()
     wanted = {
         "frame": text, "frame_index": number, "kind": text, "a": number, "b": number, "relation": text,
