@@ -14,6 +14,7 @@ from pipeline.datasets.base import Dataset, resolve_frame, scene_of, unknown_fra
 from pipeline.datasets.settings import SOURCES, GivenUp, Settings, Vector, parse_level_at
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.level_plane import far_from_level, level_normal_at
 from pipeline.system.errors import InputError
 
 FAR_FROM_DECLARED_DEG = 5.0
@@ -131,8 +132,6 @@ class UpGiven:
 
     def doubts(self, frame: Frame) -> tuple[str, ...]:
         """What speaks against the up that was told, in a frame of the reader."""
-        from pipeline.geometry.level_plane import far_from_level
-
         told, own = self._camera(frame), self._own(frame.camera)
         if told.up is None or told.up_source != "given":
             return ()
@@ -162,8 +161,6 @@ def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = N
     """
     frame_up = dict(settings.frame_up)
     if level_at is not None:
-        from pipeline.geometry.level_plane import level_normal_at
-
         key, u, v = parse_level_at(level_at)
         frame = dataset.load(resolve_frame(dataset, 0 if key is None else key))
         x, y, z = level_normal_at(frame.depth, frame.camera, u, v).tolist()

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import Dataset, dataset_notes, has_moves, moves
+from pipeline.datasets.scene_up import own_disagreement, resolved_camera, scene_vote
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Frame
@@ -73,8 +74,6 @@ class FrameReport:
 
 def survey(dataset: Dataset) -> Iterator[FrameReport]:
     """Load every frame in turn and report it; a broken one does not stop the rest."""
-    from pipeline.datasets.scene_up import resolved_camera
-
     assumed = dataset_notes(dataset)
     for index, frame_id in enumerate(dataset.frame_ids):
         leads = moves(dataset, frame_id) if has_moves(dataset) else None
@@ -112,8 +111,6 @@ def up_notes(dataset: Dataset, frame: Frame, camera: Camera) -> tuple[str, ...]:
     camera : Camera
         Of the frame, with its up vector resolved.
     """
-    from pipeline.datasets.scene_up import own_disagreement, scene_vote
-
     notes = (f"{ASSUMED}; {DECLARE}",) if camera.up_source == "assumed" else ()
     if camera.T_world_camera is None or camera.up_source not in ("scene", "plane", "assumed"):
         return notes

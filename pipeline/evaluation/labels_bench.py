@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.bench import fastest
+from pipeline.datasets.synthetic import choose_views, exact_view, make_room
+from pipeline.datasets.synthetic.render import sense
 from pipeline.geometry.camera import Camera, backproject
 from pipeline.geometry.fitting import extents_of
 from pipeline.geometry.lifting import depth_edges, lift
@@ -28,6 +30,7 @@ from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.relations.relations import directional_states
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.threads import one_thread
+from pipeline.training.training_data import MIN_PIXELS, degraded
 
 WIDTH, HEIGHT, VIEWS_A_ROOM = 640, 480, 3
 FIRST_ROOM = 7_000_000
@@ -105,10 +108,6 @@ def bench_labels(spec: SourceSpec, *, views: int = 12, repeat: int = 3, workers:
 
 def bench_views(seed: int) -> list[BenchView]:
     """Views of one rendered room, with the extents of what is truly visible."""
-    from pipeline.datasets.synthetic import choose_views, exact_view, make_room
-    from pipeline.datasets.synthetic.render import sense
-    from pipeline.training.training_data import MIN_PIXELS, degraded
-
     rng = np.random.default_rng([seed, 31])
     room = make_room(seed)
     found = []

@@ -295,7 +295,7 @@ def open_systems(options: Mapping[str, Any], spec: RelationSpec, labels: Labels)
     Parameters
     ----------
     options : mapping
-        Arguments of `jobs.open_source`: srm, vectors.
+        Arguments of `open_pipeline`: srm, vectors.
     spec : RelationSpec
     labels : Labels
 

@@ -101,7 +101,7 @@ class RelationPass:
     ----------
     spec : RelationSpec
     options : dict
-        Arguments of `jobs.open_source`.
+        Arguments of `open_pipeline`.
     labels : Labels
     chosen : collection of int
         Indices of the frames that are scored.

@@ -55,7 +55,7 @@ class EvalSpec:
     dataset : str
     labels : str
     options : dict
-        Arguments of `jobs.open_pipeline`: detector, model, srm, config, ...
+        Arguments of `open_pipeline`: detector, model, srm, config, ...
     system : str
         "pipeline"; "referring", the detector fed the whole expression; or "vlm".
     vlm : VlmOptions or None

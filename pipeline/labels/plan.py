@@ -10,8 +10,10 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
+from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import canonical_hash, fingerprint
 from pipeline.labels.store import PLAN_FILE, Store
@@ -32,15 +34,13 @@ _CAMERA = ("intrinsics", "depth_scale", "up", "level_at")
 
 @dataclass(frozen=True)
 class SourceSpec:
-    """How a worker opens the dataset and its models: the arguments of `jobs.open_pipeline`, as plain values."""
+    """How a worker opens the dataset and its models: the arguments of `open_pipeline`, as plain values."""
 
     path: str
     options: dict[str, Any] = field(default_factory=dict)
 
     def open(self, config: LabelConfig) -> Pipeline:
         """The dataset with its models; relations are judged by the rules, and so no network is loaded."""
-        from pipeline.answering.ask import AskConfig
-
         return open_pipeline(self.path, srm="rule", config=AskConfig(lift=config.lift), **self.options)
 
     def absolute(self) -> SourceSpec:
@@ -299,8 +299,6 @@ def load_plan(store: Store) -> Plan:
     InputError
         There is none, or it is damaged.
     """
-    from pipeline.geometry.lifting import LiftConfig
-
     text = store.read_text(PLAN_FILE)
     if text is None:
         raise InputError("no labels here", expected=f"a folder with the {PLAN_FILE} of `label`", path=store.where)

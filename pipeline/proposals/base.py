@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from pipeline.geometry.frame import Frame
+from pipeline.language.naming import suggest
 from pipeline.system.errors import InputError, UnknownClass
 
 
@@ -161,8 +162,6 @@ def reads_annotations(detector: Detector) -> bool:
 
 def unknown_class(label: str, names: Sequence[str], where: str, advice: str | None = None) -> UnknownClass:
     """The error for a class name that a detector of limited vocabulary does not know; `advice` says what else helps."""
-    from pipeline.language.naming import suggest
-
     close = suggest(label, names)
     hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else "known: " + listed(names)
     hint += f"; {advice}" if advice else ""

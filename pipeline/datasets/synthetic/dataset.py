@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -155,8 +158,6 @@ def _run(jobs: list[Job], views: int, workers: int, progress: Callable[[int, int
                 tell(k * views + view + 1, total)
             records.append(record)
         return records
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor, as_completed
 
     pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=multiprocessing.get_context("spawn"))
     try:
@@ -190,8 +191,6 @@ def _render_room(job: Job, record: SceneRecord) -> Iterator[int]:
 
 def _declaration(command: str, seed: int) -> str:
     """The dataset's own file: what BOP cannot say, that z is up in its world."""
-    from importlib.metadata import PackageNotFoundError, version
-
     try:
         tool = version("spatialviz")
     except PackageNotFoundError:
