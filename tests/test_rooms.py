@@ -126,21 +126,14 @@ def hidden(module: str, tree: ast.Module) -> Iterator[tuple[str, int]]:
             yield from ((name, node.lineno) for name in names)
 
 
-def brings_in(module: str, seen: set[str]) -> set[str]:
-    """Packages of others that are loaded with a module of the core."""
-    if module in seen or module not in modules():
-        return set()
-    seen.add(module)
-    found = set()
-    tree = modules()[module]
-    for node in tree.body:
-        if isinstance(node, ast.Import):
-            found |= {a.name.split(".")[0] for a in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found.add(node.module.split(".")[0])
-    for target, _ in imported(ast.Module([n for n in tree.body if isinstance(n, (ast.Import, ast.ImportFrom))], [])):
-        found |= brings_in(target, seen)
-    return found
+@cache
+def brings_in(module: str) -> frozenset[str]:
+    """Heavy packages that are loaded with a module of the core; there are no circles to run in."""
+    tops = [n for n in modules()[module].body if isinstance(n, (ast.Import, ast.ImportFrom))]
+    found = {a.name.split(".")[0] for n in tops for a in n.names if isinstance(n, ast.Import)}
+    found |= {n.module.split(".")[0] for n in tops if isinstance(n, ast.ImportFrom) and n.module}
+    targets = {target for target, _ in imported(ast.Module(tops, []))} - {module, "pipeline"}
+    return frozenset(found & HEAVY).union(*map(brings_in, targets))
 
 
 def test_imports_within_functions_save_time_or_an_extra() -> None:
@@ -150,6 +143,6 @@ def test_imports_within_functions_save_time_or_an_extra() -> None:
         if name != "pipeline" and name not in LAZY_PARTS
         for target, line in hidden(name, tree)
         if target.split(".")[0] not in HEAVY
-        and not (brings_in(target, set()) & HEAVY) - (brings_in(name, set()) & HEAVY)
+        and not (target in modules() and brings_in(target) - brings_in(name))
     ]
     assert not needless
