@@ -129,8 +129,8 @@ def hidden(module: str, tree: ast.Module) -> Iterator[tuple[str, int]]:
 @cache
 def brings_in(module: str) -> frozenset[str]:
     """Heavy packages that are loaded with a module of the core; there are no circles to run in."""
-    tops = [n for n in modules()[module].body if isinstance(n, (ast.Import, ast.ImportFrom))]
-    found = {a.name.split(".")[0] for n in tops for a in n.names if isinstance(n, ast.Import)}
+    tops: list[ast.stmt] = [n for n in modules()[module].body if isinstance(n, (ast.Import, ast.ImportFrom))]
+    found = {a.name.split(".")[0] for n in tops if isinstance(n, ast.Import) for a in n.names}
     found |= {n.module.split(".")[0] for n in tops if isinstance(n, ast.ImportFrom) and n.module}
     targets = {target for target, _ in imported(ast.Module(tops, []))} - {module, "pipeline"}
     return frozenset(found & HEAVY).union(*map(brings_in, targets))

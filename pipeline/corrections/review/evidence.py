@@ -110,9 +110,9 @@ def margin_evidence(cells: RelationLabels, least: float) -> RelationEvidence:
     near = np.abs(cells.margins)
     weight = np.where(np.isnan(near), 0.0, 0.5 * ndtr(-np.nan_to_num(near) / MARGIN_SIGMA_M))
     rows, columns = np.nonzero(((cells.states == T) | (cells.states == F)) & (weight >= least))
-    reason = _joined(
-        "only ", np.char.mod("%.1f", 1000 * near[rows, columns]), " mm from where the rule would be undecided"
-    )
+    mm = 1000 * near[rows, columns]
+    told = np.where(mm < 0.05, "less than 0.1", np.char.add("only ", np.char.mod("%.1f", mm)))
+    reason = _joined(told, " mm from where the rule would be undecided")
     return RelationEvidence(rows, columns, weight[rows, columns], reason)
 
 
