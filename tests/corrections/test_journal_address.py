@@ -122,6 +122,15 @@ def test_logins(locked: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         open_journal(locked.url + "?sslmode=require")
 
 
+def test_a_late_refusal_of_one_user_keeps_nobody_else_out(locked: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(postgres, "SLOW_S", -1.0)
+    with pytest.raises(InputError, match="password"):
+        open_journal(locked.url.replace("postgres@", "postgres:wrong@"))
+    monkeypatch.setenv("PGPASSWORD", SECRET)
+    with open_journal(locked.url, project="late") as journal:
+        assert journal.events() == ()
+
+
 def test_a_taken_back_action_whose_answer_was_lost_is_taken_back_once(
     locked: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -277,6 +277,12 @@ def state_of(error: BaseException | None) -> dict[str, str]:
     return message if isinstance(message, dict) else {}
 
 
+def has_answered(error: Exception) -> bool:
+    """Whether an error is the word of a server that is there, such as that a password is wrong, however late."""
+    code = state_of(error).get("C", "")
+    return bool(code) and not code.startswith(_GONE)
+
+
 def ask_for_turn(connection: sa.Connection, key: int) -> bool:
     """Wait for a writer's turn in the transaction that has begun; False where it did not come within TURN_S.
 
@@ -339,7 +345,7 @@ class Server:
         try:
             return question()
         except Exception as error:
-            if time.monotonic() - began > SLOW_S:
+            if time.monotonic() - began > SLOW_S and not has_answered(error):
                 self.know(error)
             raise
         finally:
@@ -350,7 +356,7 @@ class Server:
         try:
             link = connect()
         except Exception as error:
-            return self.know(error)
+            return self.know(None if has_answered(error) else error)
         self.know(None)
         with suppress(Exception):
             link.close()
