@@ -10,12 +10,13 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.effective_frame import NO_STATE, EffectiveFrame
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import box_value, object_ref, relation_ref
 from pipeline.corrections.journal.replay import Origin
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.labelling import judge_list
 from pipeline.language.relation_names import INVERSE, PAIRWISE
+from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import require
 
@@ -228,7 +229,7 @@ class MovingBox:
         """A relation judged anew: what a person said of it stands, and what that rules out."""
         human = line.origin.source == "human"
         ruled_out = not human and state == T and self._ruled_out(line.relation)
-        now = line.state if human else F if ruled_out else None if state == NO_STATE else state
+        now = line.state if human else F if ruled_out else None if state == NOT_JUDGED else state
         if (human or ruled_out) and not ((now == T and margin > 0) or (now == F and margin < 0)):
             margin = 0.0
         return replace(line, state=now, margin=None if now is None else margin, origin=line.origin if human else MOVED)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.effective_frame import NO_STATE, EffectiveFrame
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item, object_ref, shown_value
 from pipeline.corrections.scene import labelled_box
@@ -16,6 +16,7 @@ from pipeline.corrections.unsaved import Waiting
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import MIRRORED, PAIRWISE, PHRASE
+from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.relations.relations import letter
 
 FIELDS = {
@@ -313,7 +314,7 @@ def _relation_changes(
         if (f"{a},{b}", relation) in human or (folded := _folded(after, a, b, relation)) in seen:
             continue
         seen.add(folded)
-        states = [None if s == NO_STATE else int(s) for s in (was.states[i, j, k], now.states[i, j, k])]
+        states = [None if s == NOT_JUDGED else int(s) for s in (was.states[i, j, k], now.states[i, j, k])]
         yield RelationChange(_name(after, a), _name(after, b), relation, *states)
 
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 T, U, F = 1, 0, -1
+NOT_JUDGED = -128
+"""Stands for null in arrays of states: U is a state, and a pair without one was not judged."""
 
 
 @dataclass(frozen=True)

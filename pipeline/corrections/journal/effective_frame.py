@@ -19,6 +19,7 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.reading import Labels
 from pipeline.labels.tables import arrow_schema, build_table
 from pipeline.language.relation_names import MIRRORED, PAIRWISE
+from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 
@@ -201,8 +202,6 @@ def object_value(row: Row, name: str) -> Any:
     return None if name in ("status", "exists") else row[name]
 
 
-NO_STATE = -128
-"""Stands for null in matrices of states."""
 MATRICES = ("present", "states", "margins", "distance", "doubted")
 
 
@@ -217,7 +216,7 @@ class Pairs:
     present : (N, N) bool
         Pairs that have a row.
     states : (N, N, 9) int8
-        In the order of PAIRWISE; NO_STATE where there is none.
+        In the order of PAIRWISE; NOT_JUDGED where there is none.
     margins : (N, N, 9) float64
         Metres; NaN where there is none.
     distance : (N, N) float64
@@ -238,7 +237,7 @@ class Pairs:
         ids = np.array(sorted(numbers), np.int64)
         n, r = len(ids), len(PAIRWISE)
         return cls(
-            ids, np.zeros((n, n), np.bool_), np.full((n, n, r), NO_STATE, np.int8), np.full((n, n, r), np.nan),
+            ids, np.zeros((n, n), np.bool_), np.full((n, n, r), NOT_JUDGED, np.int8), np.full((n, n, r), np.nan),
             np.full((n, n), np.nan), np.zeros((n, n), np.int32),
         )  # fmt: skip
 
@@ -251,7 +250,7 @@ class Pairs:
         i, j = np.searchsorted(found.numbers, a[known]), np.searchsorted(found.numbers, b[known])
         found.present[i, j] = True
         for k, relation in enumerate(PAIRWISE):
-            found.states[i, j, k] = filled(columns.get(relation), len(a), NO_STATE)[known]
+            found.states[i, j, k] = filled(columns.get(relation), len(a), NOT_JUDGED)[known]
             found.margins[i, j, k] = filled(columns.get(f"{relation}_margin"), len(a), np.nan)[known]
         found.distance[i, j] = filled(columns["distance"], len(a), np.nan)[known]
         found.doubted[i, j] = filled(columns["doubted"], len(a), 0)[known]
@@ -284,7 +283,7 @@ class Pairs:
         if i is None or j is None or not self.present[i, j]:
             return None
         found = int(self.states[i, j, PAIRWISE.index(relation)])
-        return None if found == NO_STATE else found
+        return None if found == NOT_JUDGED else found
 
     def table(self, frame: str, frame_index: int, relations: Sequence[str]) -> pa.Table:
         """As rows of the table `relations`, in canonical order."""
@@ -300,7 +299,7 @@ class Pairs:
         for k, relation in enumerate(PAIRWISE):
             if relation in relations:
                 states = self.states[a, b, k]
-                columns[relation] = [None if s == NO_STATE else s for s in states.tolist()]
+                columns[relation] = [None if s == NOT_JUDGED else s for s in states.tolist()]
                 columns[f"{relation}_margin"] = self.margins[a, b, k].astype(np.float32)
         return build_table("relations", columns)
 

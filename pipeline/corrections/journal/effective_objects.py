@@ -11,7 +11,6 @@ import numpy as np
 from pipeline.corrections.journal.effective_frame import (
     BOX_COLUMNS,
     MATRICES,
-    NO_STATE,
     EffectiveFrame,
     FrameRows,
     Pairs,
@@ -34,6 +33,7 @@ from pipeline.labels.check.objects import clipped, projected
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone, same_names
 from pipeline.language.relation_names import INVERSE, PAIRWISE
+from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
 
@@ -231,7 +231,7 @@ def _follow_geometry(frame: EffectiveFrame, relifted: Pairs | None) -> None:
         origin, key = Origin.of(source, event), f"{a},{b}"
         for k in columns:
             was = before.states[i, j, k]
-            frame.put("relations", key, PAIRWISE[k], origin, None if was == NO_STATE else int(was))
+            frame.put("relations", key, PAIRWISE[k], origin, None if was == NOT_JUDGED else int(was))
 
 
 def _correct_relation(
@@ -285,7 +285,7 @@ def _ruled_out_before(ref: FieldRef, judged: Mapping[FieldRef, Sequence[Event]])
 
 def _settle(frame: EffectiveFrame, i: int, j: int, k: int, state: int | None) -> None:
     """Set a cell. A margin whose sign says otherwise becomes 0: by geometry it is no better than undecided."""
-    pairs, now = frame.pairs, NO_STATE if state is None else state
+    pairs, now = frame.pairs, NOT_JUDGED if state is None else state
     frame.related_anew |= bool(pairs.states[i, j, k] != now)
     pairs.present[i, j], pairs.states[i, j, k] = True, now
     margin = pairs.margins[i, j, k]

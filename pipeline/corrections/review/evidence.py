@@ -18,10 +18,10 @@ from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.out_of_fold import Doubts
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.check.findings import Finding
-from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.reading import Labels
 from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import INVERSE
+from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.relations.relations import F, T, U
 from pipeline.training.label_data import LabelData, column_arrays, rows_of_frame
 
@@ -288,7 +288,7 @@ class RelationLabels:
         Ids.
     frame_index, a, b : (P,) int64
     states : (P, R) int8
-        T, U, F; UNKNOWN where there is none.
+        T, U, F; NOT_JUDGED where there is none.
     margins : (P, R) float64
         Metres; NaN where there is none.
     """
@@ -326,7 +326,7 @@ def read_relation_labels(labels: Labels) -> RelationLabels:
     names = ("frame", "frame_index", "a", "b", *relations, *margins)
     table = read_table(labels.root / "relations.parquet", "relations", names)
     table = table.take(np.lexsort([table.column(name).to_numpy() for name in ("b", "a", "frame_index")]))
-    states = [table.column(r).fill_null(UNKNOWN).to_numpy().astype(np.int8) for r in relations]
+    states = [table.column(r).fill_null(NOT_JUDGED).to_numpy().astype(np.int8) for r in relations]
     found = column_arrays(table.select(["frame", "frame_index", "a", "b"]))
     shape = (table.num_rows, len(relations))
     margin_columns = [table.column(m).to_numpy().astype(np.float64) for m in margins]

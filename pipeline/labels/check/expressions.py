@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.labels.check.findings import Finding
-from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, state_letter
 from pipeline.labels.labelling import row_hash
 from pipeline.language.expression import parse
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
 from pipeline.language.tokens import words_of
+from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
 
@@ -178,7 +178,7 @@ def _against_relations(view: FrameView, row: int) -> Iterator[Found]:
     a, b = view.row_of[int(rows["target_object"][row])], view.row_of[int(rows["reference_object"][row])]
     state = int(states[a, b])
     if state != T:
-        what = "has no state" if state == UNKNOWN else f"is {state_letter(state)}"
+        what = "has no state" if state == NOT_JUDGED else f"is {state_letter(state)}"
         yield "expression/state", f"{view.relation_text(a, relation, b)} {what}", {"state": state}
     margin, stated = float(view.margins[relation][a, b]), float(rows["margin"][row])
     if state == T and not abs(margin - stated) <= MARGIN_TOLERANCE:

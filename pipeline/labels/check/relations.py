@@ -35,11 +35,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.labels.check.findings import Finding, Severity
-from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, pairs_where, state_letter
 from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
 from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
 from pipeline.relations.contact import Measured
+from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
 from pipeline.relations.relations import F, PairMeasures, Profile, T, U, known_extents, letter, measure_pairs
 
@@ -82,7 +82,7 @@ def _missing(view: FrameView) -> Iterator[Finding]:
                 "relation/pair-missing", (view.ids[a], view.ids[b]), f"{view.named(a)} to {view.named(b)} {told}"
             )
     for relation, states in view.states.items():
-        for a, b in pairs_where(view.present & (states == UNKNOWN)):
+        for a, b in pairs_where(view.present & (states == NOT_JUDGED)):
             yield view.finding(
                 "relation/pair-missing",
                 (view.ids[a], view.ids[b]),
@@ -107,7 +107,7 @@ def _unexpected(view: FrameView) -> Iterator[Finding]:
 def _inverse(view: FrameView) -> Iterator[Finding]:
     for one, other in _opposites(view):
         state, mirrored = view.states[one], view.states[other].T
-        for a, b in pairs_where((state != mirrored) & (state != UNKNOWN) & (mirrored != UNKNOWN)):
+        for a, b in pairs_where((state != mirrored) & (state != NOT_JUDGED) & (mirrored != NOT_JUDGED)):
             yield view.finding(
                 "relation/inverse",
                 (view.ids[a], view.ids[b]),
@@ -348,7 +348,7 @@ def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
         low, high = (np.where(doubted, U, bound) for bound in (expected.low[relation], expected.high[relation]))
         wanted = np.where(doubted, 0.0, expected.margins[relation])
         margins = view.margins[relation]
-        judged = view.present & (states != UNKNOWN)
+        judged = view.present & (states != NOT_JUDGED)
         off = judged & ((states < low) | (states > high))
         for a, b in pairs_where(off):
             nearest = int(np.clip(states[a, b], low[a, b], high[a, b]))

@@ -21,12 +21,11 @@ from pydantic import ValidationError
 
 from pipeline.labels.schema import ADDED_COLUMNS, TABLES
 from pipeline.labels.tables import arrow_schema, check_version
+from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
 
 BATCH_ROWS = 8_192
-UNKNOWN = -128
-"""Stands for null in columns of states; null elsewhere is NaN, -1, False, None or an empty list."""
 
 
 @dataclass(frozen=True)
@@ -234,7 +233,7 @@ def _arrays(block: pa.Table, table: str) -> dict[str, np.ndarray]:
             known = np.array([*words.dictionary.to_pylist(), None], object)
             found[name] = known[words.indices.fill_null(len(known) - 1).to_numpy(zero_copy_only=False)]
         else:
-            nulls = ((pa.types.is_int8, UNKNOWN), (pa.types.is_floating, float("nan")), (pa.types.is_boolean, False))
+            nulls = ((pa.types.is_int8, NOT_JUDGED), (pa.types.is_floating, float("nan")), (pa.types.is_boolean, False))
             null: Any = next((value for of_type, value in nulls if of_type(kind)), -1)
             values = column.fill_null(null).to_numpy(zero_copy_only=False)
             found[name] = values.astype(np.int64) if pa.types.is_int32(kind) else values

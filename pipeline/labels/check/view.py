@@ -15,10 +15,11 @@ import numpy as np
 from pipeline.geometry.masks import decode_crop, run_lengths
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
-from pipeline.labels.check.stream import UNKNOWN, Rows
+from pipeline.labels.check.stream import Rows
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import alone, same_names
 from pipeline.language.relation_names import PAIRWISE, PHRASE
+from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.relations.relations import F, T, U, letter
 
 
@@ -197,8 +198,8 @@ class FrameView:
 
     @cached_property
     def states(self) -> dict[str, np.ndarray]:
-        """(N, N) int8 by relation; UNKNOWN where there is none."""
-        return {r: self._matrix(r, np.int8, UNKNOWN) for r in self.relation_names}
+        """(N, N) int8 by relation; NOT_JUDGED where there is none."""
+        return {r: self._matrix(r, np.int8, NOT_JUDGED) for r in self.relation_names}
 
     @cached_property
     def margins(self) -> dict[str, np.ndarray]:
