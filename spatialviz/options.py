@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.execution import Provider, ProviderWarning, use_execution
 
 if TYPE_CHECKING:
@@ -116,8 +116,7 @@ def numbers(text: str, form: str, kind: Callable[[str], Any], problem: str, exam
         found = tuple(kind(part) for part in text.split(between))
     except ValueError:
         found = ()
-    if len(found) != len(form.split(between)):
-        raise InputError(problem, got=repr(text), expected=form + example)
+    require(len(found) == len(form.split(between)), problem, got=repr(text), expected=form + example)
     return found
 
 
@@ -141,8 +140,13 @@ def one_frame(ids: Sequence[str], text: str, root: Path) -> str:
     """
     from pipeline.datasets.base import named_frame
 
-    if text == ALL_FRAMES and text not in ids:
-        raise InputError("one frame is needed", got=text, expected="a frame's id, or its index", path=root)
+    require(
+        not (text == ALL_FRAMES and text not in ids),
+        "one frame is needed",
+        got=text,
+        expected="a frame's id, or its index",
+        path=root,
+    )
     return named_frame(ids, text, root)
 
 

@@ -14,7 +14,7 @@ from pipeline.evaluation.bench import bench_evaluation
 from pipeline.evaluation.labels_bench import bench_labels
 from pipeline.language.counted import counted
 from pipeline.relations.features import CLI_FEATURES
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.training.ablation import AblationConfig, compare_features
 from pipeline.training.train import TrainConfig
 from spatialviz.cli_bench import Bench, BenchDetect, BenchEval, BenchLabel, BenchReview, BenchSrm
@@ -84,8 +84,7 @@ def run_bench_review(command: BenchReview) -> None:
 
 
 def run_bench_detect(command: BenchDetect) -> None:
-    if command.count < 1:
-        raise InputError("--count must be at least 1", got=command.count)
+    require(command.count >= 1, "--count must be at least 1", got=command.count)
     source, frame_ids = command.source.open(command.dataset)
     with rate_bar("detecting", "frames") as advance:
         report = run_endurance(source, frame_ids, command.count, advance)

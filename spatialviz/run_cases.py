@@ -23,7 +23,7 @@ from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import Profile
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from spatialviz.cli_eval import Replay, Report, SaveCase, WhatIf
 from spatialviz.options import BAD, FINE, NO, one_frame
 from spatialviz.printing import figure, print_rows, say
@@ -79,8 +79,7 @@ def run_save_case(command: SaveCase) -> None:
 
 
 def run_replay(command: Replay) -> int:
-    if not command.cases:
-        raise InputError("a case is missing", expected="the folder that save-case wrote")
+    require(command.cases, "a case is missing", expected="the folder that save-case wrote")
     if command.detector == "kept" and (command.model is not None or command.min_score is not None):
         raise InputError("--model and --min-score need --detector", expected="live or a detector's name")
     folders = [folder for path in command.cases for folder in find_cases(path)]
@@ -104,8 +103,12 @@ def run_replay(command: Replay) -> int:
 def run_report(command: Report) -> None:
     from spatialviz.report.scene import scene_html  # Brings viser in.
 
-    if command.out.is_dir() or (command.out.exists() and not command.overwrite):
-        raise InputError("the report would replace a file", expected="--overwrite", path=command.out)
+    require(
+        not (command.out.is_dir() or (command.out.exists() and not command.overwrite)),
+        "the report would replace a file",
+        expected="--overwrite",
+        path=command.out,
+    )
     if command.frame is None and not (Path(command.dataset) / MANIFEST).is_file():
         raise InputError("FRAME and EXPRESSION are missing", cause=f"{command.dataset} is no saved case")
     if command.frame is None:

@@ -25,7 +25,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from spatialviz.cli_corrections import Correct, Effective, OfPerson, Redo, Show, ShowJournal, Undo
 from spatialviz.options import FINE, NO, Output, numbers, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
@@ -67,8 +67,10 @@ def run_journal(command: ShowJournal) -> int:
     whole = [command.check, command.backup is not None, command.recover is not None]
     if any(whole):
         chosen = any(v is not None for v in (command.author, command.kind, command.frame, command.key, command.last))
-        if sum(whole) > 1 or chosen:
-            raise InputError("--check, --backup and --recover are of the whole journal, and one at a time")
+        require(
+            sum(whole) <= 1 and not chosen,
+            "--check, --backup and --recover are of the whole journal, and one at a time",
+        )
         return _as_a_whole(command)
     if command.last is not None and command.last < 1:
         raise InputError("--last must be at least 1", got=command.last)

@@ -27,7 +27,7 @@ from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from spatialviz.cli_eval import Eval, Failures, Query, Tables
 from spatialviz.options import FINE, NO, print_json, warn
 from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, table_record
@@ -131,8 +131,7 @@ def _relations(command: Eval, options: dict[str, Any]) -> RelationSpec:
 
 
 def run_failures(command: Failures) -> int:
-    if command.limit < 0:
-        raise InputError("--limit is a count", got=command.limit, expected="0 or more")
+    require(command.limit >= 0, "--limit is a count", got=command.limit, expected="0 or more")
     dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
     records = read_records(command.run_folder)
     need_verdicts(records)
@@ -154,8 +153,7 @@ def run_failures(command: Failures) -> int:
 
 
 def run_query(command: Query) -> int:
-    if command.json and command.csv:
-        raise InputError("--json and --csv exclude each other")
+    require(not (command.json and command.csv), "--json and --csv exclude each other")
     with open_database(command.run_folder) as database:
         answer = database.select(command.sql)
         show = print_csv if command.csv else print_json_rows if command.json else print_answer
@@ -163,8 +161,7 @@ def run_query(command: Query) -> int:
 
 
 def run_tables(command: Tables) -> None:
-    if command.json and command.format != "text":
-        raise InputError("--json and --format exclude each other")
+    require(not (command.json and command.format != "text"), "--json and --format exclude each other")
     tables = tables_of_run(command.run_folder)
     if command.json:
         print_json({"tables": {table.key: table_record(table) for table in tables}, "rows": rows_record(tables)})

@@ -25,7 +25,7 @@ from pipeline.labels.plan import load_plan
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.store import Store
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.staging import check_target
 from spatialviz.cli_labels import Export, Import
 from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, warn
@@ -36,11 +36,12 @@ def run_export(command: Export) -> None:
     automatic = open_labels(command.labels)
     options = None
     if command.licence is not None:
-        if command.format != "parquet":
-            raise InputError("--licence is for the card of --format parquet")
+        require(command.format == "parquet", "--licence is for the card of --format parquet")
         options = HubConfig(licence=command.licence)
-    if not command.corrected and command.journal != JournalOptions():
-        raise InputError("--journal and --project go with --corrected")
+    require(
+        not (not command.corrected and command.journal != JournalOptions()),
+        "--journal and --project go with --corrected",
+    )
     _keep(automatic, command.out)
     with _labels(command, automatic) as labels, rate_bar("exporting", "frames") as advance:
         report = export_labels(
@@ -132,8 +133,12 @@ def _journal(command: Import, labels: Labels) -> Iterator[Journal | None]:
 
 def _keep(labels: Labels, out: Path) -> None:
     target, root = out.expanduser().resolve(), labels.root.resolve()
-    if target == root or target in root.parents:
-        raise InputError("an export cannot replace the labels", expected="another folder", path=out)
+    require(
+        target != root and target not in root.parents,
+        "an export cannot replace the labels",
+        expected="another folder",
+        path=out,
+    )
 
 
 def print_import(report: ImportReport, show: int) -> None:

@@ -26,7 +26,7 @@ from pipeline.answering.recording import RecordingReport, record_detections
 from pipeline.proposals.contracts import Contract
 from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.proposals.score_calibration import ScoreCalibration, save_calibration
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.execution import ACCELERATORS
 from pipeline.system.model_files import KnownModel
 from spatialviz.cli_models import Agree, Calibrate, Detect, Models
@@ -66,8 +66,11 @@ def print_recorded(report: RecordingReport, command: Detect, names: Sequence[str
 
 
 def run_agree(command: Agree) -> int:
-    if command.frame != ALL_FRAMES and command.source.frames != ALL_FRAMES:
-        raise InputError("frames are named twice", got=f"{command.frame} and --frames {command.source.frames}")
+    require(
+        not (command.frame != ALL_FRAMES and command.source.frames != ALL_FRAMES),
+        "frames are named twice",
+        got=f"{command.frame} and --frames {command.source.frames}",
+    )
     source, _ = command.source.open(command.dataset, command.also)
     frames = command.source.frames if command.frame == ALL_FRAMES else command.frame
     names = source.sides

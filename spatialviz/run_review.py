@@ -33,7 +33,7 @@ from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.training.train import TrainConfig, need_torch
 from spatialviz.cli_corrections import Review
 from spatialviz.options import FINE, NO, warn, warn_skipped
@@ -65,8 +65,7 @@ def run_review(command: Review) -> int:
 
 
 def _check(command: Review) -> None:
-    if command.limit < 0:
-        raise InputError("--limit must not be negative", got=command.limit)
+    require(command.limit >= 0, "--limit must not be negative", got=command.limit)
     command.second.check()
     if command.author is None and (command.overlap or command.second_opinion_of is not None):
         raise InputError("--overlap and --second-opinion-of need --author", cause="whose second opinion?")

@@ -15,7 +15,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.tables import shown
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.relations.installed import install_network
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.training.card import RoomConfig, train_on_rooms
 from pipeline.training.label_training import LabelTraining, train_on_labels
 from pipeline.training.train import Epoch, TrainConfig
@@ -95,8 +95,7 @@ def run_retrain(command: Retrain) -> None:
         return
     if command.run_folder is not None:
         raise InputError("--run goes with the labels' own journal, not with AFTER")
-    if command.out.suffix != ".onnx":
-        raise InputError("with AFTER, --out is the ONNX file to write", got=str(command.out))
+    require(command.out.suffix == ".onnx", "with AFTER, --out is the ONNX file to write", got=str(command.out))
     with progress_bars() as advance:
         found = retrain(
             open_labels(command.labels),

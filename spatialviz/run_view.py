@@ -14,7 +14,7 @@ from pipeline.datasets.demo import DEMO_NAME, demo_run
 from pipeline.diagnosis.whatif.state import ViewState, decode
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run
 from pipeline.labels.reading import Labels, labelled_up, open_labels
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from spatialviz.app.server import serve
 from spatialviz.cli_ask import View
 from spatialviz.options import SourceOptions, warn
@@ -48,8 +48,9 @@ def run_view(command: View) -> None:
         for name, reason in left_out.items():
             warn(f"left out {name}: {reason}")
         if found is not None:
-            if len(sources) > 1:
-                raise InputError("--labels are of one dataset", got=f"{len(sources)} datasets", path=command.labels)
+            require(
+                len(sources) <= 1, "--labels are of one dataset", got=f"{len(sources)} datasets", path=command.labels
+            )
             _check_labels(found, next(iter(sources.values())))
             labels = dict.fromkeys(sources, found)
     corrected = dict(labels)
@@ -124,8 +125,11 @@ def _words(command: View, dataset: str, folder: Path | None) -> list[str]:
 
 def _check_labels(labels: Labels, source: Pipeline) -> None:
     """Raise InputError where labels know none of the frames."""
-    if set(source.dataset.frame_ids).isdisjoint(labels.frames.column("frame").to_pylist()):
-        raise InputError("the labels are of other frames than the dataset has", path=labels.root)
+    require(
+        not set(source.dataset.frame_ids).isdisjoint(labels.frames.column("frame").to_pylist()),
+        "the labels are of other frames than the dataset has",
+        path=labels.root,
+    )
 
 
 def _in(view: ViewState, sources: Mapping[str, Pipeline]) -> ViewState:
@@ -134,8 +138,8 @@ def _in(view: ViewState, sources: Mapping[str, Pipeline]) -> ViewState:
     if name not in sources and len(sources) == 1:
         # A folder may have another name here.
         name = next(iter(sources))
-    if name not in sources:
-        raise InputError("the view is of another dataset", got=view.dataset, expected=" or ".join(sources))
-    if view.frame not in sources[name].dataset.frame_ids:
-        raise InputError(f"the dataset {name} has no frame of the view", got=view.frame)
+    require(name in sources, "the view is of another dataset", got=view.dataset, expected=" or ".join(sources))
+    require(
+        view.frame in sources[name].dataset.frame_ids, f"the dataset {name} has no frame of the view", got=view.frame
+    )
     return replace(view, dataset=name)

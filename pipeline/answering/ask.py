@@ -26,7 +26,7 @@ from pipeline.relations.scorer import (
     between_probabilities,
     superlative_probabilities,
 )
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,7 @@ class AskConfig:
     score_calibration: ScoreCalibration | None = None
 
     def __post_init__(self) -> None:
-        if self.k < 1:
-            raise InputError("at least one proposal must go on for each name", got=f"k={self.k}")
+        require(self.k >= 1, "at least one proposal must go on for each name", got=f"k={self.k}")
 
 
 @dataclass(frozen=True)
@@ -265,8 +264,11 @@ def relation_lookup(scores: RelationScores, objects: Sequence[SceneObject], same
             return between_probabilities(lifted, heads, ends[0], ends[1])
         if relation in ("closest", "farthest"):
             return superlative_probabilities(lifted, relation, heads, ends[0], same)
-        if relation not in scores.relations:
-            raise InputError(f"the relation scorer has no {relation!r}", expected=", ".join(scores.relations))
+        require(
+            relation in scores.relations,
+            f"the relation scorer has no {relation!r}",
+            expected=", ".join(scores.relations),
+        )
         table = scores.of(relation)
         # "the table holding the lamp" asks for the lamp on the table.
         return table[np.ix_(ends[0], heads)].T if attachment.inverse else table[np.ix_(heads, ends[0])]

@@ -20,7 +20,7 @@ from pipeline.geometry.level_plane import level_plane
 from pipeline.geometry.lifting import depth_edges, lift
 from pipeline.proposals.cache import CachedDetector, CachedSegmenter
 from pipeline.relations.features import Appearance
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 MAX_FRAMES = 8
 
@@ -71,8 +71,7 @@ def bench_source(source: Pipeline, repeat: int = 5) -> dict[str, Any]:
                     fastest(lambda k=lifted, v=viewer, s=seen: _pair_by_pair(source, k, v, s), 1),
                 )
             )
-    if not frames:
-        raise InputError("no frame of the dataset can be used", path=source.dataset.root)
+    require(frames, "no frame of the dataset can be used", path=source.dataset.root)
     ms = {name: round(total / frames * 1000, 3) for name, total in totals.items()}
     ratios = {
         "lift / backproject": round(totals["lift"] / totals["backproject frame"], 2),
@@ -209,8 +208,7 @@ def _frames(source: Pipeline, frame_ids: Sequence[str], most: int = 16) -> list[
             reason = str(error)
         if len(frames) == most:
             break
-    if not frames:
-        raise InputError("there is no usable frame", cause=reason, path=source.dataset.root)
+    require(frames, "there is no usable frame", cause=reason, path=source.dataset.root)
     return frames
 
 

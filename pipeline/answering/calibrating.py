@@ -31,7 +31,7 @@ from pipeline.proposals.score_calibration import (
     score_logit,
 )
 from pipeline.proposals.selection import top_k
-from pipeline.system.errors import InputError, UnknownClass
+from pipeline.system.errors import InputError, UnknownClass, require
 
 ClassNames = Callable[[Frame], Sequence[str]]
 
@@ -78,10 +78,8 @@ def collect_hits(
         There is no detector, it is the truth itself, or the dataset has no annotations.
     """
     detector = source.needed_detector()
-    if detector.exact:
-        raise InputError(f"the detections of {detector.name!r} are the truth: there is nothing to calibrate")
-    if not source.dataset.class_names:
-        raise InputError("a calibration needs a dataset with annotations", path=source.dataset.root)
+    require(not detector.exact, f"the detections of {detector.name!r} are the truth: there is nothing to calibrate")
+    require(source.dataset.class_names, "a calibration needs a dataset with annotations", path=source.dataset.root)
     truth = AnnotationDetector(source.dataset.class_names, source.synonyms)
     parts: list[tuple[np.ndarray, np.ndarray, int]] = []
     for n, frame_id in enumerate(frame_ids):
@@ -143,8 +141,7 @@ def calibrate_scores(
         fitted_on.append(FittedFrame(frame.id, scene_of(dataset, frame.id), frame.content_hash))
 
     scores, hits, frames = collect_hits(source, frame_ids, class_names, progress=progress, skipped=skipped, used=note)
-    if not len(scores):
-        raise InputError("the detector found nothing in these frames", cause="are they the right ones?")
+    require(len(scores), "the detector found nothing in these frames", cause="are they the right ones?")
     a, b = fit_scores(scores, hits)
     fingerprint = source.needed_detector().fingerprint()
     calibration = ScoreCalibration(

@@ -194,9 +194,7 @@ def _relations_of_pairs(trace: Trace, pairs: Sequence[ScoredPair]) -> Record:
     }
 
 
-def relation_records(
-    found: FrameRelations, relations: Sequence[str] = PAIRWISE
-) -> Iterator[Record]:
+def relation_records(found: FrameRelations, relations: Sequence[str] = PAIRWISE) -> Iterator[Record]:
     """One record for each ordered pair of objects; the sentence is "a RELATION b".
 
     An object's index is its place in the dataset's own list where the objects

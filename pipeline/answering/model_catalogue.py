@@ -15,7 +15,7 @@ from pipeline.proposals.detic import find_names
 from pipeline.proposals.grounding_dino import TOKENIZERS
 from pipeline.proposals.mismatch import BOXES, DETECTORS, SEGMENTERS, FileKind, recognise
 from pipeline.relations.installed import installed_networks
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import (
     HubId,
     KnownModel,
@@ -194,8 +194,10 @@ def _missing(path: Path, kind: FileKind, names: tuple[str, ...]) -> tuple[str, .
 
 def _needed_beside(path: Path, option: str, names: tuple[str, ...]) -> None:
     """Find what an option needs beside the file; raises as the option itself would."""
-    if option == "--detector yolo-seg" and not names:
-        raise InputError("its metadata hold no class names: --model-config FILE gives them")
+    require(
+        not (option == "--detector yolo-seg" and not names),
+        "its metadata hold no class names: --model-config FILE gives them",
+    )
     finders: dict[str, Callable[[], object]] = {
         "--detector grounding-dino": lambda: find_tokenizer(path, TOKENIZERS),
         "--detector owlv2": lambda: find_tokenizer(path),

@@ -21,7 +21,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals import Detector, Segmented, Segmenter, make_segmenter
 from pipeline.proposals.registry import DetectorSetup, SegmenterFiles
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
-from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat
+from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat, require
 
 ALL_FRAMES = "all"
 Skipped = Callable[[str, str], None]
@@ -214,9 +214,7 @@ def open_pipeline(
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
     scorer = make_scorer(srm, vectors) if isinstance(srm, str | Path) else srm
-    return Pipeline(
-        dataset, found, scorer, config, table, lambda: make(0.0), second, setup, second_setup
-    )
+    return Pipeline(dataset, found, scorer, config, table, lambda: make(0.0), second, setup, second_setup)
 
 
 def _refuse(options: Mapping[str, object], what: str) -> None:
@@ -283,8 +281,7 @@ def frame_range(dataset: Dataset, text: str) -> tuple[str, ...]:
     if bounds is None or text in dataset.frame_ids:
         return frame_ids(dataset, text)
     found = dataset.frame_ids[int(bounds[1] or 0) : int(bounds[2]) if bounds[2] else None]
-    if not found:
-        raise InputError("the range holds no frame", got=text, expected=f"within 0:{len(dataset.frame_ids)}")
+    require(found, "the range holds no frame", got=text, expected=f"within 0:{len(dataset.frame_ids)}")
     return found
 
 

@@ -22,7 +22,7 @@ from pipeline.geometry.masks import encode_run_length
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.recorded import MADE_BY, MADE_BY_FILE
 from pipeline.proposals.selection import top_k
-from pipeline.system.errors import InputError, UnknownClass
+from pipeline.system.errors import InputError, UnknownClass, require
 from pipeline.system.staging import text_file
 
 
@@ -174,8 +174,7 @@ def detection_record(frame: Frame, finding: Finding, segmented: bool = False) ->
 @contextmanager
 def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Finding]], None]]:
     """A JSON file that is written frame by frame and appears when all are."""
-    if out.is_dir():
-        raise InputError("the recording would replace a folder", expected="the name of a file", path=out)
+    require(not out.is_dir(), "the recording would replace a folder", expected="the name of a file", path=out)
     temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -199,8 +198,11 @@ def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Findin
 @contextmanager
 def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Finding]], None]]:
     """A folder of NPZ files that appears when all are written."""
-    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-        raise InputError("the folder for the recording is not empty", path=out)
+    require(
+        not (out.exists() and not (out.is_dir() and not any(out.iterdir()))),
+        "the folder for the recording is not empty",
+        path=out,
+    )
     out.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".partial", dir=out.parent))
     try:
@@ -217,8 +219,7 @@ def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Findi
 
 def _write_arrays(folder: Path, frame: Frame, found: list[Finding]) -> None:
     path = folder / (frame.id.replace("/", "__") + ".npz")
-    if path.exists():
-        raise InputError("two frames would have one file", got=frame.id, path=path)
+    require(not path.exists(), "two frames would have one file", got=frame.id, path=path)
     arrays: dict[str, Any] = {
         "boxes": np.array([f.bbox for f in found], np.float32).reshape(-1, 4),
         "scores": np.array([f.score for f in found], np.float32),

@@ -17,7 +17,7 @@ from pipeline.datasets.cameras import inverse, rigid
 from pipeline.datasets.files import as_floats, numbered_lines, read_json, read_mat
 from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Annotation
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 DEFAULT_SIZE = (1920, 1080)
 """Width and height of the dataset's own images: the pixels that its boxes speak of where no camera file says more."""
@@ -83,8 +83,7 @@ class AvdPoses:
         InputError
             The image was not registered, or its pose is no rigid motion.
         """
-        if stem not in self.registered:
-            raise InputError("the image is not registered")
+        require(stem in self.registered, "the image is not registered")
         R, t = self.registered[stem]
         return inverse(rigid(R, t * self.metres))
 
@@ -104,17 +103,16 @@ def read_camera(path: Path) -> AvdCamera:
         Missing, another count of numbers, or numbers that no camera has.
     """
     lines = numbered_lines(path)
-    if not lines:
-        raise InputError("no camera is listed", path=path)
+    require(lines, "no camera is listed", path=path)
     number, line = lines[0]
     words = line.split()
-    if len(words) not in (8, 12):
-        raise InputError(
-            f"line {number}: a wrong count",
-            got=f"{len(words)} words",
-            expected="id model width height fx fy cx cy d1 d2 d3 d4",
-            path=path,
-        )
+    require(
+        len(words) in (8, 12),
+        f"line {number}: a wrong count",
+        got=f"{len(words)} words",
+        expected="id model width height fx fy cx cy d1 d2 d3 d4",
+        path=path,
+    )
     values = as_floats(words[2:], len(words) - 2, path, f"line {number}")
     width, height, fx, fy, cx, cy = values[:6].tolist()
     whole = np.isfinite(values).all() and width == int(width) and height == int(height)

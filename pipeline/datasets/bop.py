@@ -24,7 +24,7 @@ from pipeline.datasets.images import read_mask
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 SCENES_KEPT = 8
 """How many scenes' tables stay parsed in memory."""
@@ -77,8 +77,7 @@ class BopDataset(Recording):
         name, image = self._found(self._index, frame_id)
         scene = self._scene(name)
         table = scene.folder / "scene_camera.json"
-        if image not in scene.camera:
-            raise InputError(f"image {image} is no longer listed", path=table)
+        require(image in scene.camera, f"image {image} is no longer listed", path=table)
         entry, settings = scene.camera[image], self._settings
         K, units_per_metre = read_camera(entry, table, image)
         color = _image(scene.folder / "rgb", image, COLOR_SUFFIXES)
@@ -161,11 +160,9 @@ def _extent(
         remarks.append(f"the mask {mask_path.name} is missing")
         mask_path = None
     if mask_path is None:
-        if "bbox_visib" not in info:
-            raise InputError("neither a mask nor a bbox_visib")
+        require("bbox_visib" in info, "neither a mask nor a bbox_visib")
         x, y, w, h = as_floats(info["bbox_visib"], 4, info_path, "bbox_visib")
-        if not (np.isfinite([x, y, w, h]).all() and w > 0 and h > 0):
-            raise InputError("an empty bbox_visib")
+        require((np.isfinite([x, y, w, h]).all() and w > 0 and h > 0), "an empty bbox_visib")
         return np.array([x, y, x + w, y + h]), None
     try:
         mask = read_mask(mask_path)
@@ -174,8 +171,7 @@ def _extent(
     if mask.shape != size:
         raise InputError(f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}")
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
-    if w == 0:
-        raise InputError("empty mask")
+    require(w != 0, "empty mask")
     return np.array([x, y, x + w, y + h]), mask
 
 
@@ -285,8 +281,7 @@ def read_images(path: Path) -> dict[int, Any]:
                 expected='a key such as "20"',
                 path=path,
             )
-        if int(key) in images:
-            raise InputError("an image number is listed twice", got=repr(key), path=path)
+        require(int(key) not in images, "an image number is listed twice", got=repr(key), path=path)
         images[int(key)] = value
     return dict(sorted(images.items()))
 
@@ -315,12 +310,12 @@ def read_camera(entry: Any, path: Path, image: int) -> tuple[np.ndarray, float]:
     if not isinstance(entry, Mapping):
         raise InputError(f"image {image}: a camera must be an object", got=type(entry).__name__, path=path)
     for key in ("cam_K", "depth_scale"):
-        if key not in entry:
-            raise InputError(f"image {image}: {key} is missing", path=path)
+        require(key in entry, f"image {image}: {key} is missing", path=path)
     K = as_floats(entry["cam_K"], 9, path, f"image {image}: cam_K").reshape(3, 3)
     scale = float(as_floats(entry["depth_scale"], 1, path, f"image {image}: depth_scale")[0])
-    if not (np.isfinite(scale) and scale > 0):
-        raise InputError(f"image {image}: depth_scale must be positive", got=f"{scale:g}", path=path)
+    require(
+        (np.isfinite(scale) and scale > 0), f"image {image}: depth_scale must be positive", got=f"{scale:g}", path=path
+    )
     return K, 1 / (scale * MM)
 
 
@@ -350,8 +345,7 @@ def object_pose(entry: Mapping[str, Any], path: Path) -> np.ndarray:
 
 def _rigid_mm(entry: Mapping[str, Any], R_key: str, t_key: str, path: Path) -> np.ndarray:
     for key in (R_key, t_key):
-        if key not in entry:
-            raise InputError(f"{key} is missing", path=path)
+        require(key in entry, f"{key} is missing", path=path)
     R = as_floats(entry[R_key], 9, path, R_key).reshape(3, 3)
     return rigid(R, as_floats(entry[t_key], 3, path, t_key) * MM)
 

@@ -14,7 +14,7 @@ from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Value = TypeVar("Value")
 ROUNDING = 1e-2
@@ -38,8 +38,7 @@ def nearest_rotation(R: np.ndarray) -> np.ndarray:
         Not finite, mirrored, or further from a rotation than rounding explains.
     """
     R = np.asarray(R, dtype=np.float64)
-    if not np.isfinite(R).all():
-        raise InputError("a rotation with inf or NaN")
+    require(np.isfinite(R).all(), "a rotation with inf or NaN")
     deviation = float(np.abs(R @ R.T - np.eye(3)).max())
     if deviation >= ROUNDING or np.linalg.det(R) < 0:
         raise InputError(
@@ -60,8 +59,7 @@ def rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
         R is no rotation, or t is not finite.
     """
     t = np.asarray(t, dtype=np.float64)
-    if not np.isfinite(t).all():
-        raise InputError("a position with inf or NaN")
+    require(np.isfinite(t).all(), "a position with inf or NaN")
     T = np.eye(4)
     T[:3, :3] = nearest_rotation(R)
     T[:3, 3] = t
@@ -84,8 +82,7 @@ def pose_from_matrix(T: np.ndarray) -> np.ndarray:
     InputError
         inf or NaN (the tracker was lost), a last row other than 0 0 0 1, or no rotation.
     """
-    if not np.isfinite(T).all():
-        raise InputError("inf or NaN, the tracker was lost")
+    require(np.isfinite(T).all(), "inf or NaN, the tracker was lost")
     if np.abs(T[3] - (0, 0, 0, 1)).max() > 1e-6:
         raise InputError("the last row is not 0 0 0 1", got=T[3].tolist())
     return rigid(T[:3, :3], T[:3, 3])
@@ -102,11 +99,9 @@ def pose_from_quaternion(values: np.ndarray) -> np.ndarray:
     InputError
         inf or NaN, or a quaternion whose length is not 1.
     """
-    if not np.isfinite(values).all():
-        raise InputError("inf or NaN, the tracker was lost")
+    require(np.isfinite(values).all(), "inf or NaN, the tracker was lost")
     length = float(np.linalg.norm(values[3:]))
-    if abs(length - 1) > ROUNDING:
-        raise InputError("the quaternion does not have length 1", got=f"{length:.3g}")
+    require(abs(length - 1) <= ROUNDING, "the quaternion does not have length 1", got=f"{length:.3g}")
     x, y, z, w = values[3:] / length
     R = np.array(
         [
@@ -152,13 +147,13 @@ def make_camera(
         camera = Camera(K, width, height, T_world_camera)
     except InputError as error:
         raise InputError(str(error), path=path) from error
-    if not (-0.5 * width <= camera.cx <= 1.5 * width and -0.5 * height <= camera.cy <= 1.5 * height):
-        raise InputError(
-            f"the principal point is far outside the {width}x{height} image",
-            got=f"cx={camera.cx:g}, cy={camera.cy:g}",
-            cause="are these the intrinsics of another image size?",
-            path=path,
-        )
+    require(
+        (-0.5 * width <= camera.cx <= 1.5 * width and -0.5 * height <= camera.cy <= 1.5 * height),
+        f"the principal point is far outside the {width}x{height} image",
+        got=f"cx={camera.cx:g}, cy={camera.cy:g}",
+        cause="are these the intrinsics of another image size?",
+        path=path,
+    )
     return camera
 
 
@@ -269,10 +264,10 @@ def one_file(candidates: list[Path], what: str, where: Path) -> Path:
     InputError
         None is there, or more than one.
     """
-    if not candidates:
-        raise InputError(f"the {what} file is missing", path=where)
-    if len(candidates) > 1:
-        raise InputError(f"more than one {what} file", got=", ".join(path.name for path in candidates), path=where)
+    require(candidates, f"the {what} file is missing", path=where)
+    require(
+        len(candidates) <= 1, f"more than one {what} file", got=", ".join(path.name for path in candidates), path=where
+    )
     return candidates[0]
 
 

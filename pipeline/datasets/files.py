@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 CUT_OFF = "was the copy or the download interrupted?"
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
@@ -34,8 +34,7 @@ def read_bytes(path: Path) -> bytes:
         raise InputError("a file is missing", path=path) from error
     except OSError as error:
         raise InputError("a file cannot be read", got=error.strerror, path=path) from error
-    if not data:
-        raise InputError("a file is empty", got="0 bytes", cause="was the copy interrupted?", path=path)
+    require(data, "a file is empty", got="0 bytes", cause="was the copy interrupted?", path=path)
     return data
 
 
@@ -120,8 +119,7 @@ def as_floats(values: Any, count: int, path: Path, what: str = "numbers") -> np.
         array = np.asarray(values, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{what}: not numbers", got=str(values)[:60], path=path) from error
-    if array.size != count:
-        raise InputError(f"{what}: a wrong count", got=array.size, expected=count, path=path)
+    require(array.size == count, f"{what}: a wrong count", got=array.size, expected=count, path=path)
     return array
 
 
@@ -192,15 +190,8 @@ def image_files(root: Path, folders: tuple[str, ...], suffixes: tuple[str, ...],
         if name.lower() in folders
     }
     full = {name: paths for name, paths in found.items() if paths}
-    if not full:
-        raise InputError(
-            f"no {what} files",
-            got=f"{'/, '.join(found)}/ without one",
-            expected=", ".join(suffixes),
-            path=root,
-        )
-    if len(full) > 1:
-        raise InputError(f"more than one {what} folder", got=", ".join(full), expected="one", path=root)
+    require(full, f"no {what} files", got=f"{'/, '.join(found)}/ without one", expected=", ".join(suffixes), path=root)
+    require(len(full) <= 1, f"more than one {what} folder", got=", ".join(full), expected="one", path=root)
     return next(iter(full.values()))
 
 

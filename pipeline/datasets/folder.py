@@ -32,7 +32,7 @@ from pipeline.datasets.files import (
 from pipeline.datasets.images import DEPTH_SUFFIXES, INTEGER_DEPTH_SUFFIXES
 from pipeline.datasets.settings import FILE_NAME, Settings
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
 DEPTH_FOLDERS = ("depth",)
@@ -94,13 +94,13 @@ def _ask_for_the_missing(root: Path, depths: list[Path], settings: Settings) -> 
         missing.append("--intrinsics fx,fy,cx,cy")
     if settings.depth_scale is None and any(path.suffix.lower() in INTEGER_DEPTH_SUFFIXES for path in depths):
         missing.append("--depth-scale UNITS_PER_METRE")
-    if missing:
-        raise InputError(
-            "this recording does not say what its camera is",
-            expected=" and ".join(missing),
-            cause=f"give it on the command line or keep it in {FILE_NAME} beside the data",
-            path=root,
-        )
+    require(
+        not missing,
+        "this recording does not say what its camera is",
+        expected=" and ".join(missing),
+        cause=f"give it on the command line or keep it in {FILE_NAME} beside the data",
+        path=root,
+    )
 
 
 def _poses(root: Path, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _PoseText], str | None]:

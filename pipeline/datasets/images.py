@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.files import CUT_OFF, read_bytes
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy")
 INTEGER_DEPTH_SUFFIXES = (".png", ".pgm")
@@ -44,8 +44,7 @@ def read_color(path: Path) -> np.ndarray:
         Missing, empty, cut off, corrupt, or no image.
     """
     data, kind = _checked(path, "png, jpeg, tiff or ppm")
-    if kind in ("exr", "npy"):
-        raise InputError("a colour file must be a png, jpeg, tiff or ppm", got=kind, path=path)
+    require(kind not in ("exr", "npy"), "a colour file must be a png, jpeg, tiff or ppm", got=kind, path=path)
     bgr = _decode(data, kind, path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     return np.ascontiguousarray(bgr[..., ::-1])
 
@@ -59,8 +58,7 @@ def read_mask(path: Path) -> np.ndarray:
         As `read_color`.
     """
     data, kind = _checked(path, "png")
-    if kind in ("exr", "npy"):
-        raise InputError("a mask must be a png", got=kind, path=path)
+    require(kind not in ("exr", "npy"), "a mask must be a png", got=kind, path=path)
     pixels = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
     if pixels.ndim == 3:
         return np.any(pixels[..., :3] > 0, axis=2)
@@ -96,29 +94,26 @@ def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = 
         stored = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
     if stored.ndim == 3 and stored.shape[2] == 1:
         stored = stored[..., 0]
-    if stored.dtype.itemsize == 1:
-        raise InputError(
-            "depth of 8 bits",
-            got=stored.dtype,
-            expected="16-bit integers or floats",
-            cause="is this a picture of the depth, made for looking at, or a lossy copy?",
-            path=path,
-        )
-    if stored.ndim != 2:
-        raise InputError("depth must have one channel", got=f"shape {stored.shape}", path=path)
-    if stored.dtype.kind not in "uif":
-        raise InputError("depth must be numbers", got=stored.dtype, path=path)
+    require(
+        stored.dtype.itemsize != 1,
+        "depth of 8 bits",
+        got=stored.dtype,
+        expected="16-bit integers or floats",
+        cause="is this a picture of the depth, made for looking at, or a lossy copy?",
+        path=path,
+    )
+    require(stored.ndim == 2, "depth must have one channel", got=f"shape {stored.shape}", path=path)
+    require(stored.dtype.kind in "uif", "depth must be numbers", got=stored.dtype, path=path)
     if rotated:
-        if stored.dtype != np.uint16:
-            raise InputError("depth with rotated bits must have 16", got=stored.dtype, path=path)
+        require(stored.dtype == np.uint16, "depth with rotated bits must have 16", got=stored.dtype, path=path)
         stored = (stored >> rotated) | (stored << (16 - rotated))
     if units_per_metre is None:
-        if stored.dtype.kind != "f":
-            raise InputError(
-                "the unit of integer depth is not known",
-                expected="--depth-scale UNITS_PER_METRE, 1000 for millimetres",
-                path=path,
-            )
+        require(
+            stored.dtype.kind == "f",
+            "the unit of integer depth is not known",
+            expected="--depth-scale UNITS_PER_METRE, 1000 for millimetres",
+            path=path,
+        )
         units_per_metre = 1.0
     with np.errstate(over="ignore", invalid="ignore"):
         depth = np.divide(stored, np.float32(units_per_metre), dtype=np.float32, casting="same_kind")
@@ -156,8 +151,12 @@ def _check_png(data: bytes, path: Path) -> None:
         end = position + 12 + length
         if end > len(data):
             break
-        if zlib.crc32(view[position + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
-            raise InputError("a corrupt PNG: wrong checksum", got=f"at byte {position}", path=path)
+        require(
+            zlib.crc32(view[position + 4 : end - 4]) == int.from_bytes(view[end - 4 : end], "big"),
+            "a corrupt PNG: wrong checksum",
+            got=f"at byte {position}",
+            path=path,
+        )
         if view[position + 4 : position + 8] == b"IEND":
             return
         position = end
@@ -172,8 +171,7 @@ def _check_jpeg(data: bytes, path: Path) -> None:
     """
     position = 2
     while position + 2 <= len(data):
-        if data[position] != 0xFF:
-            raise InputError("a corrupt JPEG: no marker", got=f"at byte {position}", path=path)
+        require(data[position] == 0xFF, "a corrupt JPEG: no marker", got=f"at byte {position}", path=path)
         marker = data[position + 1]
         if marker == 0xD9:
             return
@@ -263,6 +261,10 @@ def _decode_exr(path: Path) -> np.ndarray:
             channels = [np.array(channel.pixels) for channel in image.channels().values()]
     except Exception as error:  # The package raises plain RuntimeError and ValueError alike.
         raise InputError("an EXR that cannot be read", got=str(error)[:120], path=path) from error
-    if not channels or any(not np.array_equal(channels[0], other, equal_nan=True) for other in channels[1:]):
-        raise InputError("depth must have one channel", got=f"{len(channels)} different ones", path=path)
+    require(
+        channels and not any(not np.array_equal(channels[0], other, equal_nan=True) for other in channels[1:]),
+        "depth must have one channel",
+        got=f"{len(channels)} different ones",
+        path=path,
+    )
     return channels[0]

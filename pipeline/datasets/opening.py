@@ -19,7 +19,7 @@ from pipeline.datasets import (
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.given_up import with_given_up
 from pipeline.datasets.settings import GivenUp, read_settings
-from pipeline.system.errors import InputError, UnknownFormat
+from pipeline.system.errors import InputError, UnknownFormat, require
 from pipeline.system.plugins import load_plugins
 
 FORMATS: tuple[DatasetFormat, ...] = (
@@ -79,10 +79,8 @@ def open_dataset(
         missing that only a person can give.
     """
     root = Path(path).expanduser()
-    if not root.exists():
-        raise InputError("there is no such dataset", expected="a folder", path=root)
-    if not root.is_dir():
-        raise InputError("a dataset is a folder", got="a file", cause="is its parent folder the dataset?", path=root)
+    require(root.exists(), "there is no such dataset", expected="a folder", path=root)
+    require(root.is_dir(), "a dataset is a folder", got="a file", cause="is its parent folder the dataset?", path=root)
     if up is not None and level_at is not None:
         raise InputError("--up and --level-at say the same", expected="one of them")
     told = None if up is None else GivenUp.parse(up)

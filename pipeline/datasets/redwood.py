@@ -27,7 +27,7 @@ from pipeline.datasets.files import (
 )
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 UNITS_PER_METRE = 1000.0
 COLOR_FOLDERS = ("color", "image", "rgb")
@@ -151,8 +151,7 @@ def _camera_matrix(path: Path, size: tuple[int, ...]) -> np.ndarray:
     """
     table = read_json(path)
     for key in ("width", "height", "intrinsic_matrix"):
-        if key not in table:
-            raise InputError(f"{key} is missing", path=path)
+        require(key in table, f"{key} is missing", path=path)
     width, height = as_floats([table["width"], table["height"]], 2, path, "width and height")
     if (height, width) != size:
         raise InputError(
@@ -176,14 +175,18 @@ def _poses(path: Path, keys: list[Key]) -> dict[Key, np.ndarray]:
         A malformed block, a number that stands twice, or blocks that cannot be given to the frames.
     """
     lines = numbered_lines(path)
-    if len(lines) % 5:
-        raise InputError("the last block is not whole", got=f"{len(lines)} lines", expected="5 a frame", path=path)
+    require(
+        not (len(lines) % 5), "the last block is not whole", got=f"{len(lines)} lines", expected="5 a frame", path=path
+    )
     blocks: dict[int, np.ndarray] = {}
     for start in range(0, len(lines), 5):
         number, header = lines[start]
         words = header.split()
-        if len(words) != 3 or not all(word.isdecimal() and len(word) <= 12 for word in words):
-            raise InputError(f"line {number} does not begin a block of three whole numbers", path=path)
+        require(
+            len(words) == 3 and all(word.isdecimal() and len(word) <= 12 for word in words),
+            f"line {number} does not begin a block of three whole numbers",
+            path=path,
+        )
         if int(words[0]) in blocks:
             raise InputError(f"line {number} repeats frame {words[0]}", path=path)
         rows = [as_floats(text.split(), 4, path, f"line {n}") for n, text in lines[start + 1 : start + 5]]

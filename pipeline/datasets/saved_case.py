@@ -24,7 +24,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.masks import RunLength, decode_run_length, encode_run_length
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
 
 MANIFEST = "spatialviz-case.json"
@@ -160,10 +160,8 @@ def checked_file(root: Path, manifest: dict[str, Any], name: str) -> Path:
     wanted = files.get(name) if isinstance(files, dict) else None
     if not isinstance(wanted, str):
         raise InputError(f"the case does not list {name}", path=root / MANIFEST)
-    if not path.is_file():
-        raise InputError("a file of the case is missing", path=path)
-    if not path.resolve().is_relative_to(root.resolve()):
-        raise InputError("a file of the case is a link out of its folder", path=path)
+    require(path.is_file(), "a file of the case is missing", path=path)
+    require(path.resolve().is_relative_to(root.resolve()), "a file of the case is a link out of its folder", path=path)
     try:
         found = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:

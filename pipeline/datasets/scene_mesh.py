@@ -20,7 +20,7 @@ from pipeline.datasets import Dataset
 from pipeline.geometry.camera import project
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import depth_edges, flying_pixels
-from pipeline.system.errors import FrameUnusable, InputError, MissingExtra
+from pipeline.system.errors import FrameUnusable, InputError, MissingExtra, require
 from pipeline.system.paths import cache_folder
 from pipeline.system.whole_files import keep_whole, write_whole
 
@@ -218,8 +218,13 @@ def export_mesh(mesh: ContextMesh, path: Path) -> None:
     """
     import trimesh
 
-    if path.suffix.lower() not in (".ply", ".obj", ".glb"):
-        raise InputError("a mesh cannot be written as this", got=path.suffix, expected=".ply, .obj or .glb", path=path)
+    require(
+        path.suffix.lower() in (".ply", ".obj", ".glb"),
+        "a mesh cannot be written as this",
+        got=path.suffix,
+        expected=".ply, .obj or .glb",
+        path=path,
+    )
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
     data = solid.export(file_type=path.suffix.lower()[1:])
     write_whole(path, data.encode() if isinstance(data, str) else bytes(data), "the mesh", make_folder=False)

@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.datasets.base import GivenExpression
 from pipeline.datasets.files import CUT_OFF, read_bytes, read_json
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 MOST_VALUES = 100_000_000
 MOST_NAMES = 1_000_000
@@ -84,13 +84,19 @@ def read_item(file: Any, name: str, item: int, kinds: str, *shape: int | None) -
         Missing, of another shape or type, or a reference to something else.
     """
     dataset = _dataset(file, name)
-    if dataset.dtype.kind not in kinds or dataset.ndim != len(shape) + 1:
-        raise InputError(f"{name} has another form", got=f"{dataset.dtype} {dataset.shape}")
+    require(
+        dataset.dtype.kind in kinds and dataset.ndim == len(shape) + 1,
+        f"{name} has another form",
+        got=f"{dataset.dtype} {dataset.shape}",
+    )
     inside = dataset.shape[1:]
     if any(want is not None and want != have for want, have in zip(shape, inside, strict=True)):
         raise InputError(f"{name} has another shape", got=inside, expected=tuple(n or "any" for n in shape))
-    if min(inside) < 1 or np.prod(inside, dtype=np.float64) > MOST_VALUES:
-        raise InputError(f"{name} cannot be of this size", got=inside)
+    require(
+        min(inside) >= 1 and np.prod(inside, dtype=np.float64) <= MOST_VALUES,
+        f"{name} cannot be of this size",
+        got=inside,
+    )
     reference = _reference(file, name, item)
     if reference is None:
         if not item < dataset.shape[0]:
@@ -113,8 +119,12 @@ def read_array(file: Any, name: str, *shape: int) -> np.ndarray:
         Missing, or of another shape or type.
     """
     dataset = _dataset(file, name)
-    if dataset.shape != shape or dataset.dtype.kind not in "fiu":
-        raise InputError(f"{name} has another form", got=f"{dataset.dtype} {dataset.shape}", expected=shape)
+    require(
+        dataset.shape == shape and dataset.dtype.kind in "fiu",
+        f"{name} has another form",
+        got=f"{dataset.dtype} {dataset.shape}",
+        expected=shape,
+    )
     return np.asarray(dataset[()], dtype=np.float64)
 
 
@@ -142,8 +152,7 @@ def read_integers(file: Any, name: str) -> list[int]:
         Missing, or no list of integers.
     """
     values = _list(file, name)
-    if values.dtype.kind not in "iu" and values.size:
-        raise InputError(f"{name} is no list of integers", got=values.dtype)
+    require(not (values.dtype.kind not in "iu" and values.size), f"{name} is no list of integers", got=values.dtype)
     return [int(v) for v in values.tolist()]
 
 
@@ -168,13 +177,11 @@ def _list(file: Any, name: str) -> np.ndarray:
     import h5py
 
     dataset = _dataset(file, name)
-    if dataset.ndim != 1 or dataset.shape[0] > MOST_NAMES:
-        raise InputError(f"{name} is no list", got=dataset.shape)
+    require(dataset.ndim == 1 and dataset.shape[0] <= MOST_NAMES, f"{name} is no list", got=dataset.shape)
     values = np.asarray(dataset[()])
     if h5py.check_ref_dtype(dataset.dtype) is not h5py.RegionReference:
         return values
-    if not all(values):
-        raise InputError(f"{name} holds an empty reference")
+    require(all(values), f"{name} holds an empty reference")
     parts = [np.ravel(_checked(file, file[reference], name)[reference]) for reference in values]
     return np.concatenate(parts) if parts else np.zeros(0, "S1")
 
@@ -191,8 +198,7 @@ def _reference(file: Any, name: str, item: int) -> Any:
     if not item < references.shape[0]:
         raise InputError(f"data/{name} has no item {item}", got=f"{references.shape[0]} references")
     reference = references[item]
-    if not reference:
-        raise InputError(f"the reference data/{name} is empty")
+    require(reference, f"the reference data/{name} is empty")
     return reference
 
 
@@ -356,8 +362,7 @@ def _unpickled(path: Path) -> Any:
         size = path.stat().st_size
     except OSError as error:
         raise InputError("a file cannot be read", got=error.strerror, path=path) from error
-    if size > LARGEST_SPLIT_FILE:
-        raise InputError("a split file is too large", got=f"{size} bytes", path=path)
+    require(size <= LARGEST_SPLIT_FILE, "a split file is too large", got=f"{size} bytes", path=path)
     try:
         return _PlainUnpickler(io.BytesIO(read_bytes(path))).load()
     except InputError as error:

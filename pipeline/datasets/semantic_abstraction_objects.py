@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.datasets.cameras import inverse, nearest_rotation
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 LEAST_POINTS = 20
 """An object with fewer points in the scene has no exact box."""
@@ -220,12 +220,15 @@ def _conventions(cam_pose: np.ndarray) -> list[tuple[str, np.ndarray]]:
     InputError
         Not a rotation (perhaps mirrored) times one scale, and a position.
     """
-    if not np.isfinite(cam_pose).all() or np.abs(cam_pose[3] - (0, 0, 0, 1)).max() > 1e-6:
-        raise InputError("cam_pose is no rigid motion")
+    require(
+        np.isfinite(cam_pose).all() and np.abs(cam_pose[3] - (0, 0, 0, 1)).max() <= 1e-6, "cam_pose is no rigid motion"
+    )
     linear = cam_pose[:3, :3]
     scale = float(np.cbrt(abs(np.linalg.det(linear))))
-    if scale < 1e-6 or np.abs(linear @ linear.T / scale**2 - np.eye(3)).max() > 1e-2:
-        raise InputError("cam_pose is not a rotation with one scale")
+    require(
+        scale >= 1e-6 and np.abs(linear @ linear.T / scale**2 - np.eye(3)).max() <= 1e-2,
+        "cam_pose is not a rotation with one scale",
+    )
     directions = [("", cam_pose), ("taken as scene-to-camera", np.linalg.inv(cam_pose))]
     scales = [("", np.eye(4))]
     if abs(scale - 1) < 0.05:

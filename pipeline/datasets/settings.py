@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.geometry.camera import UpSource
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.reading import parse_toml
 from pipeline.system.whole_files import write_whole
 
@@ -50,15 +50,15 @@ class Settings:
     def __post_init__(self) -> None:
         if self.intrinsics is not None:
             fx, fy, cx, cy = _numbers("intrinsics", self.intrinsics, 4)
-            if fx <= 0 or fy <= 0:
-                raise InputError("focal lengths must be positive", got=f"fx={fx:g}, fy={fy:g}", expected="fx,fy,cx,cy")
+            require(
+                fx > 0 and fy > 0, "focal lengths must be positive", got=f"fx={fx:g}, fy={fy:g}", expected="fx,fy,cx,cy"
+            )
             object.__setattr__(self, "intrinsics", (fx, fy, cx, cy))
         if self.depth_scale is not None:
             (scale,) = _numbers("depth_scale", [self.depth_scale], 1)
-            if scale <= 0:
-                raise InputError(
-                    "the depth scale must be positive", got=f"{scale:g}", expected="depth units in one metre"
-                )
+            require(
+                scale > 0, "the depth scale must be positive", got=f"{scale:g}", expected="depth units in one metre"
+            )
             object.__setattr__(self, "depth_scale", scale)
         if self.world_up is not None:
             object.__setattr__(self, "world_up", _direction("world_up", self.world_up))
@@ -194,8 +194,7 @@ def _quoted(text: str) -> str:
 
 def _direction(key: str, values: Any) -> Vector:
     x, y, z = _numbers(key, values, 3)
-    if math.hypot(x, y, z) < 1e-9:
-        raise InputError(f"{key} must point somewhere", got=[x, y, z])
+    require(math.hypot(x, y, z) >= 1e-9, f"{key} must point somewhere", got=[x, y, z])
     return x, y, z
 
 
@@ -241,12 +240,12 @@ class GivenUp:
         except ValueError:
             x = y = z = math.nan
         length = math.hypot(x, y, z)
-        if not (1e-9 < length < math.inf) or (colon and frame not in ("world", "camera")):
-            raise InputError(
-                "up must be a vector that points somewhere",
-                got=repr(text),
-                expected="X,Y,Z, world:X,Y,Z or camera:X,Y,Z",
-            )
+        require(
+            not (not (1e-9 < length < math.inf) or (colon and frame not in ("world", "camera"))),
+            "up must be a vector that points somewhere",
+            got=repr(text),
+            expected="X,Y,Z, world:X,Y,Z or camera:X,Y,Z",
+        )
         return cls((x, y, z), frame if frame in ("world", "camera") else None)
 
     def __str__(self) -> str:
@@ -261,8 +260,12 @@ def parse_level_at(text: str) -> tuple[str | None, int, int]:
         u, v = (int(part) for part in numbers.split(","))
     except ValueError:
         u = v = -1
-    if u < 0 or v < 0 or (colon and not frame):
-        raise InputError("no pixel of a level surface", got=repr(text), expected="U,V or FRAME:U,V: column, row")
+    require(
+        not (u < 0 or v < 0 or (colon and not frame)),
+        "no pixel of a level surface",
+        got=repr(text),
+        expected="U,V or FRAME:U,V: column, row",
+    )
     return frame or None, u, v
 
 

@@ -19,7 +19,7 @@ from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 UNITS_PER_METRE = 1000.0
 ROTATED_BITS = 3
@@ -89,8 +89,7 @@ class SunRgbdDataset(Recording):
 
 
 def _only_image(folder: Path, suffixes: tuple[str, ...], what: str) -> Path:
-    if not folder.is_dir():
-        raise InputError(f"the {what} file is missing", path=folder)
+    require(folder.is_dir(), f"the {what} file is missing", path=folder)
     names = [name for name in listing(folder)[1] if Path(name).suffix.lower() in suffixes]
     return one_file([folder / name for name in names], what, folder)
 
@@ -98,8 +97,7 @@ def _only_image(folder: Path, suffixes: tuple[str, ...], what: str) -> Path:
 def _tilt(folder: Path) -> np.ndarray:
     """Rtilt (3, 3) from the newest file, which is named by its time; its fourth column is 0."""
     names = [name for name in listing(folder)[1] if name.endswith(".txt")]
-    if not names:
-        raise InputError("no file with the tilt", path=folder)
+    require(names, "no file with the tilt", path=folder)
     return read_matrix(folder / names[-1], 3, 4)[:, :3]
 
 
@@ -244,8 +242,7 @@ def _calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:
         Not two lines of nine numbers, column by column; the first no rotation.
     """
     lines = numbered_lines(path)
-    if len(lines) != 2:
-        raise InputError("a calibration must have two lines", got=len(lines), expected="Rtilt, then K", path=path)
+    require(len(lines) == 2, "a calibration must have two lines", got=len(lines), expected="Rtilt, then K", path=path)
     Rtilt, K = (as_floats(line.split(), 9, path, f"line {number}").reshape(3, 3).T for number, line in lines)
     try:
         R = camera_from_upright(Rtilt)
@@ -288,20 +285,19 @@ def _depth_image(points: np.ndarray, K: np.ndarray, size: tuple[int, int], path:
     """
     height, width = size
     points = points[points[:, 2] > 0]
-    if not len(points):
-        raise InputError("no point lies in front of the camera", path=path)
+    require(len(points), "no point lies in front of the camera", path=path)
     u = K[0, 0] * points[:, 0] / points[:, 2] + K[0, 2]
     v = K[1, 1] * points[:, 1] / points[:, 2] + K[1, 2]
     column, row = np.round(u), np.round(v)
     off = float(max(np.abs(u - column).max(), np.abs(v - row).max()))
-    if off > OFF_PIXEL:
-        raise InputError(
-            "the points do not project to pixels",
-            got=f"{off:.2g} pixels off",
-            expected=f"at most {OFF_PIXEL:g}",
-            cause="is the calibration that of another picture?",
-            path=path,
-        )
+    require(
+        off <= OFF_PIXEL,
+        "the points do not project to pixels",
+        got=f"{off:.2g} pixels off",
+        expected=f"at most {OFF_PIXEL:g}",
+        cause="is the calibration that of another picture?",
+        path=path,
+    )
     if column.min() < 0 or row.min() < 0 or column.max() >= width or row.max() >= height:
         raise InputError(
             "points lie outside the image",
@@ -325,14 +321,11 @@ def _annotation(index: int, name: str, values: np.ndarray, R_camera_upright: np.
     InputError
         Not finite, an empty 2D box, no orientation, or a negative size.
     """
-    if not np.isfinite(values).all():
-        raise InputError("inf or NaN")
+    require(np.isfinite(values).all(), "inf or NaN")
     x, y, w, h = values[:4]
-    if w <= 0 or h <= 0:
-        raise InputError("an empty 2D box")
+    require(w > 0 and h > 0, "an empty 2D box")
     length = float(np.hypot(values[10], values[11]))
-    if length < 1e-6:
-        raise InputError("no orientation")
+    require(length >= 1e-6, "no orientation")
     ox, oy = values[10:] / length
     R_upright_box = np.array([[oy, ox, 0.0], [-ox, oy, 0.0], [0.0, 0.0, 1.0]])
     box = Box3D(R_camera_upright @ values[4:7], R_camera_upright @ R_upright_box, 2 * values[7:10])

@@ -22,7 +22,7 @@ from pipeline.datasets.cameras import (
 from pipeline.datasets.files import as_floats, numbered_lines, path_inside
 from pipeline.datasets.settings import Settings, camera_notes, unit_notes
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 UNITS_PER_METRE = 5000.0
 WITHIN = 0.02
@@ -94,8 +94,7 @@ class TumDataset(Recording):
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
         color = self._found(self._colors, frame_id)
-        if frame_id not in self._depths:
-            raise InputError(f"no depth image within 20 ms of {frame_id}", path=self.root / "depth.txt")
+        require(frame_id in self._depths, f"no depth image within 20 ms of {frame_id}", path=self.root / "depth.txt")
         depth = self._depths[frame_id].path
         pair = read_pair(color.path, depth, self._settings.depth_scale or UNITS_PER_METRE)
         notes: list[str] = []
@@ -139,8 +138,7 @@ def _entries(root: Path, name: str) -> list[_Entry]:
         if time in found:
             raise InputError(f"line {number} repeats a time stamp", got=stamp[:60], path=source)
         found[time] = entry
-    if not found:
-        raise InputError("a list without a line", expected="timestamp path", path=source)
+    require(found, "a list without a line", expected="timestamp path", path=source)
     return [found[time] for time in sorted(found)]
 
 

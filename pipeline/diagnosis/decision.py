@@ -129,9 +129,7 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
         shown = found.target.overlap[: found.target.found] >= HIT
         wanted = pairs[np.asarray((shown & np.asarray(pairs.any(axis=1))[None]).any(axis=0))].any(axis=0)
         missed = _missed(evidence, case.reference, np.flatnonzero(wanted))
-        return replace(
-            diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference
-        )
+        return replace(diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference)
     flips = [bit for bit in _FLIPS if found.accepted[bit]]
     verdict, detail, repair = _flipped(found, diagnosis, flips)
     mends = tuple(name for bit in flips for name in names_of(bit))

@@ -287,9 +287,7 @@ def _relation(evidence: FrameEvidence, relation: str, target: CandidateSet, refe
     lifted = np.where(shaped[0][:, None] == shaped[1][None, :], STATE_PROBABILITY[-1], lifted)
     moved = (target.shape_of >= 0)[:, None] | (reference.shape_of >= 0)[None, :]
     lifted = np.where(moved & np.isfinite(lifted), lifted, base)
-    a, b = (
-        np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference)
-    )
+    a, b = (np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference))
     if evidence.labelled:
         known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])
         states = evidence.truth.states[relation][a[:, None], b[None, :]]

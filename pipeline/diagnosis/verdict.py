@@ -17,7 +17,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.expression import Query
 from pipeline.language.relation_names import PHRASE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _KEYS = ("frame", "id", "mark")
 
@@ -400,9 +400,9 @@ def read_marks(path: Path) -> dict[tuple[str, str], str]:
         if not isinstance(entry, dict) or not all(isinstance(entry.get(key), str) for key in _KEYS):
             raise InputError(f"mark {n} must have the texts {', '.join(_KEYS)}", got=repr(entry)[:80], path=path)
         frame, expression, mark = (entry[key] for key in _KEYS)
-        if mark not in MARKS:
-            raise InputError(f"mark {n} is not known", got=mark, expected=" or ".join(MARKS), path=path)
-        if (frame, expression) in found:
-            raise InputError("an expression is marked twice", got=f"{frame} {expression}", path=path)
+        require(mark in MARKS, f"mark {n} is not known", got=mark, expected=" or ".join(MARKS), path=path)
+        require(
+            (frame, expression) not in found, "an expression is marked twice", got=f"{frame} {expression}", path=path
+        )
         found[frame, expression] = mark
     return found

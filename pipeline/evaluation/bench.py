@@ -34,7 +34,7 @@ from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.peak_memory import PeakMemory
 from pipeline.training.label_data import pair_set, read_label_data
 from pipeline.training.train import TrainConfig, train_pairs
@@ -139,8 +139,7 @@ def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], ArrowTable]
     """Every expression in this process, with what each stage took."""
     evaluator = Evaluator(spec)
     blocks = blocks_of(frames_in(evaluator.labels, "expressions"))
-    if not blocks:
-        raise InputError("these labels have no expressions", path=evaluator.labels.root)
+    require(blocks, "these labels have no expressions", path=evaluator.labels.root)
     # The first frame pays for imports and for the network's own preparations.
     evaluator.block(blocks[0][0], blocks[0][0] + 1)
     evaluator.clock.seconds.clear()
@@ -168,8 +167,7 @@ def _asked_singly(evaluator: Evaluator, records: ArrowTable, count: int) -> dict
     source = evaluator.source
     read = records.filter(records.column("parse_ok"))
     chosen = read.take(spread(read.num_rows, count)).to_pylist()
-    if not chosen:
-        raise InputError("none of the expressions can be read", path=evaluator.labels.root)
+    require(chosen, "none of the expressions can be read", path=evaluator.labels.root)
     seconds, differ = 0.0, []
     for row in chosen:
         start = process_time()

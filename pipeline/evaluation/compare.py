@@ -15,7 +15,7 @@ from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.metrics.intervals import Estimate, McNemar, mcnemar, mean_estimate
 from pipeline.system.arrow import pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
 
@@ -108,8 +108,7 @@ def compare(before: ArrowTable, after: ArrowTable, measure: str = "set_correct")
     keys = [list(zip(t.column("frame").to_pylist(), t.column("id").to_pylist(), strict=True)) for t in (before, after)]
     index = {key: k for k, key in enumerate(keys[0])}
     shared = [(index[key], k) for k, key in enumerate(keys[1]) if key in index]
-    if not shared:
-        raise InputError("the two runs have no expression in common", cause="were they made with other labels?")
+    require(shared, "the two runs have no expression in common", cause="were they made with other labels?")
     first, second = (rows.take([pair[k] for pair in shared]) for k, rows in enumerate((before, after)))
     clusters, _ = clusters_of(second)
     columns = {name: (column(first, name), column(second, name)) for name in MEASURES}

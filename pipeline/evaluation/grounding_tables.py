@@ -69,9 +69,7 @@ def opm_row(name: str, records: ArrowTable, config: BootstrapConfig | None = Non
     return _row(name, records, [*hits, single, lenient, None, None], config)
 
 
-def _row(
-    name: str, records: ArrowTable, measures: Sequence[np.ndarray | None], config: BootstrapConfig | None
-) -> Row:
+def _row(name: str, records: ArrowTable, measures: Sequence[np.ndarray | None], config: BootstrapConfig | None) -> Row:
     clusters, _ = clusters_of(records)
     # A system that gives one box has no reference to be measured by.
     cells = (None if m is None or np.isnan(m).all() else mean_estimate(m, clusters, config=config) for m in measures)

@@ -28,7 +28,7 @@ from pipeline.labels.plan import SourceSpec
 from pipeline.labels.profiles import judge_viewer_cone
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.relations.relations import directional_states
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import MissingExtra, require
 from pipeline.system.threads import one_thread
 from pipeline.training.training_data import MIN_PIXELS, degraded
 
@@ -86,8 +86,9 @@ def bench_labels(spec: SourceSpec, *, views: int = 12, repeat: int = 3, workers:
         by number of objects; job: frames, workers, seconds, frames_per_s,
         candidates_per_frame, and what 1,500 frames would take.
     """
-    if views < 1 or repeat < 1:
-        raise InputError("at least one view and one pass are needed", got=f"{views} views, {repeat} passes")
+    require(
+        views >= 1 and repeat >= 1, "at least one view and one pass are needed", got=f"{views} views, {repeat} passes"
+    )
     found = [v for k in range(-(-views // VIEWS_A_ROOM)) for v in bench_views(FIRST_ROOM + k)][:views]
     with one_thread():
         ours = _timed(found, our_lifting, repeat)

@@ -28,9 +28,7 @@ from pipeline.labels.report.style import FULL, INK, QUIET, house_style, new_figu
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
 
-_STYLE = (
-    "<style>body{font-family:Arial,sans-serif;max-width:1100px;margin:auto}p{color:#5b6470;font-size:13px}</style>"
-)
+_STYLE = "<style>body{font-family:Arial,sans-serif;max-width:1100px;margin:auto}p{color:#5b6470;font-size:13px}</style>"
 
 SHOWN = ("relation", "class", "distance", "size", "occlusion", "same_class", "label_margin")
 MOST_SHOWN = 12

@@ -25,7 +25,7 @@ from pipeline.metrics.intervals import BootstrapConfig, mean_estimate
 from pipeline.metrics.relation_metrics import cell_outcomes, relation_estimates
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 SA, AVD = "semantic-abstraction", "avd"
 PUBLISHED_ON = {SA: "Semantic Abstraction", AVD: "AVD-Spatial"}
@@ -170,9 +170,7 @@ def _top_table(
     one = counted & ((truth == T).sum(axis=1) == 1)
     shares = (truth[one] == T).mean(axis=0) if one.any() else np.full(truth.shape[1], 1 / max(truth.shape[1], 1))
     rows = [row(MOST_FREQUENT, relation_ranks(np.ones(truth.shape), shares, truth))]
-    rows += [
-        row(s.title, relation_ranks(s.p, s.prior, records.truth(s.relations))) for s in records.systems if s.prior
-    ]
+    rows += [row(s.title, relation_ranks(s.p, s.prior, records.truth(s.relations))) for s in records.systems if s.prior]
     counts = {subset: int((mask & one).sum()) for subset, mask in masks.items()}
     return _table(evaluated, "relations", SA, columns, rows, f"{unit}s; pairs: {_listed(counts)}")
 
@@ -281,8 +279,11 @@ def tables_of_run(folder: str | Path) -> list[Table]:
         No run there, no labels, or neither expressions nor relations in it.
     """
     run = open_run(folder)
-    if not (run.folder / RECORDS_FILE).exists() and not (run.folder / FILE).exists():
-        raise InputError("the run has neither records of expressions nor of relations", path=run.folder)
+    require(
+        not (not (run.folder / RECORDS_FILE).exists() and not (run.folder / FILE).exists()),
+        "the run has neither records of expressions nor of relations",
+        path=run.folder,
+    )
     systems = {run.name: read_records(run.folder)} if (run.folder / RECORDS_FILE).exists() else {}
     how = run.manifest.get("relations") or {}
     own = title_of(shares_of_run(run.manifest, run.labels.root))

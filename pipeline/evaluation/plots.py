@@ -136,9 +136,7 @@ def _line_figure(curves: Mapping[str, Lines], title: str, x_label: str) -> Any:
     return figure.update_layout(title=title, xaxis_title=x_label, yaxis_title=ACCURACY)
 
 
-def draw_relations(
-    figures: Sequence[SystemFigures], tables: Sequence[Table], out: Path, caveat: str = ""
-) -> None:
+def draw_relations(figures: Sequence[SystemFigures], tables: Sequence[Table], out: Path, caveat: str = "") -> None:
     """Write `srm_reliability.png`, `srm_relations.png` and `srm.html` into a folder, which is made if it is missing.
 
     What the tables of the same figures warn of stands on the page too; `caveat`, what the figures are where truth and
@@ -326,9 +324,7 @@ def moving_figure() -> Any:
     return go.Figure()
 
 
-def draw_bars(
-    bars: Bars, tones: Mapping[str, str], title: str, y_label: str, path: Path, height: float = 3.6
-) -> None:
+def draw_bars(bars: Bars, tones: Mapping[str, str], title: str, y_label: str, path: Path, height: float = 3.6) -> None:
     """Bars beside each other, with their intervals."""
     ticks, rows = bars
     width = 0.8 / max(len(rows), 1)

@@ -152,9 +152,7 @@ def _opm(row: dict[str, Any], case: Case, answers: FrameAnswers, overlap: np.nda
         row["opm_score"] = float(answers.candidates[case.target].scores.max())
 
 
-def _coverage(
-    row: dict[str, Any], case: Case, pairs: np.ndarray, answers: FrameAnswers, hit: np.ndarray
-) -> np.ndarray:
+def _coverage(row: dict[str, Any], case: Case, pairs: np.ndarray, answers: FrameAnswers, hit: np.ndarray) -> np.ndarray:
     """(T, R) bool: candidate pairs that are acceptable ones; how far up the right ones stand goes into the row."""
     targets, references = answers.candidates[case.target], answers.candidates[case.reference]
     hits, other = hit[targets.index], hit[references.index]
@@ -353,9 +351,7 @@ def detector_scores(records: ArrowTable) -> DetectorScores:
             if rest[0] is not None:
                 parts.setdefault((frame, name), tuple(rest))
     lengths = [len(part[0]) for part in parts.values()]
-    raw, calibrated = (
-        np.array([x for part in parts.values() for x in part[k]], np.float64) for k in (0, 1)
-    )
+    raw, calibrated = (np.array([x for part in parts.values() for x in part[k]], np.float64) for k in (0, 1))
     hits = np.array([x for part in parts.values() for x in part[2]], np.bool_)
     frames = np.repeat(np.array([frame for frame, _ in parts], np.str_), lengths)
     return DetectorScores(raw, calibrated, hits, frames, np.repeat(np.array([p[3] for p in parts.values()]), lengths))

@@ -25,7 +25,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.arrow import pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import metadata, open_session
 from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, object_rows, rows_of_frame
 
@@ -277,13 +277,13 @@ def geometry_of_labels(spec: RelationSpec, labels: Labels) -> Geometry:
     """
     detector = labels.manifest.models.get("detector", "")
     annotated = detector.startswith("annotations")
-    if spec.geometry == "lifted" and not annotated:
-        raise InputError(
-            "the labelled objects are not the dataset's annotations: they cannot be lifted again",
-            got=detector or "no detector in the manifest",
-            expected="--relation-boxes stored",
-            path=labels.root,
-        )
+    require(
+        not (spec.geometry == "lifted" and not annotated),
+        "the labelled objects are not the dataset's annotations: they cannot be lifted again",
+        got=detector or "no detector in the manifest",
+        expected="--relation-boxes stored",
+        path=labels.root,
+    )
     # Objects that people changed are no longer the dataset's annotations.
     corrected = bool((labels.manifest.corrections or {}).get("objects"))
     return spec.geometry or ("lifted" if annotated and not corrected else "stored")
@@ -332,13 +332,13 @@ def _system(name: str, which: str, scorer: RelationScorer, labels: Labels) -> Re
         return RelationSystem(name, name, scorer, tuple(labelled))
     contract = scorer.contract
     kept = tuple(r for r in PAIRWISE if r in contract.vocabulary and r in labelled)
-    if not kept:
-        raise InputError(
-            f"the relation network {name} judges none of the relations that were labelled",
-            got=", ".join(contract.vocabulary),
-            expected=", ".join(labelled),
-            path=labels.root,
-        )
+    require(
+        kept,
+        f"the relation network {name} judges none of the relations that were labelled",
+        got=", ".join(contract.vocabulary),
+        expected=", ".join(labelled),
+        path=labels.root,
+    )
     language = "+Lng" if contract.language is not None else ""
     kind = PAPER_NAMES.get(geometry_of(contract.features), contract.features) + language
     missing = tuple(r for r in contract.vocabulary if r not in labelled)

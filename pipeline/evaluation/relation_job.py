@@ -44,7 +44,7 @@ from pipeline.metrics.splits import DROPPED
 from pipeline.metrics.tables import Table
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 VLM_FILE = "relation_records_vlm.parquet"
 
@@ -105,13 +105,13 @@ def measure_relations(
     systems = open_systems(spec.options, how, labels)
     records = read_relation_records(folder / FILE)
     counted = counted_pairs(records, held_out)
-    if not counted.any():
-        raise InputError(
-            "no pair is left to measure relations on",
-            got=f"{len(records)} pairs, all of frames that a network was trained or calibrated on",
-            expected="labels of other scenes, or --relation-pairs all",
-            path=labels.root,
-        )
+    require(
+        counted.any(),
+        "no pair is left to measure relations on",
+        got=f"{len(records)} pairs, all of frames that a network was trained or calibrated on",
+        expected="labels of other scenes, or --relation-pairs all",
+        path=labels.root,
+    )
     warnings = leak_warnings(records, systems, labels, held_out)
     makers = makers_of(labels.manifest)
     shares = {s.title: share for s in systems if (share := relation_share(makers, s)) is not None}
@@ -123,19 +123,13 @@ def measure_relations(
     if spec.vlm is not None:
         rows = sample_pairs(records, counted, how.vlm_pairs, how.seed)
         first = records.systems[0]
-        found = ask_relations(
-            spec.vlm, source.dataset, labels, records, rows, first.relations, folder / VLM_FILE
-        )
-        same = replace(
-            first, title=f"{first.title}, on the VLM's pairs", p=first.p[rows], part=first.part[rows]
-        )
+        found = ask_relations(spec.vlm, source.dataset, labels, records, rows, first.relations, folder / VLM_FILE)
+        same = replace(first, title=f"{first.title}, on the VLM's pairs", p=first.p[rows], part=first.part[rows])
         if first.title in shares:
             shares[same.title] = shares[first.title]
         for system in (same, found.system):
             truth = records.truth(system.relations)[rows]
-            figures.append(
-                system_figures(system, truth, clusters[rows], np.ones(len(rows), np.bool_), bootstrap)
-            )
+            figures.append(system_figures(system, truth, clusters[rows], np.ones(len(rows), np.bool_), bootstrap))
         unknown = sum(found.unknown.values())
         notes.append(
             f"The VLM was asked about {len(rows)} pairs drawn at random (seed {how.seed}), {unknown} of "

@@ -133,9 +133,7 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> ArrowS
     `learnt_from` the part of its training ("train", "validation") that the frame belongs to, else null."""
     relations = [r for r in PAIRWISE if r in labels.relation_names]
     text = [pa.field(s.name, pa.struct([pa.field(r, pa.float32()) for r in s.relations])) for s in systems]
-    about = [
-        {"name": s.name, "title": s.title, "relations": s.relations, "prior": _prior_of(s)} for s in systems
-    ]
+    about = [{"name": s.name, "title": s.title, "relations": s.relations, "prior": _prior_of(s)} for s in systems]
     return pa.schema(
         [
             pa.field("frame", pa.string()),

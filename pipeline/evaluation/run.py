@@ -34,7 +34,7 @@ from pipeline.labels.tables import read_table
 from pipeline.language.expression import Query
 from pipeline.proposals.base import reads_annotations
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.worker_pool import results_of
 
 LOOKED_AT = 64
@@ -169,9 +169,7 @@ class Evaluator:
             for case, row in zip(truth.cases, rows, strict=True):
                 mark, query = self.spec.marks.get((row["frame"], case.id)), self._parsed[case.text][0]
                 row |= diagnosis_columns(
-                    diagnose(
-                        evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"]
-                    )
+                    diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"])
                 )
         return rows
 
@@ -254,13 +252,11 @@ def evaluate_labels(
     spec = spec if relations is not None else replace(spec, relations=None)
     _, labels = spec.open()
     asked = frames_in(labels, "expressions") if spec.grounding else np.zeros(0, np.int64)
-    if spec.grounding and not len(asked):
-        raise InputError("these labels have no expressions", path=labels.root)
+    require(not (spec.grounding and not len(asked)), "these labels have no expressions", path=labels.root)
     paired = np.zeros(0, np.int64)
     if spec.relations is not None:
         paired = frames_in(labels, "relations", spec.relations.frames)
-        if not len(paired):
-            raise InputError("these labels have no pairs of objects", path=labels.root)
+        require(len(paired), "these labels have no pairs of objects", path=labels.root)
     index = np.union1d(asked, paired)
     total = len(index)
     if spec.grounding:

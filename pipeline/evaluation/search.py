@@ -31,7 +31,7 @@ from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.system.arrow import pc
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 if TYPE_CHECKING:
     import duckdb
@@ -131,8 +131,11 @@ def compile_search(query: str, schema: ArrowSchema) -> Search:
     about_right = False
     for term in read_terms(query):
         if term.field is not None and term.field.lower() == SORT:
-            if term.negated or term.operator != ":":
-                raise InputError("an order is written sort:FIELD or sort:-FIELD", got=repr(term.field + term.operator))
+            require(
+                not term.negated and term.operator == ":",
+                "an order is written sort:FIELD or sort:-FIELD",
+                got=repr(term.field + term.operator),
+            )
             for value in term.values:
                 name = value.text.removeprefix("-")
                 order.append((_field(name, fields).column, value.text.startswith("-")))
@@ -238,8 +241,11 @@ def _field(name: str, fields: dict[str, Field]) -> Field:
     found = fields.get(name.lower())
     if found is not None:
         return found
-    if ALIASES.get(name.lower(), name.lower()) in DIAGNOSIS_COLUMNS:
-        raise InputError(f"this run has no {name}", cause="it was made by an older release; run `eval` again")
+    require(
+        ALIASES.get(name.lower(), name.lower()) not in DIAGNOSIS_COLUMNS,
+        f"this run has no {name}",
+        cause="it was made by an older release; run `eval` again",
+    )
     near = difflib.get_close_matches(name.lower(), [*fields, SORT], 3, 0.5)
     raise InputError(
         "the search names an unknown field",
@@ -266,8 +272,12 @@ def _none(value: Value) -> bool:
 
 def _condition(field: Field, term: Term, single: bool) -> Condition:
     """A term as SQL; `single` says that the column holds float32."""
-    if term.operator not in (":", "=", "!=") and field.kind != "number":
-        raise InputError(f"{field.name} has no order", got=repr(term.operator), expected=f"{field.name}:VALUE")
+    require(
+        not (term.operator not in (":", "=", "!=") and field.kind != "number"),
+        f"{field.name} has no order",
+        got=repr(term.operator),
+        expected=f"{field.name}:VALUE",
+    )
     if field.kind == "names":
         return _names(field, term)
     one = {"number": _number, "flag": _flag}.get(field.kind, _text)
@@ -319,8 +329,9 @@ def _number(field: Field, operator: str, value: Value, single: bool) -> Conditio
         asked = float(value.text)
     except ValueError:
         asked = np.nan
-    if np.isnan(asked):
-        raise InputError(f"{field.name} is a number", got=repr(value.text), expected=f"such as {field.name}<0.1")
+    require(
+        not np.isnan(asked), f"{field.name} is a number", got=repr(value.text), expected=f"such as {field.name}<0.1"
+    )
     # 0.1 means the number nearest to it that the column can hold.
     with np.errstate(over="ignore"):
         asked = float(np.float32(asked)) if single else asked
@@ -330,8 +341,12 @@ def _number(field: Field, operator: str, value: Value, single: bool) -> Conditio
 def _flag(field: Field, _operator: str, value: Value, _single: bool) -> Condition:
     column, text = quoted(field.column), value.text.lower()
     shown = {**dict.fromkeys(_YES, column), **dict.fromkeys(_NO, f"NOT {column}")}
-    if not _none(value) and text not in shown:
-        raise InputError(f"{field.name} is yes or no", got=repr(value.text), expected=f"{field.name}:yes")
+    require(
+        not (not _none(value) and text not in shown),
+        f"{field.name} is yes or no",
+        got=repr(value.text),
+        expected=f"{field.name}:yes",
+    )
     return f"{column} IS NULL" if _none(value) else shown[text], []
 
 

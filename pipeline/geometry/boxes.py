@@ -6,16 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
-CORNER_SIGNS = np.array(
-    [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64
-)
+CORNER_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
 """Corner k of a box has the signs of row k: bit 2 of k is x, bit 1 is y, bit 0 is z."""
 
-EDGES = np.array(
-    [(0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7)]
-)
+EDGES = np.array([(0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7)])
 """The 12 edges of a box as pairs of corner numbers."""
 
 
@@ -39,14 +35,17 @@ class Box3D:
 
     def __post_init__(self) -> None:
         center, R, size = (np.asarray(a, dtype=np.float64) for a in (self.center, self.R, self.size))
-        if center.shape != (3,) or R.shape != (3, 3) or size.shape != (3,):
-            raise InputError(
-                "a 3D box needs center (3,), R (3, 3), size (3,)",
-                got=f"{center.shape}, {R.shape}, {size.shape}",
-            )
+        require(
+            center.shape == (3,) and R.shape == (3, 3) and size.shape == (3,),
+            "a 3D box needs center (3,), R (3, 3), size (3,)",
+            got=f"{center.shape}, {R.shape}, {size.shape}",
+        )
         # A sum is finite where all of it is; thousands of boxes are made a second.
-        if not np.isfinite(center.sum() + R.sum() + size.sum()):
-            raise InputError("a 3D box must be finite", got=f"center {center}, size {size}")
+        require(
+            np.isfinite(center.sum() + R.sum() + size.sum()),
+            "a 3D box must be finite",
+            got=f"center {center}, size {size}",
+        )
         if size.min() < 0:
             raise InputError("a 3D box must have sizes of at least 0", got=size.tolist())
         if not _is_rotation(R):

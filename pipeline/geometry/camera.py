@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 UpSource = Literal["given", "declared", "imu", "scene", "plane", "assumed"]
 """How an up vector is known: given by the user, declared by the dataset, measured by an
@@ -49,8 +49,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         K = np.asarray(self.K, dtype=np.float64)
-        if K.shape != (3, 3):
-            raise InputError("intrinsics must be a 3x3 matrix", got=f"shape {K.shape}")
+        require(K.shape == (3, 3), "intrinsics must be a 3x3 matrix", got=f"shape {K.shape}")
         if not np.isfinite(K).all():
             raise InputError("intrinsics are not finite", got=np.round(K, 3).tolist())
         if K[0, 0] <= 0 or K[1, 1] <= 0:
@@ -68,8 +67,11 @@ class Camera:
         object.__setattr__(self, "K", K)
         if self.T_world_camera is not None:
             T = np.asarray(self.T_world_camera, dtype=np.float64)
-            if T.shape != (4, 4) or not np.isfinite(T).all():
-                raise InputError("a camera pose must be a finite 4x4 matrix", got=f"shape {T.shape}")
+            require(
+                T.shape == (4, 4) and np.isfinite(T).all(),
+                "a camera pose must be a finite 4x4 matrix",
+                got=f"shape {T.shape}",
+            )
             R = T[:3, :3]
             if np.abs(R @ R.T - np.eye(3)).max() > 1e-2 or np.linalg.det(R) < 0:
                 raise InputError(
@@ -81,8 +83,11 @@ class Camera:
         if self.up is not None:
             up = np.asarray(self.up, dtype=np.float64)
             norm = float(np.linalg.norm(up))
-            if up.shape != (3,) or not np.isfinite(norm) or norm < 1e-9:
-                raise InputError("the up vector must be three finite numbers", got=self.up)
+            require(
+                up.shape == (3,) and np.isfinite(norm) and norm >= 1e-9,
+                "the up vector must be three finite numbers",
+                got=self.up,
+            )
             # A unit vector stays as it is to the last bit, so that what was written is what is read.
             object.__setattr__(self, "up", up if abs(norm - 1) < 1e-15 else up / norm)
 

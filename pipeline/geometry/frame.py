@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 NEAREST_MEDIAN_M = 0.1
 FARTHEST_MEDIAN_M = 20.0
@@ -53,8 +53,11 @@ class Annotation:
 
     def __post_init__(self) -> None:
         bbox = np.asarray(self.bbox, dtype=np.float32)
-        if bbox.shape != (4,) or not np.isfinite(bbox).all():
-            raise InputError(f"annotation {self.index}: a box must be four finite numbers", got=self.bbox)
+        require(
+            bbox.shape == (4,) and np.isfinite(bbox).all(),
+            f"annotation {self.index}: a box must be four finite numbers",
+            got=self.bbox,
+        )
         object.__setattr__(self, "bbox", bbox)
         if self.mask is not None and (self.mask.dtype != np.bool_ or self.mask.ndim != 2):
             raise InputError(
@@ -93,10 +96,11 @@ class Frame:
 
     def __post_init__(self) -> None:
         rgb, depth, camera = self.rgb, self.depth, self.camera
-        if rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3:
-            raise InputError(
-                f"frame {self.id}: colour must be uint8 (H, W, 3)", got=f"{rgb.dtype} {rgb.shape}"
-            )
+        require(
+            rgb.dtype == np.uint8 and rgb.ndim == 3 and rgb.shape[2] == 3,
+            f"frame {self.id}: colour must be uint8 (H, W, 3)",
+            got=f"{rgb.dtype} {rgb.shape}",
+        )
         if depth.dtype != np.float32 or depth.shape != rgb.shape[:2]:
             raise InputError(
                 f"frame {self.id}: depth must be float32 metres of shape {rgb.shape[:2]}",
@@ -110,25 +114,23 @@ class Frame:
                 expected=f"{depth.shape[1]}x{depth.shape[0]}",
             )
         lowest, highest = float(depth.min()), float(depth.max())
-        if not (np.isfinite(lowest) and np.isfinite(highest)) or lowest < 0:
-            raise InputError(
-                f"frame {self.id}: depth must be finite and at least 0",
-                got=f"{lowest:g} to {highest:g}",
-                cause="pixels without depth are 0",
-            )
-        if highest == 0:
-            raise InputError(f"frame {self.id}: no usable depth", got="only zeros")
+        require(
+            (np.isfinite(lowest) and np.isfinite(highest)) and lowest >= 0,
+            f"frame {self.id}: depth must be finite and at least 0",
+            got=f"{lowest:g} to {highest:g}",
+            cause="pixels without depth are 0",
+        )
+        require(highest != 0, f"frame {self.id}: no usable depth", got="only zeros")
         valid = depth[depth > 0]
         # A strided median is exact enough for a factor of a thousand.
         median = float(np.median(valid[:: max(1, valid.size // 20_000)]))
-        if not NEAREST_MEDIAN_M <= median <= FARTHEST_MEDIAN_M:
-            raise InputError(
-                f"frame {self.id}: depth of the wrong unit",
-                got=f"a median depth of {median:.3g} m",
-                expected=f"{NEAREST_MEDIAN_M:g} to {FARTHEST_MEDIAN_M:g} m",
-                cause="is the depth scale the number of depth units in one metre, "
-                "1000 for millimetres and 1 for metres?",
-            )
+        require(
+            NEAREST_MEDIAN_M <= median <= FARTHEST_MEDIAN_M,
+            f"frame {self.id}: depth of the wrong unit",
+            got=f"a median depth of {median:.3g} m",
+            expected=f"{NEAREST_MEDIAN_M:g} to {FARTHEST_MEDIAN_M:g} m",
+            cause="is the depth scale the number of depth units in one metre, 1000 for millimetres and 1 for metres?",
+        )
         for annotation in self.annotations:
             if annotation.mask is not None and annotation.mask.shape != depth.shape:
                 raise InputError(
@@ -175,16 +177,16 @@ class Frame:
         """
         rgb, depth = np.asarray(rgb), np.asarray(depth)
         names = tuple(f"object {n}" for n in range(1, len(masks) + 1)) if names is None else tuple(names)
-        if len(names) != len(masks):
-            raise InputError(f"frame {id}: a name for each mask", got=f"{len(names)} names, {len(masks)} masks")
+        require(
+            len(names) == len(masks), f"frame {id}: a name for each mask", got=f"{len(names)} names, {len(masks)} masks"
+        )
         if depth.dtype.kind == "f":
             # NaN and infinity are how others write that nothing was measured.
             depth = np.where(np.isfinite(depth), depth, 0).astype(np.float32)
         annotations = []
         for index, (mask, name) in enumerate(zip(masks, names, strict=True)):
             rows, columns = (np.flatnonzero(np.any(mask, axis=axis)) for axis in (1, 0))
-            if not len(rows):
-                raise InputError(f"frame {id}: the mask of {name!r} is empty")
+            require(len(rows), f"frame {id}: the mask of {name!r} is empty")
             bbox = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float32)
             annotations.append(Annotation(index, name, bbox, np.asarray(mask)))
         known = None if up is None else np.asarray(up, np.float64)

@@ -20,7 +20,7 @@ from pipeline.geometry.floor_or_wall import (
     surface_blocks,
 )
 from pipeline.geometry.normals import depth_noise, surface_normals
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 SAME_SURFACE_DEG = 15.0
 """Normals of one surface differ by no more than this."""
@@ -267,10 +267,13 @@ def level_normal_at(depth: np.ndarray, camera: Camera, u: int, v: int) -> np.nda
         The pixel is outside the picture, has no depth, or lies on no plane.
     """
     height, width = depth.shape
-    if not (0 <= u < width and 0 <= v < height):
-        raise InputError("no such pixel", got=f"{u},{v}", expected=f"0,0 to {width - 1},{height - 1}")
-    if depth[v, u] <= 0:
-        raise InputError("the pixel has no depth", got=f"{u},{v}", expected="a pixel of a level surface")
+    require(
+        (0 <= u < width and 0 <= v < height),
+        "no such pixel",
+        got=f"{u},{v}",
+        expected=f"0,0 to {width - 1},{height - 1}",
+    )
+    require(depth[v, u] > 0, "the pixel has no depth", got=f"{u},{v}", expected="a pixel of a level surface")
     no_plane = InputError("there is no plane at the pixel", got=f"{u},{v}", expected="a pixel of a level surface")
     normals, known = surface_normals(depth, camera)
     if not known[v, u]:

@@ -55,7 +55,7 @@ def second_color(dark: bool) -> RGB:
 
 
 def hex_color(color: RGB) -> str:
-    """"#rrggbb"."""
+    """ "#rrggbb"."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 

@@ -146,7 +146,7 @@ def _yaml(labels: Labels, licence: str, paths: Mapping[str, str]) -> str:
     return f"""\
 ---
 {declared}
-pretty_name: {text(f'Spatial relations of {dataset_name(labels)}')}
+pretty_name: {text(f"Spatial relations of {dataset_name(labels)}")}
 language:
 - en
 annotations_creators:
@@ -161,7 +161,7 @@ tags:
 - 3d-boxes
 - pseudo-labels
 size_categories:
-- {next((size for size, below in _SIZES if largest < below), 'n>1T')}
+- {next((size for size, below in _SIZES if largest < below), "n>1T")}
 configs:
 {configs}
 ---
@@ -182,16 +182,16 @@ def _page(labels: Labels, counts: Counts, licence: str) -> str:
     return f"""\
 # Spatial relations of {name}
 
-Pseudo-labels of {total['frames']} RGB-D frames ({manifest.counts.get('frames_usable', 0)} usable): \
-{total['objects']} objects with 2D and 3D boxes, {total['relations']} ordered pairs with their spatial \
-relations, and {total['expressions']} referring expressions. {_checked(manifest)}
+Pseudo-labels of {total["frames"]} RGB-D frames ({manifest.counts.get("frames_usable", 0)} usable): \
+{total["objects"]} objects with 2D and 3D boxes, {total["relations"]} ordered pairs with their spatial \
+relations, and {total["expressions"]} referring expressions. {_checked(manifest)}
 
 ## How they were made
 
 * Tool: {manifest.tool} {manifest.version}, schema {manifest.schema_version}, {manifest.created}.
-* Source: `{name}`, format {_plain(str(manifest.dataset.get('format')))}.
+* Source: `{name}`, format {_plain(str(manifest.dataset.get("format")))}.
 * Each object's mask and depth give its points; stray pixels are removed and an oriented box is fitted. \
-The rule profile `{manifest.profile.get('name')}` judges every ordered pair from extents along the viewer's \
+The rule profile `{manifest.profile.get("name")}` judges every ordered pair from extents along the viewer's \
 level right, up and forward: T (1) it holds, F (-1) it does not, U (0) too close to call.
 * Profile hash `{manifest.profile_hash}`.
 {makers}
@@ -199,7 +199,7 @@ level right, up and forward: T (1) it holds, F (-1) it does not, U (0) too close
 
 ## What is in them
 
-* Objects that are asked for: {counts.usable} of {total['objects']}; with a 3D box: {counts.boxed}.
+* Objects that are asked for: {counts.usable} of {total["objects"]}; with a 3D box: {counts.boxed}.
 * Too close to call (U): {undecided / max(judged, 1):.1%} of all judged relations of pairs.
 * Ambiguous expressions, with more than one acceptable answer: {counts.ambiguous} ({ambiguity:.1%}).
 

@@ -11,7 +11,7 @@ from pipeline.labels.profiles import RuleProfile, canonical_hash, profile_of
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
 from pipeline.relations.relations import PROFILE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 TextStyle = Literal["varied", "plain", "semantic-abstraction"]
 
@@ -59,12 +59,14 @@ class LabelConfig:
     def __post_init__(self) -> None:
         if self.profile != PROFILE:
             object.__setattr__(self, "second_opinion", "none")
-        if self.vocabulary not in VOCABULARIES:
-            raise InputError("no such vocabulary", got=repr(self.vocabulary), expected=" | ".join(VOCABULARIES))
-        if not self.relations:
-            raise InputError(f"profile {self.profile} judges no relation of the vocabulary {self.vocabulary}")
-        if self.seed < 0:
-            raise InputError("a seed must be at least 0", got=self.seed)
+        require(
+            self.vocabulary in VOCABULARIES,
+            "no such vocabulary",
+            got=repr(self.vocabulary),
+            expected=" | ".join(VOCABULARIES),
+        )
+        require(self.relations, f"profile {self.profile} judges no relation of the vocabulary {self.vocabulary}")
+        require(self.seed >= 0, "a seed must be at least 0", got=self.seed)
 
     @property
     def rules(self) -> RuleProfile:

@@ -163,8 +163,7 @@ def label_shard(
     start = perf_counter()
     found = found or {}
     tables = shard_tables(
-        label_frame(labeller, frame, shard.first + k, found.get(frame))
-        for k, frame in enumerate(shard.frames)
+        label_frame(labeller, frame, shard.first + k, found.get(frame)) for k, frame in enumerate(shard.frames)
     )
     seconds = perf_counter() - start
     broken = sum(not ok for ok in tables["frames"].column("ok").to_pylist())
@@ -183,6 +182,8 @@ def label_shard(
 
 Done = Callable[[ShardReport], None]
 """Called with each shard's report when it is finished."""
+
+
 def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, done: Done) -> None:
     """Label shards with so many processes; what is finished stays when the run is stopped.
 

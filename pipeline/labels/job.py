@@ -16,7 +16,7 @@ from pipeline.labels.profiles import NONE, TRAINED, open_second_opinion
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.store import Store
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Engine = Literal["local", "ray"]
 Progress = Callable[[int, int], None]
@@ -103,14 +103,17 @@ def label_dataset(
     if "://" not in str(out):
         out = Path(out).expanduser().absolute()
     store = Store(out)
-    if workers < 1:
-        raise InputError("at least one worker is needed", got=workers)
+    require(workers >= 1, "at least one worker is needed", got=workers)
     if not resume and part is None and not store.is_empty():
         raise InputError(
             "the folder for the labels is not empty", cause="--resume goes on where a run was stopped", path=out
         )
-    if store.holds_something_else():
-        raise InputError("the folder holds something else than labels", cause="use another folder", path=out)
+    require(
+        not store.holds_something_else(),
+        "the folder holds something else than labels",
+        cause="use another folder",
+        path=out,
+    )
     plan = make_plan(spec.absolute(), config, frames_a_shard=frames_a_shard, limit=limit, frames_of=frames_of, out=out)
     open_second_opinion(config.second_opinion)
     if engine == "ray":
@@ -134,10 +137,12 @@ def label_dataset(
             run_local(plan, shards, store, workers, done)
     finally:
         store.clear_unfinished()
-    if input_changed(plan, out):
-        raise InputError(
-            "the dataset changed while it was labelled", cause="remove the labels, and label it again", path=out
-        )
+    require(
+        not input_changed(plan, out),
+        "the dataset changed while it was labelled",
+        cause="remove the labels, and label it again",
+        path=out,
+    )
     manifest = merge_labels(out, selection) if part is None and not store.remote else None
     return LabelReport(
         total,

@@ -250,9 +250,7 @@ def _unusable(entry: SceneObject, config: LabelConfig) -> str | None:
     return None
 
 
-def _relation_columns(
-    frame: str, frame_index: int, ids: Sequence[int], judged: Judged, config: LabelConfig
-) -> Columns:
+def _relation_columns(frame: str, frame_index: int, ids: Sequence[int], judged: Judged, config: LabelConfig) -> Columns:
     number = np.asarray(ids, np.int32)
     # Rows run by (a, b) as numbers, whatever the order of the objects.
     order = np.argsort(number, kind="stable")

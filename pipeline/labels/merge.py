@@ -27,7 +27,7 @@ from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.plugins import versions_of
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, write_synced
@@ -70,15 +70,20 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
             path=store.where,
         )
     if out is None:
-        if store.remote:
-            raise InputError("labels at a URL are merged into a local folder", expected="--to FOLDER", path=store.where)
+        require(
+            not store.remote, "labels at a URL are merged into a local folder", expected="--to FOLDER", path=store.where
+        )
         out = store.folder
     try:
         out.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
         raise InputError("merged tables go into a folder", got="a file", path=out) from error
-    if any(out.iterdir()) and not (out / PLAN_FILE).is_file() and not (out / MANIFEST_FILE).is_file():
-        raise InputError("the folder holds something else", expected="a new or empty folder, or labels", path=out)
+    require(
+        not (any(out.iterdir()) and not (out / PLAN_FILE).is_file() and not (out / MANIFEST_FILE).is_file()),
+        "the folder holds something else",
+        expected="a new or empty folder, or labels",
+        path=out,
+    )
     for shard in plan.shards:
         store.check_part(shard.name, shard.key)
     clear_abandoned(out)

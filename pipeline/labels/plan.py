@@ -18,7 +18,7 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import canonical_hash, fingerprint
 from pipeline.labels.store import PLAN_FILE, Store
 from pipeline.proposals.registry import with_model
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.version import __version__
 
@@ -174,8 +174,7 @@ def make_plan(
     source = spec.open(config)
     detector = source.needed_detector()
     frames = (frames_of_splits(source.dataset, frames_of) if frames_of else source.dataset.frame_ids)[:limit]
-    if not frames:
-        raise InputError("the dataset has no frames", path=source.dataset.root)
+    require(frames, "the dataset has no frames", path=source.dataset.root)
     odd = next((f for f in frames if any("\ud800" <= c <= "\udfff" for c in f)), None)
     if odd is not None:
         raise InputError("the name of a frame is not UTF-8", got=ascii(odd), path=ascii(str(source.dataset.root)))
@@ -330,6 +329,5 @@ def part_of(shards: Sequence[Shard], k: int, n: int) -> tuple[Shard, ...]:
     InputError
         k is not 1..n.
     """
-    if not 1 <= k <= n:
-        raise InputError("no such part", got=f"{k}/{n}", expected=f"1/{n} to {n}/{n}")
+    require(1 <= k <= n, "no such part", got=f"{k}/{n}", expected=f"1/{n} to {n}/{n}")
     return tuple(shards[k - 1 :: n])

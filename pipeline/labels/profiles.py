@@ -39,7 +39,7 @@ from pipeline.relations.relations import (
     known_extents,
     measure_pairs,
 )
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import file_hash
 
 
@@ -178,9 +178,7 @@ def judge_semantic_abstraction(
     return semantic_abstraction_directions(lo, hi, centroids, judge_viewer_cone(lo, hi, centroids, clouds))
 
 
-def semantic_abstraction_directions(
-    lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, contact: Judged
-) -> Judged:
+def semantic_abstraction_directions(lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, contact: Judged) -> Judged:
     """The directions of `judge_semantic_abstraction`, given what is on and in what."""
     known = known_extents(lo, hi) & np.isfinite(centroids).all(axis=1)
     both = known[:, None] & known[None, :] & ~np.eye(len(lo), dtype=np.bool_)
@@ -257,8 +255,7 @@ def profile_of(name: str) -> RuleProfile:
     InputError
         There is none.
     """
-    if name not in PROFILES:
-        raise InputError("no such rule profile", got=repr(name), expected=" | ".join(PROFILES))
+    require(name in PROFILES, "no such rule profile", got=repr(name), expected=" | ".join(PROFILES))
     return PROFILES[name]
 
 
@@ -335,8 +332,7 @@ def fingerprint(name: str) -> str:
     if name == NONE:
         return NONE
     path = shipped_network() if name == TRAINED else Path(name)
-    if not path.is_file():
-        raise InputError("a second opinion is a network", got=repr(name), expected="trained, none, or an ONNX file")
+    require(path.is_file(), "a second opinion is a network", got=repr(name), expected="trained, none, or an ONNX file")
     return file_hash(path)
 
 

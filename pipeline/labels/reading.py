@@ -17,7 +17,7 @@ from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 MANIFEST_FILE = "manifest.json"
 
@@ -86,8 +86,13 @@ def open_labels(path: str | Path) -> Labels:
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         version = str(content.get("schema_version", ""))
-        if version.split(".")[0] != SCHEMA_VERSION.split(".")[0]:
-            raise InputError("labels of another schema", got=version, expected=SCHEMA_VERSION, path=file)
+        require(
+            version.split(".")[0] == SCHEMA_VERSION.split(".")[0],
+            "labels of another schema",
+            got=version,
+            expected=SCHEMA_VERSION,
+            path=file,
+        )
         manifest = Manifest.model_validate(content)
     except (ValueError, AttributeError) as error:
         if isinstance(error, InputError):

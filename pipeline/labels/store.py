@@ -12,7 +12,7 @@ from typing import Any
 
 from pipeline.labels.tables import read_table
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_beside, temporary_folder, write_synced
 
 PARTS = "parts"
@@ -68,8 +68,7 @@ class Store:
             raise InputError("labels go into a folder", got="a file", path=self.folder) from error
         except OSError as error:
             raise InputError("the folder cannot be made", got=error.strerror, path=self.folder) from error
-        if not os.access(self.folder, os.W_OK):
-            raise InputError("the folder cannot be written", path=self.folder)
+        require(os.access(self.folder, os.W_OK), "the folder cannot be written", path=self.folder)
 
     def is_empty(self) -> bool:
         """Whether nothing is there yet."""

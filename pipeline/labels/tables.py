@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES
 from pipeline.system.arrow import pa, pc, pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import temporary_beside
 
 VERSION_KEY = b"spatialviz.schema_version"
@@ -129,10 +129,14 @@ def check_version(metadata: dict[bytes, bytes], table: str, path: str | Path) ->
     found = metadata.get(VERSION_KEY, b"").decode() or None
     if found is None:
         raise InputError("not a table of labels", cause="it carries no schema version", path=path)
-    if found.split(".")[0] != SCHEMA_VERSION.split(".")[0]:
-        raise InputError(
-            "labels of another schema", got=found, expected=SCHEMA_VERSION, cause="made by another release?", path=path
-        )
+    require(
+        found.split(".")[0] == SCHEMA_VERSION.split(".")[0],
+        "labels of another schema",
+        got=found,
+        expected=SCHEMA_VERSION,
+        cause="made by another release?",
+        path=path,
+    )
     if metadata.get(TABLE_KEY, b"").decode() != table:
         raise InputError("another table", got=metadata.get(TABLE_KEY, b"").decode(), expected=table, path=path)
 

@@ -15,7 +15,7 @@ from pipeline.language.noun_phrase import NounPhrase, noun_phrase, readable
 from pipeline.language.relation import SEMANTIC_ABSTRACTION
 from pipeline.language.relation_names import PAIRWISE, PHRASE, RELATIONS
 from pipeline.language.tokens import MAX_LENGTH, words_of
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 __all__ = ["STYLES", "can_be_worded", "expression_text", "question_text"]
 
@@ -149,8 +149,7 @@ def expression_text(
     InputError
         Where an argument is out of range, or no sentence can carry the names: see `can_be_worded`.
     """
-    if style not in STYLES:
-        raise InputError("unknown style of expressions", got=repr(style), expected="one of " + ", ".join(STYLES))
+    require(style in STYLES, "unknown style of expressions", got=repr(style), expected="one of " + ", ".join(STYLES))
     number = _checked(relation, key)
     frames, phrases = {
         "varied": (SEEN_FRAMES if RELATIONS[relation].viewer_dependent else VARIED_FRAMES, VARIED_PHRASES[relation]),
@@ -179,14 +178,17 @@ def can_be_worded(name: str) -> bool:
 
 
 def _checked(relation: str, key: int) -> int:
-    if relation not in PAIRWISE:
-        raise InputError("no such relation of two things", got=repr(relation), expected="one of " + ", ".join(PAIRWISE))
+    require(
+        relation in PAIRWISE,
+        "no such relation of two things",
+        got=repr(relation),
+        expected="one of " + ", ".join(PAIRWISE),
+    )
     try:
         number = operator.index(key)
     except TypeError:
         raise InputError("the key of an expression must be an integer", got=repr(key)[:60]) from None
-    if not 0 <= number < 2**64:
-        raise InputError("the key of an expression is out of range", got=number, expected="0 .. 2**64 - 1")
+    require(0 <= number < 2**64, "the key of an expression is out of range", got=number, expected="0 .. 2**64 - 1")
     return number
 
 

@@ -11,7 +11,7 @@ from pipeline.language.lexicon import wording
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.language.relation_names import MIRRORED, RELATIONS
 from pipeline.language.tokens import check_text, vocabulary
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 __all__ = ["MAX_RELATIONS", "Attachment", "Expression", "Node", "Query", "Reading", "Span", "parse"]
 
@@ -52,10 +52,17 @@ class Expression:
     note: str | None = None
 
     def __post_init__(self) -> None:
-        if self.relation not in RELATIONS:
-            raise InputError("unknown relation", got=repr(self.relation), expected="one of " + ", ".join(RELATIONS))
-        if not self.target.strip() or not self.reference.strip():
-            raise InputError("an expression needs a target and a reference", got=repr((self.target, self.reference)))
+        require(
+            self.relation in RELATIONS,
+            "unknown relation",
+            got=repr(self.relation),
+            expected="one of " + ", ".join(RELATIONS),
+        )
+        require(
+            self.target.strip() and self.reference.strip(),
+            "an expression needs a target and a reference",
+            got=repr((self.target, self.reference)),
+        )
         if (self.relation == "between") != (self.second_reference is not None):
             raise InputError("between, and only between, has a second reference", got=self.relation)
 
@@ -217,13 +224,13 @@ def parse(
         raise InputError("relations must be a list of names", got=repr(relations[:60]))
     known = vocabulary(tuple(class_names), synonyms or default_synonyms())
     chain = read_chain(text, known)
-    if len(chain.clauses) > MAX_RELATIONS:
-        raise InputError(
-            "the expression has too many relations",
-            got=str(len(chain.clauses)),
-            expected=f"at most {MAX_RELATIONS}",
-            cause="it would have 42 readings or more",
-        )
+    require(
+        len(chain.clauses) <= MAX_RELATIONS,
+        "the expression has too many relations",
+        got=str(len(chain.clauses)),
+        expected=f"at most {MAX_RELATIONS}",
+        cause="it would have 42 readings or more",
+    )
     attachments = [_attachment(clause, relations) for clause in chain.clauses]
     readings = []
     for parents in _parents(chain.clauses):

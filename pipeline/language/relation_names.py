@@ -9,7 +9,7 @@ from pipeline.system.errors import InputError
 
 
 def version_numbers(version: str) -> tuple[int, ...]:
-    """"1.10.0" as (1, 10, 0), which sort as versions do."""
+    """ "1.10.0" as (1, 10, 0), which sort as versions do."""
     return tuple(int(n) for n in version.split("."))
 
 

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from pipeline.language.lexicon import AND, WITH, phrase_table
 from pipeline.language.naming import DETERMINERS, Synonyms
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 MAX_LENGTH = 300
 """Characters; a spatial expression is a phrase, not a page."""
@@ -117,10 +117,13 @@ def check_text(text: object) -> str:
     """
     if not isinstance(text, str):
         raise InputError("an expression must be text", got=type(text).__name__)
-    if not text.strip():
-        raise InputError("the expression is empty", expected="TARGET RELATION REFERENCE", cause=EXAMPLE)
-    if len(text) > MAX_LENGTH:
-        raise InputError("the expression is too long", got=f"{len(text)} characters", expected=f"at most {MAX_LENGTH}")
+    require(text.strip(), "the expression is empty", expected="TARGET RELATION REFERENCE", cause=EXAMPLE)
+    require(
+        len(text) <= MAX_LENGTH,
+        "the expression is too long",
+        got=f"{len(text)} characters",
+        expected=f"at most {MAX_LENGTH}",
+    )
     for found in _STRANGE.finditer(text):
         if not unicodedata.category(found[0]).startswith("M"):
             control = unicodedata.category(found[0])[0] in "CZ"

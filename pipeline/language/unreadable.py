@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pipeline.language import lexicon
 from pipeline.language.relation_names import PHRASE
 from pipeline.language.tokens import EXAMPLE, Token
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 FORM = "TARGET RELATION REFERENCE"
 _NO_THINGS = lexicon.PRONOUNS | lexicon.LINKING | lexicon.AND | lexicon.WITH
@@ -32,24 +32,29 @@ def check_noun(tokens: Sequence[Token], role: str, text: str) -> None:
     """
     words = [t.plain for t in tokens]
     negation = next((w for w in words if w in lexicon.NEGATIONS), None)
-    if negation:
-        raise InputError(
-            f"negation cannot be grounded: '{negation}'", got=f"'{text}'", expected="a relation that holds"
-        )
+    require(
+        not negation, f"negation cannot be grounded: '{negation}'", got=f"'{text}'", expected="a relation that holds"
+    )
     whole = " ".join(t.text for t in tokens)
     if None not in words and lexicon.SIDE_ONLY.fullmatch(whole):
         raise InputError(
             f"'{whole}' is a side and names no object", got=f"'{text}'", expected=FORM, cause="of what? " + EXAMPLE
         )
-    if all(w in _NO_THINGS for w in words):
-        raise InputError(f"the {role} names no object: '{whole}'", got=f"'{text}'", expected="the name of a thing")
+    require(
+        not all(w in _NO_THINGS for w in words),
+        f"the {role} names no object: '{whole}'",
+        got=f"'{text}'",
+        expected="the name of a thing",
+    )
     for i, word in enumerate(words):
         before = words[i - 1] if i else None
         if i and word in lexicon.ARTICLES and before not in lexicon.ARTICLE_BEARING:
-            if before in lexicon.AND:
-                raise InputError(
-                    f"'{before} {word}' names a second {role}", got=f"'{text}'", expected=f"one {role} a relation"
-                )
+            require(
+                before not in lexicon.AND,
+                f"'{before} {word}' names a second {role}",
+                got=f"'{text}'",
+                expected=f"one {role} a relation",
+            )
             raise _unknown_relation(tokens, i - 1, text)
         if word in lexicon.UNKNOWN_RELATIONS:
             raise _unknown_relation(tokens, i, text)
@@ -67,13 +72,13 @@ def check_judged(tokens: Sequence[Token], text: str) -> None:
     words = [t.plain or "" for t in tokens]
     for phrase in lexicon.FAR:
         size = len(phrase.split())
-        if any(" ".join(words[i : i + size]) == phrase for i in range(1, len(words))):
-            raise InputError(
-                f"'{phrase}' is not a relation that is judged",
-                got=f"'{text}'",
-                expected="'farthest from' or 'near'",
-                cause="it says only that two things are not near",
-            )
+        require(
+            not any(" ".join(words[i : i + size]) == phrase for i in range(1, len(words))),
+            f"'{phrase}' is not a relation that is judged",
+            got=f"'{text}'",
+            expected="'farthest from' or 'near'",
+            cause="it says only that two things are not near",
+        )
 
 
 def other_view(what: str, text: str) -> InputError:

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE
 from pipeline.metrics.inputs import checked_cells, checked_flags, checked_names, checked_probabilities
 from pipeline.metrics.intervals import ratio
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 ECE_BINS = 15
 
@@ -85,8 +85,7 @@ def reliability_diagram(p: Any, holds: Any, bins: int = ECE_BINS) -> Reliability
         Lengths differ, probabilities are NaN or outside 0..1, or there is no bin.
     """
     p, holds = _checked(p, holds)
-    if bins < 1:
-        raise InputError("a reliability diagram needs at least one bin", got=bins)
+    require(bins >= 1, "a reliability diagram needs at least one bin", got=bins)
     index = np.minimum((p * bins).astype(np.int64), bins - 1)
     count = np.bincount(index, minlength=bins)
     confidence = ratio(np.bincount(index, p, bins), count)
@@ -126,9 +125,7 @@ def calibration_metrics(
     p, truth = checked_cells(p, truth)
     names = checked_names(relations, p.shape[1])
     known, holds = truth != 0, truth > 0
-    diagrams = tuple(
-        reliability_diagram(p[known[:, k], k], holds[known[:, k], k], bins) for k in range(p.shape[1])
-    )
+    diagrams = tuple(reliability_diagram(p[known[:, k], k], holds[known[:, k], k], bins) for k in range(p.shape[1]))
     squared = np.where(known, np.square(p - holds), 0.0)
     pooled = reliability_diagram(p[known], holds[known], bins)
     return CalibrationMetrics(
@@ -144,8 +141,7 @@ def calibration_metrics(
 
 def _checked(p: Any, holds: Any) -> tuple[np.ndarray, np.ndarray]:
     p, holds = checked_probabilities(p, dimensions=1), checked_flags(holds, "what holds")
-    if p.shape != holds.shape:
-        raise InputError("there must be one truth for each probability", got=holds.shape, expected=p.shape)
+    require(p.shape == holds.shape, "there must be one truth for each probability", got=holds.shape, expected=p.shape)
     return p, holds
 
 
@@ -157,7 +153,7 @@ FEWEST_POSITIVES = 50
 
 
 def antisymmetric(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
-    """"a left of b" and "b right of a" get one and the same logit: the mean of the two.
+    """ "a left of b" and "b right of a" get one and the same logit: the mean of the two.
 
     Parameters
     ----------

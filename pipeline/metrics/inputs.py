@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 def checked_probabilities(p: Any, what: str = "probabilities", dimensions: int = 2) -> np.ndarray:
@@ -40,10 +40,13 @@ def checked_cells(p: Any, truth: Any) -> tuple[np.ndarray, np.ndarray]:
         of another shape, not integers, or not one of the three.
     """
     p, states = checked_probabilities(p), np.asarray(truth)
-    if p.shape[1] == 0:
-        raise InputError("probabilities must have a column for each relation", got=p.shape, expected="R >= 1")
-    if states.shape != p.shape:
-        raise InputError("the truth has another shape than the probabilities", got=states.shape, expected=p.shape)
+    require(p.shape[1] != 0, "probabilities must have a column for each relation", got=p.shape, expected="R >= 1")
+    require(
+        states.shape == p.shape,
+        "the truth has another shape than the probabilities",
+        got=states.shape,
+        expected=p.shape,
+    )
     if states.dtype.kind not in "iu":
         raise InputError(
             "states of relations must be integers", got=states.dtype, expected="1 (T), 0 (U) or -1 (F)",
@@ -64,16 +67,20 @@ def checked_thresholds(thresholds: Any, relations: int) -> np.ndarray:
 
 def checked_names(names: Sequence[str], count: int) -> tuple[str, ...]:
     """The names of relations, one a column."""
-    if len(names) != count:
-        raise InputError("relations must have a name for each column", got=f"{len(names)} names", expected=count)
+    require(
+        len(names) == count, "relations must have a name for each column", got=f"{len(names)} names", expected=count
+    )
     return tuple(names)
 
 
 def checked_flags(flags: Any, what: str) -> np.ndarray:
     """(N,) bool from bools or from numbers that are 0 or 1."""
     found = np.asarray(flags)
-    if found.ndim != 1 or found.dtype.kind not in "biuf" or not ((found == 0) | (found == 1)).all():
-        raise InputError(f"{what} must be true or false for each row", got=f"{found.dtype} {found.shape}")
+    require(
+        found.ndim == 1 and found.dtype.kind in "biuf" and ((found == 0) | (found == 1)).all(),
+        f"{what} must be true or false for each row",
+        got=f"{found.dtype} {found.shape}",
+    )
     return found.astype(np.bool_)
 
 
@@ -88,8 +95,7 @@ def checked_numbers(values: Any, what: str, shape: tuple[int, ...] | None = None
 def _finite(values: np.ndarray, what: str) -> np.ndarray:
     found = values.astype(np.float64)
     odd = np.count_nonzero(~np.isfinite(found))
-    if odd:
-        raise InputError(f"{what} must be finite", got=f"{odd} NaN or infinite of {found.size}")
+    require(not odd, f"{what} must be finite", got=f"{odd} NaN or infinite of {found.size}")
     return found
 
 
@@ -102,12 +108,15 @@ def checked_clusters(clusters: Any, rows: int) -> tuple[np.ndarray, int]:
         Not one id a row, or ids that are neither texts nor integers.
     """
     ids = np.asarray(clusters)
-    if ids.shape != (rows,):
-        raise InputError("clusters must be one id a row", got=ids.shape, expected=(rows,))
+    require(ids.shape == (rows,), "clusters must be one id a row", got=ids.shape, expected=(rows,))
     if ids.dtype.kind == "O" and all(isinstance(one, str) for one in ids):
         ids = ids.astype(np.str_)
-    if rows and ids.dtype.kind not in "iubU":
-        raise InputError("ids of clusters must be texts or integers", got=ids.dtype, cause="is one missing?")
+    require(
+        not (rows and ids.dtype.kind not in "iubU"),
+        "ids of clusters must be texts or integers",
+        got=ids.dtype,
+        cause="is one missing?",
+    )
     names, index = np.unique(ids, return_inverse=True)
     return index.astype(np.int64), len(names)
 
@@ -123,8 +132,11 @@ def checked_boxes(boxes: Any, what: str, may_miss: bool = False) -> np.ndarray:
     found = np.asarray(boxes)
     if found.size == 0 and found.ndim <= 2:
         found = np.zeros((0, 4))
-    if found.ndim != 2 or found.shape[1] != 4 or found.dtype.kind not in "iuf":
-        raise InputError(f"{what} must be boxes of shape (N, 4)", got=f"{found.dtype} {found.shape}")
+    require(
+        found.ndim == 2 and found.shape[1] == 4 and found.dtype.kind in "iuf",
+        f"{what} must be boxes of shape (N, 4)",
+        got=f"{found.dtype} {found.shape}",
+    )
     found = found.astype(np.float64)
     finite = np.isfinite(found)
     wrong = ~finite.all(axis=1)

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.metrics.inputs import checked_clusters, checked_flags, checked_numbers
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 FEWEST_CLUSTERS = 10
 """Below this number of clusters a percentile interval is too narrow to be relied on."""
@@ -84,7 +84,7 @@ class Estimate:
         return math.isfinite(self.low) and math.isfinite(self.high) and self.clusters >= FEWEST_CLUSTERS
 
     def formatted(self, scale: float = 100.0, decimals: int = 1, signed: bool = False) -> str:
-        """"62.7 [59.9, 65.4]"; "62.7 [–]" without an interval, "–" without a value.
+        """ "62.7 [59.9, 65.4]"; "62.7 [–]" without an interval, "–" without a value.
 
         `signed` writes a plus before what is positive: for differences.
         """
@@ -182,9 +182,7 @@ def bootstrap(
         # One product a system, of equal shape: equal systems then differ by exactly nothing.
         blocks = [[weights @ s for s in sums] for weights in resample_weights(count, config)]
         drawn = figures([np.concatenate(parts) for parts in zip(*blocks, strict=True)])
-    return [
-        _estimate(float(values[k]), drawn[:, k], int(n[k]), int(held[k]), config) for k in range(len(values))
-    ]
+    return [_estimate(float(values[k]), drawn[:, k], int(n[k]), int(held[k]), config) for k in range(len(values))]
 
 
 def _cluster_sums(rows: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
@@ -309,8 +307,12 @@ def mcnemar(first: Any, second: Any) -> McNemar:
         Lengths differ, or values are neither true nor false.
     """
     first, second = checked_flags(first, "answers of the first"), checked_flags(second, "answers of the second")
-    if first.shape != second.shape:
-        raise InputError("paired systems must have answered the same questions", got=second.shape, expected=first.shape)
+    require(
+        first.shape == second.shape,
+        "paired systems must have answered the same questions",
+        got=second.shape,
+        expected=first.shape,
+    )
     b, c = int((first & ~second).sum()), int((~first & second).sum())
     return McNemar(len(first), b, c, _two_sided(b, c))
 
@@ -369,8 +371,11 @@ def cohen_kappa(first: Sequence[str], second: Sequence[str]) -> Agreement:
     InputError
         Not one judgement of each for every item.
     """
-    if len(first) != len(second):
-        raise InputError("both reviewers must have judged the same items", got=f"{len(first)} and {len(second)}")
+    require(
+        len(first) == len(second),
+        "both reviewers must have judged the same items",
+        got=f"{len(first)} and {len(second)}",
+    )
     names, codes = np.unique(np.array([*first, *second], np.str_), return_inverse=True)
     table = np.zeros((len(names), len(names)), np.int64)
     np.add.at(table, (codes[: len(first)], codes[len(first) :]), 1)

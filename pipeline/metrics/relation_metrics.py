@@ -20,7 +20,7 @@ from pipeline.metrics.inputs import (
     checked_thresholds,
 )
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, f1_of, mean_of_defined, ratio
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 THRESHOLD = 0.5
 """A relation is said to hold where its probability is greater, so that a doubt of exactly one half is a no."""
@@ -431,12 +431,13 @@ def single_label_metrics(p: Any, truth: Any, relations: Sequence[str]) -> Single
 
 def _checked(p: Any, truth: Any) -> tuple[np.ndarray, np.ndarray]:
     p, truth = checked_probabilities(p), np.asarray(truth)
-    if p.shape[1] == 0:
-        raise InputError("probabilities must have a column for each relation", got=p.shape)
-    if truth.shape != (len(p),) or truth.dtype.kind not in "iu":
-        raise InputError(
-            "the truth must be one column a pair", got=f"{truth.dtype} {truth.shape}", expected=f"integers ({len(p)},)"
-        )
+    require(p.shape[1] != 0, "probabilities must have a column for each relation", got=p.shape)
+    require(
+        truth.shape == (len(p),) and truth.dtype.kind in "iu",
+        "the truth must be one column a pair",
+        got=f"{truth.dtype} {truth.shape}",
+        expected=f"integers ({len(p)},)",
+    )
     if len(truth) and (truth.min() < -1 or truth.max() >= p.shape[1]):
         raise InputError(
             "the truth names a relation that has no column", got=f"{truth.min()} to {truth.max()}",

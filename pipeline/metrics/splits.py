@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import xxhash
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 SplitKind = Literal["scene", "blocks", "random"]
 TRAIN, VALIDATION, TEST, DROPPED = 0, 1, 2, -1
@@ -128,25 +128,27 @@ def split_frames(frames: Sequence[FrameKey], kind: SplitKind | None = None, seed
     kind = kind or ("scene" if len(scenes) >= FEWEST_SCENES else "blocks")
     if kind == "scene":
         return SplitPlan("scene", seed, frames, _by_scene(frames, scenes, seed), {}, None)
-    if len(frames) < len(PARTS):
-        raise InputError("training needs at least three frames: to learn, to calibrate, to measure", got=len(frames))
+    require(
+        len(frames) >= len(PARTS),
+        "training needs at least three frames: to learn, to calibrate, to measure",
+        got=len(frames),
+    )
     if kind == "random":
         order = np.random.default_rng([seed, 31]).permutation(len(frames))
         part = np.empty(len(frames), np.int8)
         part[order] = _cut(len(frames))
         return SplitPlan("random", seed, frames, part, {}, RANDOM_WARNING)
-    if kind != "blocks":
-        raise InputError("no such split", got=repr(kind), expected="scene | blocks | random")
+    require(kind == "blocks", "no such split", got=repr(kind), expected="scene | blocks | random")
     return _blocks(frames, scenes, seed)
 
 
 def _by_scene(frames: Sequence[FrameKey], scenes: Sequence[str], seed: int) -> np.ndarray:
-    if len(scenes) < FEWEST_SCENES:
-        raise InputError(
-            "a split by scene needs at least three scenes",
-            got=f"{len(scenes)}: {', '.join(scenes)}",
-            expected="--split blocks on fewer",
-        )
+    require(
+        len(scenes) >= FEWEST_SCENES,
+        "a split by scene needs at least three scenes",
+        got=f"{len(scenes)}: {', '.join(scenes)}",
+        expected="--split blocks on fewer",
+    )
     order = sorted(scenes, key=lambda s: (xxhash.xxh3_64_intdigest(f"{seed}\0{s}".encode("utf-8", "replace")), s))
     part = dict(zip(order, _cut(len(order)).tolist(), strict=True))
     return np.array([part[f.scene] for f in frames], np.int8)
@@ -176,10 +178,11 @@ def _blocks(frames: Sequence[FrameKey], scenes: Sequence[str], seed: int) -> Spl
             part[indices[order]], gaps[scene] = _index_blocks(len(indices))
         else:
             part[indices], gaps[scene] = cut
-    if not ((part == VALIDATION).any() and (part == TEST).any()):
-        raise InputError(
-            "no scene has the three frames that blocks need", got=f"{len(frames)} frames in {len(scenes)} scenes"
-        )
+    require(
+        ((part == VALIDATION).any() and (part == TEST).any()),
+        "no scene has the three frames that blocks need",
+        got=f"{len(frames)} frames in {len(scenes)} scenes",
+    )
     return SplitPlan("blocks", seed, tuple(frames), part, gaps, _blocks_warning(len(scenes), gaps))
 
 

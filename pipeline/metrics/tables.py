@@ -139,9 +139,7 @@ def as_csv(table: Table) -> str:
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    estimated = [
-        any(isinstance(row.cells[k], Estimate) for row in table.rows) for k in range(len(table.columns))
-    ]
+    estimated = [any(isinstance(row.cells[k], Estimate) for row in table.rows) for k in range(len(table.columns))]
     head = ["row", "source"]
     for name, wide in zip(table.columns, estimated, strict=True):
         head += [name, f"{name} low", f"{name} high"] if wide else [name]

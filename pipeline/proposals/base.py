@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import suggest
-from pipeline.system.errors import InputError, UnknownClass
+from pipeline.system.errors import InputError, UnknownClass, require
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Proposals:
 
     def __post_init__(self) -> None:
         n = len(self.scores)
-        if self.boxes.shape != (n, 4) or self.label_index.shape != (n,) or self.ids.shape != (n,):
-            raise InputError(
-                "proposals must have boxes (N, 4) and scores, label_index and ids (N,)",
-                got=f"{self.boxes.shape}, {self.scores.shape}, {self.label_index.shape}, {self.ids.shape}",
-            )
+        require(
+            self.boxes.shape == (n, 4) and self.label_index.shape == (n,) and self.ids.shape == (n,),
+            "proposals must have boxes (N, 4) and scores, label_index and ids (N,)",
+            got=f"{self.boxes.shape}, {self.scores.shape}, {self.label_index.shape}, {self.ids.shape}",
+        )
         if self.masks is not None and (self.masks.dtype != np.bool_ or self.masks.ndim != 3 or len(self.masks) != n):
             raise InputError(
                 "proposal masks must be bool (N, H, W)", got=f"{self.masks.dtype} {self.masks.shape} for {n} proposals"
@@ -65,8 +65,7 @@ class Proposals:
                 got=f"{float(np.nanmin(self.scores)):.3g} to {float(np.nanmax(self.scores)):.3g}",
                 cause="are these logits?",
             )
-        if n and not np.isfinite(self.boxes).all():
-            raise InputError("proposal boxes must be finite")
+        require(not (n and not np.isfinite(self.boxes).all()), "proposal boxes must be finite")
         if n and (self.boxes[:, 2:] < self.boxes[:, :2]).any():
             raise InputError(
                 "proposal boxes must be x0, y0, x1, y1 with x1 >= x0 and y1 >= y0",

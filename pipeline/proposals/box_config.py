@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 
 from pipeline.proposals.captions import sigmoid
 from pipeline.proposals.class_names import read_class_names
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.reading import parse_toml
 
 EXAMPLES = Path(__file__).with_name("detectors")
@@ -143,8 +143,12 @@ def read_box_model(path: Path) -> BoxModel:
             expected="one of " + ", ".join(keys.model_fields) if unknown and keys else None,
             path=path,
         ) from error
-    if model.names and model.names_file:
-        raise InputError("the TOML file gives class names twice", expected="names or names_file", path=path)
+    require(
+        not (model.names and model.names_file),
+        "the TOML file gives class names twice",
+        expected="names or names_file",
+        path=path,
+    )
     if model.names_file:
         return model.model_copy(update={"names": read_class_names(path.parent / model.names_file)})
     return model
@@ -250,24 +254,24 @@ def _rows(values: np.ndarray, columns: Sequence[str], activation: str, count: in
 def _separate(outputs: Mapping[str, np.ndarray], config: BoxOutput, count: int) -> tuple[np.ndarray, np.ndarray]:
     boxes = _unbatched(outputs[config.boxes or ""], 2, "boxes")
     values = outputs[str(config.scores)]
-    if boxes.shape[1] != 4:
-        raise InputError("the output of the boxes has another shape", got=list(boxes.shape), expected="[N, 4]")
+    require(boxes.shape[1] == 4, "the output of the boxes has another shape", got=list(boxes.shape), expected="[N, 4]")
     if config.classes is None:
         table = _unbatched(values, 2, "scores")
         if table.shape == (count, len(boxes)) and count != len(boxes):
             table = table.T
-        if table.shape != (len(boxes), count):
-            raise InputError(
-                "the output of the scores has another shape",
-                got=list(values.shape),
-                expected=f"{len(boxes)} boxes by {count} classes",
-            )
+        require(
+            table.shape == (len(boxes), count),
+            "the output of the scores has another shape",
+            got=list(values.shape),
+            expected=f"{len(boxes)} boxes by {count} classes",
+        )
         return boxes, _activated(table, config.activation)
     scores, classes = _unbatched(values, 1, "scores"), _unbatched(outputs[config.classes], 1, "classes")
-    if not len(scores) == len(classes) == len(boxes):
-        raise InputError(
-            "boxes, scores and classes are not equally many", got=f"{len(boxes)}, {len(scores)}, {len(classes)}"
-        )
+    require(
+        len(scores) == len(classes) == len(boxes),
+        "boxes, scores and classes are not equally many",
+        got=f"{len(boxes)}, {len(scores)}, {len(classes)}",
+    )
     return boxes, _one_hot(_activated(scores, config.activation), classes, count)
 
 
@@ -284,17 +288,17 @@ def _distances(
         table, spread = _unbatched(outputs[score_name], 2, score_name), _unbatched(outputs[name], 2, name)
         height, width = -(-size[0] // stride), -(-size[1] // stride)
         bins = spread.shape[1] // 4
-        if (
-            table.shape != (height * width, count)
-            or len(spread) != len(table)
-            or spread.shape[1] != 4 * bins
-            or not bins
-        ):
-            raise InputError(
-                f"the outputs of stride {stride} have other shapes",
-                got=f"{list(table.shape)}, {list(spread.shape)}",
-                expected=f"[{height * width}, {count}], [{height * width}, 4 x bins]",
-            )
+        require(
+            not (
+                table.shape != (height * width, count)
+                or len(spread) != len(table)
+                or spread.shape[1] != 4 * bins
+                or not bins
+            ),
+            f"the outputs of stride {stride} have other shapes",
+            got=f"{list(table.shape)}, {list(spread.shape)}",
+            expected=f"[{height * width}, {count}], [{height * width}, 4 x bins]",
+        )
         chance = _activated(spread.reshape(-1, 4, bins), "softmax")
         reach = (chance @ np.arange(bins, dtype=np.float64)) * stride
         y, x = np.divmod(np.arange(height * width), width)
@@ -311,8 +315,12 @@ def _unbatched(values: np.ndarray, rank: int, what: str) -> np.ndarray:
         found = found[0]
     while found.ndim > rank and found.shape[-1] == 1:
         found = found[..., 0]
-    if found.ndim != rank:
-        raise InputError(f"the output of the {what} has another rank", got=list(values.shape), expected=f"rank {rank}")
+    require(
+        found.ndim == rank,
+        f"the output of the {what} has another rank",
+        got=list(values.shape),
+        expected=f"rank {rank}",
+    )
     return found
 
 

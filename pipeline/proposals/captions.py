@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.onnx_session import first_line
 
 MAX_TOKENS = 256
@@ -217,8 +217,7 @@ def load_tokenizer(path: Path) -> Any:
         import tokenizers
     except ImportError as error:
         raise MissingExtra("a detector that reads text", "hub") from error
-    if not path.is_file():
-        raise InputError("there is no tokenizer file", path=path)
+    require(path.is_file(), "there is no tokenizer file", path=path)
     try:
         tokenizer = _word_pieces(path) if path.suffix == ".txt" else tokenizers.Tokenizer.from_file(str(path))
     except Exception as error:  # The library raises bare Exceptions.

@@ -29,7 +29,7 @@ from pipeline.proposals.base import (
 )
 from pipeline.proposals.class_names import known_names, knows, name_groups, same_name
 from pipeline.proposals.selection import NMS_IOU, suppress
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 Fusion = Literal["wbf", "nms"]
 FUSIONS: tuple[str, ...] = get_args(Fusion)
@@ -65,10 +65,8 @@ class EnsembleDetector:
     exact = False
 
     def __init__(self, members: Sequence[Detector], fusion: str = "wbf", synonyms: Synonyms | None = None) -> None:
-        if len(members) < 2:
-            raise InputError("at least two detectors are needed to fuse them", got=len(members))
-        if fusion not in FUSIONS:
-            raise InputError(f"there is no fusion {fusion!r}", expected=" or ".join(FUSIONS))
+        require(len(members) >= 2, "at least two detectors are needed to fuse them", got=len(members))
+        require(fusion in FUSIONS, f"there is no fusion {fusion!r}", expected=" or ".join(FUSIONS))
         self.members = tuple(members)
         self.fusion = fusion
         self.synonyms = synonyms

@@ -33,7 +33,7 @@ from pipeline.proposals.mismatch import fitting
 from pipeline.proposals.network import MAX_PER_NAME, TextDetector, proposals_of, to_pixels
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
 from pipeline.proposals.selection import NMS_IOU
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.onnx_session import run_session
 
 TOKENIZERS = (TOKENIZER, "vocab.txt", "*vocab*.txt")
@@ -135,13 +135,13 @@ class GroundingDinoDetector(TextDetector):
         feed = self._feed(frame, caption)
         logits, relative = run_session(self._session, self._outputs, feed, self.path)
         tokens = len(caption.ids)
-        if logits.ndim != 3 or relative.shape != (*logits.shape[:2], 4) or logits.shape[2] < tokens:
-            raise InputError(
-                "the model's outputs do not fit one another",
-                got=f"logits {list(logits.shape)}, boxes {list(relative.shape)} for {tokens} tokens",
-                expected="logits [1, Q, T], boxes [1, Q, 4]",
-                path=self.path,
-            )
+        require(
+            logits.ndim == 3 and relative.shape == (*logits.shape[:2], 4) and logits.shape[2] >= tokens,
+            "the model's outputs do not fit one another",
+            got=f"logits {list(logits.shape)}, boxes {list(relative.shape)} for {tokens} tokens",
+            expected="logits [1, Q, T], boxes [1, Q, 4]",
+            path=self.path,
+        )
         probabilities = sigmoid(logits[0])
         best = probabilities.max(axis=1)
         by_name = span_scores(probabilities[:, :tokens], caption.spans)

@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.proposals.contracts import Contract, _fits, by_name, follows
 from pipeline.proposals.mismatch import explain_mismatch, shapes
 from pipeline.proposals.prompted import stretched
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import as_declared, model_hash, open_session, signature
 
 
@@ -50,12 +50,12 @@ class PairModel:
 
     def __init__(self, paths: Sequence[Path]) -> None:
         option = self.encoders[0].option
-        if len(paths) != 2:
-            raise InputError(
-                f"{option} needs two model files",
-                got=" ".join(str(p) for p in paths) or None,
-                expected="--segmenter-model ENCODER.onnx DECODER.onnx",
-            )
+        require(
+            len(paths) == 2,
+            f"{option} needs two model files",
+            got=" ".join(str(p) for p in paths) or None,
+            expected="--segmenter-model ENCODER.onnx DECODER.onnx",
+        )
         self.encoder_path, self.decoder_path = paths
         self._encoder, self._decoder = open_session(self.encoder_path), open_session(self.decoder_path)
         encoder, decoder = _follows(self._encoder, self.encoders), _follows(self._decoder, self.decoders)

@@ -21,7 +21,7 @@ from pipeline.proposals.mismatch import fitting
 from pipeline.proposals.network import MAX_PER_NAME, TextDetector, inside, proposals_of, to_pixels
 from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.proposals.selection import NMS_IOU
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import run_session
 
 BEGIN, END = "<|startoftext|>", "<|endoftext|>"
@@ -157,13 +157,13 @@ class OwlDetector(TextDetector):
         }
         outputs = run_session(self._session, self._outputs, {n: feed[n] for n in self._inputs}, self.path)
         logits, relative = outputs[:2]
-        if logits.ndim != 3 or relative.shape != (1, logits.shape[1], 4) or logits.shape[::2] != (1, len(rows)):
-            raise InputError(
-                "the model's outputs do not fit what was asked",
-                got=f"logits {list(logits.shape)}, boxes {list(relative.shape)} for {len(rows)} names",
-                expected="logits [1, Q, L], boxes [1, Q, 4]",
-                path=self.path,
-            )
+        require(
+            logits.ndim == 3 and relative.shape == (1, logits.shape[1], 4) and logits.shape[::2] == (1, len(rows)),
+            "the model's outputs do not fit what was asked",
+            got=f"logits {list(logits.shape)}, boxes {list(relative.shape)} for {len(rows)} names",
+            expected="logits [1, Q, L], boxes [1, Q, 4]",
+            path=self.path,
+        )
         return outputs
 
     def _tokens(self, name: str, prompt: str) -> np.ndarray:

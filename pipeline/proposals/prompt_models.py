@@ -40,7 +40,7 @@ from pipeline.proposals.contracts import (
 from pipeline.proposals.model_pair import PairModel
 from pipeline.proposals.prompted import best_mask, corners, resampled, stretched
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
@@ -147,14 +147,14 @@ class Sam2Model(PairModel):
     def __init__(self, paths: Sequence[Path]) -> None:
         super().__init__(paths)
         self._side = next((n for n in self.encoder_input.shape[2:] if isinstance(n, int)), SAM_SIDE)
-        if self._side % 32:
-            raise InputError(
-                "the encoder takes squares of another side than SAM 2",
-                got=self._side,
-                expected=SAM_SIDE,
-                cause="a side of 1008 is SAM 3's, which is normalised otherwise and not read",
-                path=self.encoder_path,
-            )
+        require(
+            not (self._side % 32),
+            "the encoder takes squares of another side than SAM 2",
+            got=self._side,
+            expected=SAM_SIDE,
+            cause="a side of 1008 is SAM 3's, which is normalised otherwise and not read",
+            path=self.encoder_path,
+        )
         self._takes_boxes = "input_boxes" in self.decoder_inputs
         many = {"input_points": 1, "input_boxes": 1} if self._takes_boxes else {"point_coords": 0}
         self._free = all(isinstance(self.decoder_inputs[name].shape[axis], str) for name, axis in many.items())
@@ -200,14 +200,14 @@ class EfficientSamModel(PairModel):
         _, queries, points, _ = self.decoder_inputs["batched_point_coords"].shape
         self._points = points if isinstance(points, int) else 2
         self._queries = queries if isinstance(queries, int) else None
-        if self._points < 2:
-            raise InputError(
-                "the decoder takes one point a query, and a box is two",
-                got=f"batched_point_coords [1, {queries}, {points}, 2]",
-                expected="a free number of points",
-                cause="export it with dynamic_axes 1 and 2 of batched_point_coords and batched_point_labels",
-                path=self.decoder_path,
-            )
+        require(
+            self._points >= 2,
+            "the decoder takes one point a query, and a box is two",
+            got=f"batched_point_coords [1, {queries}, {points}, 2]",
+            expected="a free number of points",
+            cause="export it with dynamic_axes 1 and 2 of batched_point_coords and batched_point_labels",
+            path=self.decoder_path,
+        )
 
     def encode(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
         # The points are scaled by orig_im_size and so remain right, whatever size the picture goes in with.

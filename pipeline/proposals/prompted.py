@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.resampling import pillow_resized
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _KEPT = 4
 """Pictures whose features are kept in memory; those of one are 4 to 20 MB."""
@@ -124,16 +124,16 @@ class PromptedSegmenter:
 
     def _checked(self, features: dict[str, np.ndarray], boxes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
         logits = self.model.decode(features, boxes, *size)
-        if logits.ndim != 3 or len(logits) != len(boxes):
-            raise InputError(
-                f"the decoder of --segmenter {self.name} must give one mask a box",
-                got=f"{list(logits.shape)} for {len(boxes)} boxes",
-            )
-        if not np.isfinite(logits).all():
-            raise InputError(
-                f"the decoder of --segmenter {self.name} gives values that are not finite",
-                cause="is it a float16 file that overflows? try the float32 one",
-            )
+        require(
+            logits.ndim == 3 and len(logits) == len(boxes),
+            f"the decoder of --segmenter {self.name} must give one mask a box",
+            got=f"{list(logits.shape)} for {len(boxes)} boxes",
+        )
+        require(
+            np.isfinite(logits).all(),
+            f"the decoder of --segmenter {self.name} gives values that are not finite",
+            cause="is it a float16 file that overflows? try the float32 one",
+        )
         return logits
 
     def _encoded(self, frame: Frame) -> dict[str, np.ndarray]:
@@ -168,9 +168,9 @@ def corners(boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def best_mask(masks: np.ndarray, scores: np.ndarray) -> np.ndarray:
     """(N, h, w): of each box's masks ((N, M, h, w)) the one with the best predicted IoU ((N, M))."""
-    if masks.ndim != 4 or scores.shape != masks.shape[:2]:
-        raise InputError(
-            "the decoder must give masks [N, M, h, w] and as many predicted IoUs",
-            got=f"{list(masks.shape)}, {list(scores.shape)}",
-        )
+    require(
+        masks.ndim == 4 and scores.shape == masks.shape[:2],
+        "the decoder must give masks [N, M, h, w] and as many predicted IoUs",
+        got=f"{list(masks.shape)}, {list(scores.shape)}",
+    )
     return masks[np.arange(len(masks)), scores.argmax(axis=1)]

@@ -34,7 +34,7 @@ from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
-from pipeline.system.errors import FrameUnusable, InputError
+from pipeline.system.errors import FrameUnusable, InputError, require
 from pipeline.system.reading import checked
 
 KEPT_ANSWERS = 32
@@ -159,8 +159,7 @@ class RecordedDetector:
         self.path = Path(path)
         self.synonyms = synonyms
         self.min_score = min_score
-        if not self.path.exists():
-            raise InputError("there is no recording of detections", path=self.path)
+        require(self.path.exists(), "there is no recording of detections", path=self.path)
         self._recording: dict[str, FrameDetections] | None = None
         self.made_by: str | None = None
         if self.path.is_dir():
@@ -251,8 +250,9 @@ class RecordedDetector:
                 raise InputError(f"{where}: the mask has another size", got=code[0], expected=shape, path=self.path)
             return decode_crop(code[0], code[1], where)
         mask = self._mask_file(code, where)
-        if mask.shape != shape:
-            raise InputError(f"{where}: the mask has another size", got=mask.shape, expected=shape, path=self.path)
+        require(
+            mask.shape == shape, f"{where}: the mask has another size", got=mask.shape, expected=shape, path=self.path
+        )
         return mask
 
     def _mask_file(self, name: str, where: str) -> np.ndarray:
@@ -262,8 +262,12 @@ class RecordedDetector:
             file = (self.path.parent / name).resolve()
         except (OSError, ValueError, RuntimeError) as error:  # A NUL in the name, a loop of links.
             raise InputError(f"{where}: the mask is not a readable file", got=repr(name), path=self.path) from error
-        if not file.is_relative_to(self.path.parent.resolve()):
-            raise InputError(f"{where}: the mask lies outside the recording's folder", got=name, path=self.path)
+        require(
+            file.is_relative_to(self.path.parent.resolve()),
+            f"{where}: the mask lies outside the recording's folder",
+            got=name,
+            path=self.path,
+        )
         image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) if file.is_file() else None
         if image is None or image.ndim != 2:
             raise InputError(f"{where}: the mask is not a readable one-channel image", path=file)
@@ -364,21 +368,24 @@ def _read_npz(file: Path) -> FrameDetections:
     if boxes.size == 0:
         boxes = boxes.reshape(0, 4)
     flat = all(a.ndim == 1 for a in (scores, labels, ids, *([] if counts is None else [counts])))
-    if boxes.shape[1:] != (4,) or not flat or size.shape != (2,):
-        raise InputError(
-            "the arrays of a recording have the wrong shape",
-            got=f"boxes {boxes.shape}, scores {scores.shape}, labels {labels.shape}, ids {ids.shape}",
-            expected="(N, 4), (N,), (N,), (N,), and mask_counts (N,) with mask_size (2,)",
-            path=file,
-        )
+    require(
+        boxes.shape[1:] == (4,) and flat and size.shape == (2,),
+        "the arrays of a recording have the wrong shape",
+        got=f"boxes {boxes.shape}, scores {scores.shape}, labels {labels.shape}, ids {ids.shape}",
+        expected="(N, 4), (N,), (N,), (N,), and mask_counts (N,) with mask_size (2,)",
+        path=file,
+    )
     codes: Sequence[MaskCode | None] | np.ndarray = [None] * len(scores)
     if masks is not None:
         codes = masks
     elif counts is not None:
         shape = (int(size[0]), int(size[1]))
         codes = [(shape, code) if code else None for code in counts.tolist()]
-    if not (len(boxes) == len(scores) == len(labels) == len(ids) == len(codes)):
-        raise InputError("the arrays of a recording differ in length", path=file)
+    require(
+        len(boxes) == len(scores) == len(labels) == len(ids) == len(codes),
+        "the arrays of a recording differ in length",
+        path=file,
+    )
     if (ids < 0).any():
         ids = np.arange(len(ids))
     return FrameDetections(boxes, scores, tuple(labels.tolist()), ids, codes)

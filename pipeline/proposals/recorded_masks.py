@@ -22,7 +22,7 @@ from pipeline.geometry.masks import RunLength, decode_run_length, fill_polygons
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter, Segments, segment_from
-from pipeline.system.errors import FrameUnusable, InputError
+from pipeline.system.errors import FrameUnusable, InputError, require
 from pipeline.system.reading import checked
 
 
@@ -68,8 +68,7 @@ def open_recorded_masks(path: str | Path, synonyms: Synonyms | None = None) -> S
         Where there is none, or it follows none of the formats; the message names the place.
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError("there are no recorded masks", path=path)
+    require(path.exists(), "there are no recorded masks", path=path)
     if path.is_dir():
         if any(path.glob("*.npz")):
             return DetectorSegmenter(RecordedDetector(path), synonyms)
@@ -116,13 +115,13 @@ class CocoMasks:
         shape = (frame.height, frame.width)
         image = self._image(frame)
         size = (image.height or shape[0], image.width or shape[1])
-        if size != shape:
-            raise InputError(
-                f"frame {frame.id}: the masks of {image.file_name!r} have another size",
-                got=size,
-                expected=shape,
-                path=self.path,
-            )
+        require(
+            size == shape,
+            f"frame {frame.id}: the masks of {image.file_name!r} have another size",
+            got=size,
+            expected=shape,
+            path=self.path,
+        )
         found = self._annotations.get(image.id, [])
         decoded: dict[int, np.ndarray] = {}
 
@@ -168,10 +167,13 @@ class CocoMasks:
         content = annotation.segmentation
         if isinstance(content, RunLength):
             # The size is checked before memory for it is asked for.
-            if content.size != shape:
-                raise InputError(
-                    f"{where}: the mask has another size", got=content.size, expected=shape, path=self.path
-                )
+            require(
+                content.size == shape,
+                f"{where}: the mask has another size",
+                got=content.size,
+                expected=shape,
+                path=self.path,
+            )
             try:
                 return decode_run_length(content.size, content.counts, where)
             except InputError as error:
@@ -181,8 +183,11 @@ class CocoMasks:
 
 def _filled(polygons: list[list[float]], shape: tuple[int, int], where: str, path: Path) -> np.ndarray:
     """(H, W) bool: the pixels inside COCO polygons (x, y, x, y, ...), their coordinates clipped to the picture."""
-    if any(len(p) < 6 or len(p) % 2 for p in polygons):
-        raise InputError(f"{where}: a polygon needs x, y of three corners or more", path=path)
+    require(
+        not any(len(p) < 6 or len(p) % 2 for p in polygons),
+        f"{where}: a polygon needs x, y of three corners or more",
+        path=path,
+    )
     if not polygons:
         return np.zeros(shape, np.bool_)
     limit = np.array(shape[::-1], np.float64)

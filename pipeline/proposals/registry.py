@@ -18,7 +18,7 @@ from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.ensemble import fused_detector
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, Segmented, Segmenter
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import resolve_model
 from pipeline.system.plugins import load_plugins
 
@@ -103,8 +103,7 @@ def _owl(kind: Literal["owlv2", "owlvit"]) -> Callable[[DetectorRequest], Detect
 def _simulated(request: DetectorRequest) -> Detector:
     from pipeline.proposals.simulated import SimulatedDetector, read_options
 
-    if not request.class_names:
-        raise InputError("--detector simulated needs a dataset with annotations", cause="it is made of them")
+    require(request.class_names, "--detector simulated needs a dataset with annotations", cause="it is made of them")
     options = None if request.model is None else read_options(request.model)
     return SimulatedDetector(
         options, request.class_names, synonyms=request.synonyms, min_score=request.min_score or 0.0
@@ -193,8 +192,12 @@ def named_model(text: str) -> tuple[str, Path | None]:
         There is no name, or nothing behind the sign.
     """
     name, sign, model = text.partition("=")
-    if not name.strip() or (sign and not model.strip()):
-        raise InputError("a further detector needs a name", got=repr(text), expected="NAME or NAME=MODEL")
+    require(
+        not (not name.strip() or (sign and not model.strip())),
+        "a further detector needs a name",
+        got=repr(text),
+        expected="NAME or NAME=MODEL",
+    )
     return name.strip(), Path(model.strip()) if sign else None
 
 

@@ -19,7 +19,7 @@ from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from pipeline.metrics.calibration_metrics import IDENTITY, Platt, fit_platt, sigmoid
 from pipeline.proposals.base import Detector
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
 
 SCORE_LIMIT = 1e-6
@@ -75,8 +75,11 @@ class ScoreCalibration:
     frames: tuple[FittedFrame, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
-        if not (np.isfinite([self.a, self.b]).all() and self.a > 0):
-            raise InputError("a score calibration needs a finite slope above 0", got=f"a={self.a}, b={self.b}")
+        require(
+            (np.isfinite([self.a, self.b]).all() and self.a > 0),
+            "a score calibration needs a finite slope above 0",
+            got=f"a={self.a}, b={self.b}",
+        )
 
     @property
     def identity(self) -> bool:

@@ -16,7 +16,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, detect_expression
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 BEST = 50
 """Of a detector that is not exact, at most so many boxes of a run get a mask, the best first."""
@@ -142,12 +142,12 @@ class Segmented:
         masks, has_mask = self.segmenter.segment(frame, found.boxes[which], labels)
         self.seconds += perf_counter() - start
         expected = (len(which), frame.height, frame.width)
-        if masks.shape != expected or masks.dtype != np.bool_ or has_mask.shape != expected[:1]:
-            raise InputError(
-                f"the segmenter {self.segmenter.name!r} must give masks bool (N, H, W) and has_mask (N,)",
-                got=f"{masks.dtype} {masks.shape}, {has_mask.shape}",
-                expected=f"N, H, W = {expected}",
-            )
+        require(
+            masks.shape == expected and masks.dtype == np.bool_ and has_mask.shape == expected[:1],
+            f"the segmenter {self.segmenter.name!r} must give masks bool (N, H, W) and has_mask (N,)",
+            got=f"{masks.dtype} {masks.shape}, {has_mask.shape}",
+            expected=f"N, H, W = {expected}",
+        )
         return {int(i): m for i, m, has in zip(which, masks, has_mask, strict=True) if has and m.any()}
 
 

@@ -26,7 +26,7 @@ from pipeline.proposals.contracts import MASK_COEFFICIENTS, YOLO_SEG_CONTRACTS, 
 from pipeline.proposals.mismatch import fitting
 from pipeline.proposals.network import NetworkDetector
 from pipeline.proposals.selection import suppress
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import run_session
 
 MAX_CANDIDATES = 1000
@@ -126,12 +126,12 @@ class YoloSegDetector(NetworkDetector):
         index = np.flatnonzero(classes.max(axis=1, initial=0) >= min(self.min_score, SCORE_FLOOR))
         cell = prototypes.shape[2] / height, prototypes.shape[3] / width
         raw = _Raw(boxes[index], classes[index], coefficients[index], prototypes[0], placement, index, cell)
-        if not all(np.isfinite(v).all() for v in (raw.boxes, raw.classes, raw.coefficients, prototypes)):
-            raise InputError(
-                "the model's outputs are not finite",
-                cause="half-precision files overflow on some processors: try the full-precision one",
-                path=self.path,
-            )
+        require(
+            all(np.isfinite(v).all() for v in (raw.boxes, raw.classes, raw.coefficients, prototypes)),
+            "the model's outputs are not finite",
+            cause="half-precision files overflow on some processors: try the full-precision one",
+            path=self.path,
+        )
         return raw
 
     def _parts(self, rows: np.ndarray, prototypes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -55,9 +55,7 @@ def superlative_states(
     return state.astype(np.int8)
 
 
-def between_states(
-    lo: np.ndarray, hi: np.ndarray, candidates: Indices, first: Indices, second: Indices
-) -> np.ndarray:
+def between_states(lo: np.ndarray, hi: np.ndarray, candidates: Indices, first: Indices, second: Indices) -> np.ndarray:
     """between: the candidate's centre lies in the corridor from one object to another, in plan.
 
     T where the centre projects onto the middle 70 % of the line between the two

@@ -20,7 +20,7 @@ import xxhash
 
 from pipeline.language.naming import normal_form
 from pipeline.language.vectors import LanguageContract, TextVectors, open_vectors
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _NAMED = 8
 
@@ -102,10 +102,13 @@ class ClassLookup:
         beside = vectors_beside(network)
         if beside.is_file():
             known = ClassVectors.read(beside)
-            if known.hash != expected or known.vectors.shape[1] != language.dimension:
-                raise InputError(
-                    "these class vectors belong to another network", got=known.hash, expected=expected, path=beside
-                )
+            require(
+                known.hash == expected and known.vectors.shape[1] == language.dimension,
+                "these class vectors belong to another network",
+                got=known.hash,
+                expected=expected,
+                path=beside,
+            )
         elif self._file is None:
             raise InputError(
                 "the network's class vectors are missing",

@@ -77,9 +77,7 @@ def on_states(measured: Measured) -> np.ndarray:
     covered, area_ratio, gap = on_measures(measured)
     supported = (covered >= profile.on_overlap) & (area_ratio < profile.on_area_ratio)
     touching = np.maximum(profile.on_gap, profile.on_gap_relative * pairs.extent[..., 1])[..., :, None]
-    state = np.where(
-        supported & (gap <= touching), T, np.where(supported & (gap <= profile.on_gap_doubtful), U, F)
-    )
+    state = np.where(supported & (gap <= touching), T, np.where(supported & (gap <= profile.on_gap_doubtful), U, F))
     # Of two flat things at one height only the one whose middle is higher can be on the other.
     mutual = (state >= U) & (state.swapaxes(-1, -2) >= U)
     return np.where(mutual & (pairs.delta[..., 1] <= 0), F, state)
@@ -187,9 +185,7 @@ def in_states(measured: Measured) -> np.ndarray:
     """(..., N, N) states of "a in b"."""
     profile, (share, below_rim) = measured.profile, in_measures(measured)
     sunk = below_rim >= profile.in_below_rim
-    return np.where(
-        sunk & (share >= profile.in_share), T, np.where(sunk & (share >= profile.in_share_doubtful), U, F)
-    )
+    return np.where(sunk & (share >= profile.in_share), T, np.where(sunk & (share >= profile.in_share_doubtful), U, F))
 
 
 def near_measures(pairs: PairMeasures) -> tuple[np.ndarray, np.ndarray]:

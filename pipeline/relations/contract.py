@@ -14,7 +14,7 @@ from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.language.vectors.contract import LanguageContract
 from pipeline.metrics.calibration_metrics import Platt
 from pipeline.relations.features import FEATURES, FeatureSet, feature_set, geometry_of
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 CONTRACT = "spatialviz-srm-1"
 PREFIX = "srm."
@@ -106,14 +106,14 @@ class Contract:
             Where they are not those of a relation network that this program can feed.
         """
         said = metadata.get(PREFIX + "contract")
-        if said != CONTRACT:
-            raise InputError(
-                "the model is not a relation network",
-                got="no contract" if said is None else f"contract {said!r}",
-                expected=f"contract {CONTRACT!r} in its metadata",
-                cause="was it made by `spatialviz train`?",
-                path=path,
-            )
+        require(
+            said == CONTRACT,
+            "the model is not a relation network",
+            got="no contract" if said is None else f"contract {said!r}",
+            expected=f"contract {CONTRACT!r} in its metadata",
+            cause="was it made by `spatialviz train`?",
+            path=path,
+        )
         language = LanguageContract.from_metadata(metadata, path)
         try:
             values = {key: metadata[PREFIX + key] for key in ("features", "data", "seed")}
@@ -149,13 +149,13 @@ class Contract:
     def check(self, path: Path | None = None) -> None:
         """Raise InputError unless this program computes these features and knows these relations."""
         base = geometry_of(self.features)
-        if base not in FEATURES:
-            raise InputError(
-                "the relation network wants features that are not known",
-                got=repr(self.features),
-                expected=", ".join(FEATURES),
-                path=path,
-            )
+        require(
+            base in FEATURES,
+            "the relation network wants features that are not known",
+            got=repr(self.features),
+            expected=", ".join(FEATURES),
+            path=path,
+        )
         if (self.features != base) != (self.language is not None) or bool(self.classes) != (self.language is not None):
             raise InputError(
                 "the relation network's language features do not fit its feature contract",
@@ -170,33 +170,37 @@ class Contract:
                 expected=f"{len(expected)} features, {expected[0]} to {expected[-1]}",
                 path=path,
             )
-        if (
-            self.mean.shape != (len(expected),)
-            or self.std.shape != (len(expected),)
-            or not np.isfinite(np.concatenate([self.mean, self.std])).all()
-            or (self.std <= 0).any()
-        ):
-            raise InputError(
-                "mean and deviation of the relation network do not fit its features",
-                got=f"shapes {self.mean.shape}, {self.std.shape}",
-                expected=f"{len(expected)} finite numbers each, deviations above 0",
-                path=path,
-            )
+        require(
+            not (
+                self.mean.shape != (len(expected),)
+                or self.std.shape != (len(expected),)
+                or not np.isfinite(np.concatenate([self.mean, self.std])).all()
+                or (self.std <= 0).any()
+            ),
+            "mean and deviation of the relation network do not fit its features",
+            got=f"shapes {self.mean.shape}, {self.std.shape}",
+            expected=f"{len(expected)} finite numbers each, deviations above 0",
+            path=path,
+        )
         unknown = [r for r in self.vocabulary if r not in PAIRWISE]
-        if unknown or not self.vocabulary or len(set(self.vocabulary)) != len(self.vocabulary):
-            raise InputError(
-                "the relation network's vocabulary is not known",
-                got=", ".join(self.vocabulary) or "nothing",
-                expected=f"each at most once: {', '.join(PAIRWISE)}",
-                path=path,
-            )
+        require(
+            not unknown and self.vocabulary and len(set(self.vocabulary)) == len(self.vocabulary),
+            "the relation network's vocabulary is not known",
+            got=", ".join(self.vocabulary) or "nothing",
+            expected=f"each at most once: {', '.join(PAIRWISE)}",
+            path=path,
+        )
         self._check_calibration(path)
         self._check_output(path)
 
     def _check_calibration(self, path: Path | None) -> None:
         pairs = self.calibration
-        if set(pairs) != set(self.vocabulary):
-            raise InputError("the calibration is for other relations than the vocabulary", got=sorted(pairs), path=path)
+        require(
+            set(pairs) == set(self.vocabulary),
+            "the calibration is for other relations than the vocabulary",
+            got=sorted(pairs),
+            path=path,
+        )
         broken = [
             r
             for r, (a, b) in pairs.items()
@@ -204,35 +208,41 @@ class Contract:
             # Two sigmoids for one logit would undo the antisymmetry.
             or pairs.get(INVERSE.get(r, r), (a, b)) != (a, b)
         ]
-        if broken:
-            raise InputError(
-                "the calibration must be finite, rising, and the same for inverse relations", got=broken, path=path
-            )
+        require(
+            not broken,
+            "the calibration must be finite, rising, and the same for inverse relations",
+            got=broken,
+            path=path,
+        )
 
     def _check_output(self, path: Path | None) -> None:
         if self.output == "sigmoid" and not self.prior:
             return
-        if self.output != "softmax":
-            raise InputError(
-                "the relation network's output is not known",
-                got=f"{self.output!r}{' with a prior' if self.prior else ''}",
-                expected="sigmoid, or softmax with a prior",
-                path=path,
-            )
+        require(
+            self.output == "softmax",
+            "the relation network's output is not known",
+            got=f"{self.output!r}{' with a prior' if self.prior else ''}",
+            expected="sigmoid, or softmax with a prior",
+            path=path,
+        )
         prior = dict(zip(self.vocabulary, self.prior, strict=False))
-        if (
-            len(self.prior) != len(self.vocabulary)
-            or not all(0 < p <= 1 for p in self.prior)
-            or abs(sum(self.prior) - 1) > 1e-6
-            or any(prior.get(INVERSE.get(r, r), p) != p for r, p in prior.items())
-        ):
-            raise InputError(
-                "the prior must be a share above 0 of each relation, the same for inverse ones, 1 in all",
-                got=self.prior,
-                path=path,
-            )
-        if len(set(self.calibration.values())) > 1:
-            raise InputError("a softmax network has one temperature", got=self.calibration, path=path)
+        require(
+            not (
+                len(self.prior) != len(self.vocabulary)
+                or not all(0 < p <= 1 for p in self.prior)
+                or abs(sum(self.prior) - 1) > 1e-6
+                or any(prior.get(INVERSE.get(r, r), p) != p for r, p in prior.items())
+            ),
+            "the prior must be a share above 0 of each relation, the same for inverse ones, 1 in all",
+            got=self.prior,
+            path=path,
+        )
+        require(
+            len(set(self.calibration.values())) <= 1,
+            "a softmax network has one temperature",
+            got=self.calibration,
+            path=path,
+        )
 
 
 def _differing(got: Sequence[str], expected: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.relations.pair_measures import Profile
 from pipeline.relations.relations import measure_pairs
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 LANGUAGE = "+lang"
 """What the name of a contract with class names ends with."""
@@ -100,8 +100,9 @@ def feature_set(name: str, language: int = 0) -> FeatureSet:
         raise InputError("there is no such feature contract", got=repr(name), expected=known)
     if name == base:
         return FEATURES[base]
-    if language < 1:
-        raise InputError(f"the feature contract {name} needs vectors of class names", expected="a file of text vectors")
+    require(
+        language >= 1, f"the feature contract {name} needs vectors of class names", expected="a file of text vectors"
+    )
     return _with_language(FEATURES[base], language)
 
 
@@ -280,14 +281,13 @@ class Appearance:
     height: int
 
     def __post_init__(self) -> None:
-        if self.bboxes.shape != (len(self.labels), 4):
-            raise InputError(
-                "boxes and class names differ in number",
-                got=f"{self.bboxes.shape} boxes, {len(self.labels)} names",
-                expected="(N, 4) boxes and N names",
-            )
-        if min(self.width, self.height) < 1:
-            raise InputError("the image has no size", got=f"{self.width}x{self.height}")
+        require(
+            self.bboxes.shape == (len(self.labels), 4),
+            "boxes and class names differ in number",
+            got=f"{self.bboxes.shape} boxes, {len(self.labels)} names",
+            expected="(N, 4) boxes and N names",
+        )
+        require(min(self.width, self.height) >= 1, "the image has no size", got=f"{self.width}x{self.height}")
 
     def take(self, index: Sequence[int]) -> Appearance:
         """Those objects alone, in this order."""

@@ -9,7 +9,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 TAKEN = ("rule", "trained")
@@ -64,15 +64,21 @@ def install_network(network: Path, name: str, *, overwrite: bool = False) -> Ins
     from pipeline.relations.class_vectors import vectors_beside
     from pipeline.relations.model import OnnxScorer
 
-    if not _NAME.fullmatch(name) or name in TAKEN or name.endswith(".onnx"):
-        raise InputError(
-            "no name for a network", got=repr(name), expected="letters, digits, . _ -; not rule or trained"
-        )
+    require(
+        _NAME.fullmatch(name) and name not in TAKEN and not name.endswith(".onnx"),
+        "no name for a network",
+        got=repr(name),
+        expected="letters, digits, . _ -; not rule or trained",
+    )
     OnnxScorer(network)
     folder = network_folder()
     target = folder / f"{name}.onnx"
-    if target.exists() and not overwrite:
-        raise InputError("there is a network of this name", expected="another name, or --overwrite", path=target)
+    require(
+        not (target.exists() and not overwrite),
+        "there is a network of this name",
+        expected="another name, or --overwrite",
+        path=target,
+    )
     beside = (network.with_suffix(".json"), vectors_beside(network))
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -22,7 +22,7 @@ from pipeline.relations.class_vectors import ClassLookup
 from pipeline.relations.contract import Contract
 from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScores, RuleScorer
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import metadata, open_session, signature
 
 __all__ = ["Contract", "OnnxScorer"]
@@ -53,8 +53,7 @@ class OnnxScorer:
 
     def __init__(self, path: Path, vectors: Path | None = None) -> None:
         path = Path(path)
-        if not path.is_file():
-            raise InputError("there is no relation network", path=path, cause="--srm takes trained, rule or a file")
+        require(path.is_file(), "there is no relation network", path=path, cause="--srm takes trained, rule or a file")
         session = open_session(path, threads=1)
         self.contract = Contract.read(metadata(session), path)
         self.name = self.contract.features

@@ -34,7 +34,7 @@ _LETTER = {T: "T", U: "U", F: "F"}
 
 
 def letter(state: int) -> str:
-    """"T", "U" or "F"."""
+    """ "T", "U" or "F"."""
     return _LETTER[int(state)]
 
 

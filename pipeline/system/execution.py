@@ -10,7 +10,7 @@ import warnings
 from functools import lru_cache
 from typing import Any, Literal
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 Provider = Literal["auto", "cpu", "cuda", "coreml", "directml"]
 PROVIDER_VARIABLE = "SPATIALVIZ_PROVIDER"
@@ -58,8 +58,7 @@ def is_verbose() -> bool:
 
 def _checked(provider: str) -> str:
     known = ("auto", "cpu", *ACCELERATORS)
-    if provider not in known:
-        raise InputError("there is no such provider", got=repr(provider), expected=" or ".join(known))
+    require(provider in known, "there is no such provider", got=repr(provider), expected=" or ".join(known))
     return provider
 
 

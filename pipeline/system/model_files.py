@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.execution import is_verbose
 from pipeline.system.paths import cache_folder
 from pipeline.system.whole_files import sha256_of
@@ -162,8 +162,12 @@ def fetch(hub_id: HubId) -> Path:
             expected=_some([n for n in listed if n.endswith(".onnx")]) or "an ONNX file, of which there is none",
         )
     commit = info.sha or ""
-    if not _COMMIT.fullmatch(commit):
-        raise InputError("the hub does not say which commit the model is of", got=repr(commit), path=hub_id.repo)
+    require(
+        _COMMIT.fullmatch(commit),
+        "the hub does not say which commit the model is of",
+        got=repr(commit),
+        path=hub_id.repo,
+    )
     # The model comes last: where it is, all that belongs to it is.
     for name in [*_companions(file, list(listed)), file]:
         _fetch_file(hub_id, name, commit, _expected(hub_id.repo, commit, name, listed[name]), endpoint)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.execution import cpu_session, create_session, is_verbose
 
 
@@ -32,10 +32,8 @@ def open_session(path: Path, threads: int | None = None) -> Any:
     InputError
         Where the file is missing or is not an ONNX model.
     """
-    if path.is_dir():
-        raise InputError("the model is a folder", expected="the ONNX file in it", path=path)
-    if not path.is_file():
-        raise InputError("there is no model file", path=path, cause="give the path of an ONNX file")
+    require(not path.is_dir(), "the model is a folder", expected="the ONNX file in it", path=path)
+    require(path.is_file(), "there is no model file", path=path, cause="give the path of an ONNX file")
     import onnxruntime as ort
 
     verbose = is_verbose()
@@ -57,9 +55,7 @@ def open_session(path: Path, threads: int | None = None) -> Any:
         except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
             failure = failure or error
     cause = _no_model(path) or _likely_cause(str(failure))
-    raise InputError(
-        "ONNX Runtime cannot load the model", got=first_line(failure), cause=cause, path=path
-    ) from failure
+    raise InputError("ONNX Runtime cannot load the model", got=first_line(failure), cause=cause, path=path) from failure
 
 
 def _legible(session: Any, path: Path) -> Any:
@@ -129,12 +125,12 @@ def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndar
         ) from error
     values = [v.astype(np.float32) if v.dtype.kind == "f" else v for v in values]
     for name, value in zip(outputs, values, strict=True):
-        if value.dtype.kind == "f" and np.isnan(value).any():
-            raise InputError(
-                f"the model's output {name!r} holds NaN",
-                cause="half-precision files overflow on some processors: try the full-precision one",
-                path=path,
-            )
+        require(
+            not (value.dtype.kind == "f" and np.isnan(value).any()),
+            f"the model's output {name!r} holds NaN",
+            cause="half-precision files overflow on some processors: try the full-precision one",
+            path=path,
+        )
     return values
 
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TextIO
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 @contextmanager
@@ -46,18 +46,16 @@ def check_target(out: Path, *, overwrite: bool, mark: str) -> None:
     """Refuse a target that would be harmed; see `staged_folder`."""
     if not out.exists():
         return
-    if not out.is_dir():
-        raise InputError("what is written is a folder", got="a file", path=out)
+    require(out.is_dir(), "what is written is a folder", got="a file", path=out)
     if not any(out.iterdir()):
         return
-    if not (out / mark).is_file():
-        raise InputError(
-            "the folder is not empty, and holds nothing that may be replaced",
-            expected="a new or empty folder",
-            path=out,
-        )
-    if not overwrite:
-        raise InputError("the folder is not empty", expected="another folder, or to overwrite it", path=out)
+    require(
+        (out / mark).is_file(),
+        "the folder is not empty, and holds nothing that may be replaced",
+        expected="a new or empty folder",
+        path=out,
+    )
+    require(overwrite, "the folder is not empty", expected="another folder, or to overwrite it", path=out)
 
 
 def _take_name(staging: Path, final: Path, *, overwrite: bool, mark: str) -> None:

@@ -24,7 +24,7 @@ from pipeline.metrics.tables import Row, Table
 from pipeline.relations.features import FEATURES, cli_features
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import rule_probabilities
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.worker_pool import results_of
 from pipeline.training.onnx_file import save_onnx
 from pipeline.training.pairs import PairSet
@@ -73,10 +73,16 @@ class AblationConfig:
     def check(self) -> None:
         """Raise InputError where the numbers make no sense."""
         self.train.check()
-        if self.rooms < 3 or min(self.views, self.networks) < 1 or min(self.width, self.height) < 16:
-            raise InputError("a comparison needs 3 rooms, a view, a network, and sides of 16 pixels", got=self)
-        if not self.pairs or any(n != 0 and n < 2 for n in self.pairs):
-            raise InputError("there must be at least two pairs to learn from, or 0 for all", got=self.pairs)
+        require(
+            self.rooms >= 3 and min(self.views, self.networks) >= 1 and min(self.width, self.height) >= 16,
+            "a comparison needs 3 rooms, a view, a network, and sides of 16 pixels",
+            got=self,
+        )
+        require(
+            self.pairs and not any(n != 0 and n < 2 for n in self.pairs),
+            "there must be at least two pairs to learn from, or 0 for all",
+            got=self.pairs,
+        )
         unknown = [name for name in self.features if name not in FEATURES]
         if unknown or not self.features:
             raise InputError("no such feature contract", got=repr(unknown[:1]), expected=", ".join(FEATURES))
@@ -116,9 +122,7 @@ def ablation_views(
     first = config.train.seed * ROOMS_A_SEED + FIRST_ABLATION_ROOM
     test = max(1, round(config.rooms * TEST_SHARE))
     train = config.rooms - test
-    jobs = [
-        (first + k, config.views, config.width, config.height, k >= train) for k in range(config.rooms)
-    ]
+    jobs = [(first + k, config.views, config.width, config.height, k >= train) for k in range(config.rooms)]
     found = []
     tell = progress or (lambda done, of: None)
     for samples in results_of(_room, jobs, workers):
@@ -191,8 +195,12 @@ def measure_variant(views: AblationViews, features: str, pairs: int, config: Abl
     """
     require_training()
     everything = _pairs(views, features, config.labels)
-    if pairs > len(everything):
-        raise InputError("there are not so many pairs to learn from", got=pairs, expected=f"at most {len(everything)}")
+    require(
+        pairs <= len(everything),
+        "there are not so many pairs to learn from",
+        got=pairs,
+        expected=f"at most {len(everything)}",
+    )
     counts = np.zeros((len(views.test), 2, len(DIRECTIONAL), 3))
     for k in range(config.networks):
         seed = config.train.seed + k
@@ -287,9 +295,7 @@ def _pairs(views: AblationViews, features: str, labels: Protocol) -> PairSet:
     return found.take(found.learnable("sigmoid"))
 
 
-def _counts(
-    views: AblationViews, labels: Protocol, scored: Callable[[FrameSamples], np.ndarray]
-) -> np.ndarray:
+def _counts(views: AblationViews, labels: Protocol, scored: Callable[[FrameSamples], np.ndarray]) -> np.ndarray:
     """(rooms, 2, 6, 3): see `Variant`."""
     found = np.zeros((len(views.test), 2, len(DIRECTIONAL), 3))
     for side, rooms in enumerate((views.test, views.shifted)):

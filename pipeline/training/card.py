@@ -17,7 +17,7 @@ from pipeline.metrics.calibration_metrics import fit_calibration
 from pipeline.relations.features import cli_features
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import rule_probabilities
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.onnx_session import file_hash
 from pipeline.system.plugins import versions_of
 from pipeline.system.threads import one_thread
@@ -136,8 +136,7 @@ def train_on_rooms(
 def network_path(out: Path) -> Path:
     """Where a network is written; InputError unless it is an .onnx file."""
     out = Path(out)
-    if out.suffix.lower() != ".onnx" or out.is_dir():
-        raise InputError("the network is written as an .onnx file", path=out)
+    require(out.suffix.lower() == ".onnx" and not out.is_dir(), "the network is written as an .onnx file", path=out)
     return out
 
 

@@ -24,7 +24,7 @@ from pipeline.relations.contract import TrainedOn
 from pipeline.relations.features import feature_set, geometry_of, rows_2d
 from pipeline.relations.relations import T, U
 from pipeline.system.arrow import pa, pc
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.training.pairs import PairSet
 
 _LENGTHS = {"bbox": 4, "lo": 3, "hi": 3, "pca_center": 3, "pca_R": 9, "pca_size": 3, "center": 3, "R": 9, "size": 3}
@@ -138,8 +138,7 @@ def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) ->
         numbers = objects["object"][mine][known].astype(np.int64)
         states = pair_states(relations, vocabulary, index, numbers)
         found.append(LabelledFrame(key, rows[known], classes[mine][known].astype(np.int32), states, numbers))
-    if not found:
-        raise InputError("these labels hold no frame with two usable objects", path=labels.root)
+    require(found, "these labels hold no frame with two usable objects", path=labels.root)
     return LabelData(features, tuple(vocabulary), tuple(found), tuple(str(n) for n in names))
 
 

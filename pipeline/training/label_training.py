@@ -125,9 +125,7 @@ def train_on_labels(
     keys = [f.key for f in data.frames]
     plan = split_frames(keys, job.split, config.seed) if plan is None else plan.for_frames(keys)
     train, validation, test = ([data.frames[k] for k in plan.indices(part)] for part in (TRAIN, VALIDATION, TEST))
-    learnt = pair_set(
-        train, data.features, config.output, vectors=vectors, limit=job.pairs, seed=config.seed
-    )
+    learnt = pair_set(train, data.features, config.output, vectors=vectors, limit=job.pairs, seed=config.seed)
     watched = pair_set(validation, data.features, config.output, vectors=vectors)
     model = train_pairs(learnt, config, validation=watched, language=language, progress=progress)
     del learnt, watched

@@ -25,7 +25,7 @@ from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import Contract, Output
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.onnx_session import require_onnx
 from pipeline.training.pairs import PairSet, class_shares
 from pipeline.training.training_data import FrameSamples, iterate_pairs
@@ -60,10 +60,10 @@ class TrainConfig:
             or self.learning_rate <= 0
         ):
             raise InputError("width, batch, epochs, halving and learning rate must be positive", got=self)
-        if not 0 <= self.seed < 1 << 63:
-            raise InputError("a seed must be from 0 to 2^63 - 1", got=self.seed)
-        if self.vocabulary not in OUTPUTS:
-            raise InputError("no such vocabulary", got=repr(self.vocabulary), expected=" | ".join(OUTPUTS))
+        require(0 <= self.seed < 1 << 63, "a seed must be from 0 to 2^63 - 1", got=self.seed)
+        require(
+            self.vocabulary in OUTPUTS, "no such vocabulary", got=repr(self.vocabulary), expected=" | ".join(OUTPUTS)
+        )
 
     @property
     def output(self) -> Output:
@@ -185,12 +185,12 @@ def train_srm(
 def check_room_config(config: TrainConfig) -> None:
     """Raise InputError unless rendered rooms can teach this."""
     config.check()
-    if config.vocabulary != "avd" or config.features.endswith(LANGUAGE):
-        raise InputError(
-            "rendered rooms teach the six directional relations, without class names",
-            got=f"{config.features}, {config.vocabulary}",
-            expected="labels for anything else",
-        )
+    require(
+        config.vocabulary == "avd" and not config.features.endswith(LANGUAGE),
+        "rendered rooms teach the six directional relations, without class names",
+        got=f"{config.features}, {config.vocabulary}",
+        expected="labels for anything else",
+    )
 
 
 def train_pairs(
@@ -234,8 +234,7 @@ def train_pairs(
         pairs, validation = _only(pairs, kept), None if validation is None else _only(validation, kept)
         vocabulary = tuple(vocabulary[k] for k in kept)
         prior = _prior(pairs.states, vocabulary)
-    if len(pairs) < 2:
-        raise InputError("there are no pairs of objects to learn from", got=f"{len(pairs)} pairs")
+    require(len(pairs) >= 2, "there are no pairs of objects to learn from", got=f"{len(pairs)} pairs")
     mean, std = pairs.moments()
     batch = config.batch_of(len(pairs))
 
@@ -243,8 +242,7 @@ def train_pairs(
         generator = torch.Generator().manual_seed(config.seed)
         sizes = (contract.dimension, config.hidden, config.hidden, len(vocabulary))
         weights = [
-            (torch.randn(i, o, generator=generator) * (2.0 / i) ** 0.5).requires_grad_()
-            for i, o in pairwise(sizes)
+            (torch.randn(i, o, generator=generator) * (2.0 / i) ** 0.5).requires_grad_() for i, o in pairwise(sizes)
         ]
         biases = [torch.zeros(o, requires_grad=True) for o in sizes[1:]]
         given = _inputs(torch, pairs, mean, std)
@@ -292,12 +290,12 @@ def _only(pairs: PairSet, kept: Sequence[int]) -> PairSet:
 
 
 def _prior(states: np.ndarray, vocabulary: Sequence[str]) -> tuple[float, ...]:
-    if len(vocabulary) < 2:
-        raise InputError(
-            "there are too few relations to tell apart",
-            got=", ".join(vocabulary) or "none",
-            expected=f"at least two with {FEWEST_EXAMPLES} pairs of which only they hold",
-        )
+    require(
+        len(vocabulary) >= 2,
+        "there are too few relations to tell apart",
+        got=", ".join(vocabulary) or "none",
+        expected=f"at least two with {FEWEST_EXAMPLES} pairs of which only they hold",
+    )
     inverse = {k: vocabulary.index(INVERSE[r]) for k, r in enumerate(vocabulary) if r in INVERSE}
     return tuple(class_shares(states, inverse).tolist())
 

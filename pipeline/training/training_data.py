@@ -27,7 +27,7 @@ from pipeline.geometry.lifting import lift
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.features import FEATURES, Appearance
 from pipeline.relations.relations import directional_states
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.worker_pool import results_of
 
 FIRST_ROOM = 500_000
@@ -156,8 +156,10 @@ def make_samples(
     MissingExtra
         embreex is not installed.
     """
-    if views < 1 or workers < 1 or min(width, height) < 16:
-        raise InputError("views and workers must be at least 1, a side at least 16 pixels")
+    require(
+        views >= 1 and workers >= 1 and min(width, height) >= 16,
+        "views and workers must be at least 1, a side at least 16 pixels",
+    )
     jobs: list[Job] = [(seed, views, width, height, maker) for seed in seeds]
     tell = progress or (lambda done: None)
     found: list[FrameSamples] = []
@@ -177,10 +179,12 @@ def room_seeds(seed: int, rooms: int) -> tuple[tuple[int, ...], tuple[int, ...],
     InputError
         Fewer than three rooms, more than fit under one seed, or a negative seed.
     """
-    if not 3 <= rooms <= ROOMS_A_SEED - FIRST_ROOM:
-        raise InputError("training needs at least 3 rooms: to learn, to calibrate, to test", got=rooms)
-    if seed < 0:
-        raise InputError("a seed must not be negative", got=seed)
+    require(
+        3 <= rooms <= ROOMS_A_SEED - FIRST_ROOM,
+        "training needs at least 3 rooms: to learn, to calibrate, to test",
+        got=rooms,
+    )
+    require(seed >= 0, "a seed must not be negative", got=seed)
     first = seed * ROOMS_A_SEED + FIRST_ROOM
     seeds = tuple(range(first, first + rooms))
     test = max(1, round(rooms * 0.2))
@@ -220,9 +224,7 @@ def make_split(
             if progress is not None:
                 progress(before + count, total)
 
-        made = make_samples(
-            seeds, views=views, width=width, height=height, maker=maker, workers=workers, progress=tell
-        )
+        made = make_samples(seeds, views=views, width=width, height=height, maker=maker, workers=workers, progress=tell)
         parts.append(made)
         done += len(seeds)
     *learnt, solids, measured = parts
@@ -313,9 +315,7 @@ def _in_steps(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.where(depth > 0, stepped, 0).astype(np.float32)
 
 
-def degraded(
-    mask: np.ndarray, rng: np.random.Generator, error: tuple[int, int] = MASK_ERROR_PIXELS
-) -> np.ndarray:
+def degraded(mask: np.ndarray, rng: np.random.Generator, error: tuple[int, int] = MASK_ERROR_PIXELS) -> np.ndarray:
     """A mask ((H, W) bool) as a segmenter would give it: a little too small, or a little too large."""
     pixels = int(rng.integers(error[0], error[1] + 1))
     if pixels == 0:

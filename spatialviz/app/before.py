@@ -40,7 +40,7 @@ def before_html(state: State) -> str:
     hint = f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back"
     return (
         f'<div class="before" style="--c:{hex_color(colors["edited"])}" title="{hint}"><span class="dim">before</span>'
-        f"<span class=\"said1\">{said}</span>{verdict}{p}</div>"
+        f'<span class="said1">{said}</span>{verdict}{p}</div>'
     )
 
 

@@ -104,8 +104,7 @@ def agreement_html(state: State) -> str:
         ("scores ρ", sums.score_correlation, "rank correlation of the scores of what both found"),
     )
     cells = "".join(
-        f'<span class="dim" title="{safe(hint)}"><b>{_figure(value)}</b>{name}</span>'
-        for name, value, hint in figures
+        f'<span class="dim" title="{safe(hint)}"><b>{_figure(value)}</b>{name}</span>' for name, value, hint in figures
     )
     return panel(
         title,

@@ -40,7 +40,7 @@ def image_html(state: State) -> str:
     return panel(
         pixel_row_html(state),
         f'<div class="pic" style="--wh:{frame.width / frame.height:.3f}" onclick="{safe(CLICK)}" '
-        f'onmousedown="svPaint(this,event,\'{band}\')">'
+        f"onmousedown=\"svPaint(this,event,'{band}')\">"
         f'<img src="{url}"><svg viewBox="0 0 {frame.width} {frame.height}" preserveAspectRatio="none">'
         f"{overlay_marks(state)}</svg></div>",
         style="padding-top:.6em",
@@ -143,13 +143,10 @@ def frames_html(state: State, ids: Sequence[str], store: FrameStore, ready: int 
             f"{body}<div>{safe(ids[i])}</div></div>"
         )
     more = f"frames {places.start + 1}–{places.stop} of {len(ids)}" if len(ids) > len(places) else f"{len(ids)} frames"
-    return panel(
-        f'<div class="dim" style="padding:.4em 0">{more}</div><div class="grid">{"".join(cells)}</div>'
-    )
+    return panel(f'<div class="dim" style="padding:.4em 0">{more}</div><div class="grid">{"".join(cells)}</div>')
 
 
 def log_html(entries: Sequence[tuple[str, str]]) -> str:
     """What happened, latest first."""
     rows = "".join(f'<div><span class="dim">{safe(t)}</span> {safe(text)}</div>' for t, text in reversed(entries))
     return panel(f'<div class="log">{rows or "nothing yet"}</div>', style="padding-top:.5em")
-

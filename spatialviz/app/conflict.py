@@ -94,8 +94,10 @@ def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> s
             f"<span>theirs</span><b>{safe(theirs)}</b>"
             f"<span>yours</span><b>{safe(value_text(cell, edit.after, frame))}</b></div>{buttons}</div>"
         )
-    said = "Nothing of yours was saved, and nothing of theirs is lost." if len(found) == 1 else (
-        "Nothing of yours was saved yet, and nothing of theirs is lost. Choose for each field."
+    said = (
+        "Nothing of yours was saved, and nothing of theirs is lost."
+        if len(found) == 1
+        else ("Nothing of yours was saved yet, and nothing of theirs is lost. Choose for each field.")
     )
     return f'<div class="conflict"><div>{said}</div>{"".join(rows)}</div>'
 

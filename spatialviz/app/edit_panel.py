@@ -169,7 +169,7 @@ def _map(state: State, editable: bool, found: DecisionMap | None) -> str:
     winners, counts = np.unique(found.winner, return_counts=True)
     rows = "".join(
         f"<span>{dot((int(colors[w][0]), int(colors[w][1]), int(colors[w][2])) if w >= 0 else (150, 150, 150))}"
-        f'{safe(state.named(found.keys[w])) if w >= 0 else "no pair"} {n / found.winner.size:.0%}'
+        f"{safe(state.named(found.keys[w])) if w >= 0 else 'no pair'} {n / found.winner.size:.0%}"
         f' <span class="dim">{n:,} cells</span></span>'
         for n, w in sorted(zip(counts.tolist(), winners.tolist(), strict=True), reverse=True)
     )

@@ -54,7 +54,7 @@ def sends(message: str) -> str:
 
 def searches(query: str) -> str:
     """An attribute by which a click lists what a search finds."""
-    return f'onclick="event.stopPropagation();svTab(\'Failures\');{sends(f"find:{query}")}"'
+    return f"onclick=\"event.stopPropagation();svTab('Failures');{sends(f'find:{query}')}\""
 
 
 def search_html(query: str) -> str:
@@ -78,8 +78,8 @@ def offers_html(offered: Sequence[str], query: str | None = None) -> str:
         f'onmousedown="event.preventDefault();svTake(this.dataset.w)">{safe(word)}</span>'
         for k, word in enumerate(offered)
     )
-    put = "" if query is None else (
-        f'<img src="" style="display:none" onerror="{safe(f"svFind({json.dumps(query)})")}">'
+    put = (
+        "" if query is None else (f'<img src="" style="display:none" onerror="{safe(f"svFind({json.dumps(query)})")}">')
     )
     return panel(
         f'<div class="cmp">{words}</div>' if words else "",
@@ -129,9 +129,13 @@ def _head(listing: Listing) -> str:
     place = "" if listing.place is None else f"{listing.place + 1} of "
     first = listing.page * PAGE + 1 if listing.keys else 0
     last = min(first + PAGE - 1, len(listing.keys))
-    pages = "" if listing.pages == 1 else (
-        f'<span class="try" onclick="sv(\'find-page:{listing.page - 1}\')">‹</span> {first}–{last} '
-        f'<span class="try" onclick="sv(\'find-page:{listing.page + 1}\')">›</span>'
+    pages = (
+        ""
+        if listing.pages == 1
+        else (
+            f'<span class="try" onclick="sv(\'find-page:{listing.page - 1}\')">‹</span> {first}–{last} '
+            f'<span class="try" onclick="sv(\'find-page:{listing.page + 1}\')">›</span>'
+        )
     )
     return (
         f'<div class="h" style="text-transform:none;letter-spacing:0"><b>{place}{len(listing.keys)} found</b>'
@@ -161,13 +165,13 @@ def _rows(listing: Listing, thumbs: dict[str, str]) -> str:
         here = (row["frame"], row["id"]) == listing.at
         picture = thumbs.get(row["frame"], "")
         image = f'<img class="thumb wide" src="{picture}">' if picture else '<span class="thumb wide"></span>'
-        margin = "" if row["margin"] is None else f'{row["margin"]:+.2f}'
+        margin = "" if row["margin"] is None else f"{row['margin']:+.2f}"
         luck = " · luck" if row["lucky"] else ""
         rows.append(
             f'<tr class="r{" sel" if here else ""}" onclick="sv(\'failure:{place}\')" title="{safe(row["said"])}">'
             f'<td style="width:52px">{image}</td>'
             f'<td class="w" style="width:100%"><b>{safe(row["text"])}</b><div class="dim" style="font-size:11px">'
-            f'{safe(row["frame"])}{luck}</div></td>'
+            f"{safe(row['frame'])}{luck}</div></td>"
             f'<td class="n">{verdict_chip(row["verdict"], row["detail"])}<div class="dim" style="font-size:11px" '
             f'title="S of the best acceptable pair less S of the best other one">{margin}</div></td></tr>'
         )

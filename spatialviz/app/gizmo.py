@@ -34,9 +34,7 @@ class BoxGizmo:
         Scene node under which they stand.
     """
 
-    def __init__(
-        self, client: viser.ClientHandle, dragged: Callable[[Box3D, bool], None], root: str = "/edit"
-    ) -> None:
+    def __init__(self, client: viser.ClientHandle, dragged: Callable[[Box3D, bool], None], root: str = "/edit") -> None:
         self._client, self._dragged, self._root = client, dragged, root
         self._main: Any = None
         self._faces: list[Any] = []

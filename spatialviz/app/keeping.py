@@ -90,7 +90,7 @@ class Keeping:
             "Save this answer as a case",
             f'<div class="field"><span class="dim">{CASES}/</span><input class="find" value="{safe(name)}" '
             'spellcheck="false" autocomplete="off" '
-            'onkeydown="if(event.key===\'Enter\')svSend(this,\'save-case:\')"></div>'
+            "onkeydown=\"if(event.key==='Enter')svSend(this,'save-case:')\"></div>"
             '<div class="dim small">A small folder with the picture, the detections and the answer. '
             "<code>spatialviz replay</code> runs it again and says whether the answer is still the same.</div>"
             '<img src="" style="display:none" onerror="svFocus(this)">',
@@ -118,7 +118,7 @@ class Keeping:
         self._note(f"case saved: {replay}")
         self._dialog.show(
             "Saved",
-            f'<div>The case is in <code>{safe(folder.resolve())}</code>. Run it again with</div>'
+            f"<div>The case is in <code>{safe(folder.resolve())}</code>. Run it again with</div>"
             f'<textarea class="state" rows="2" readonly spellcheck="false">{safe(replay)}</textarea>'
             '<div class="copied" role="status"></div>',
             ("Copy the command", "svCopy(this)"),

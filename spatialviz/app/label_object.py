@@ -298,4 +298,3 @@ class LabelObject:
         color = palette(state.dark)[state.roles.get(state.selected, "other")]
         name = state.shown.names[state.selected]
         self._page.edit.content = object_html(card, name, color, state.mode, desk.author) + gone
-

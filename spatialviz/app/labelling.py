@@ -100,15 +100,11 @@ class Labelling:
 
         desks = {name: opener(name, place) for name, place in journals.items()}
         to_state: dict[str, Any] = {"state": state, "take": take}
-        self.correct = Correct(
-            client, page, desks, **to_state, draw=whole, ask=ask, open_frame=open_frame, note=note
-        )
+        self.correct = Correct(client, page, desks, **to_state, draw=whole, ask=ask, open_frame=open_frame, note=note)
         self.correct.keeps_name = author is not None
         self.pixels = Pixels(client, scene, self.correct, selection, **to_state, draw=whole, note=note)
         self._object = LabelObject(client, page, scene, bridge, self.correct, **to_state, draw=draw, note=note)
-        self._queue = ReviewQueue(
-            page, store, journals, self.correct, dialog, state=state, note=note, post=bridge.post
-        )
+        self._queue = ReviewQueue(page, store, journals, self.correct, dialog, state=state, note=note, post=bridge.post)
         self._retrain = RetrainPanel(
             client, page, store.sources, runs, journals, user_data_path("spatialviz") / "retrained", state=state, go=go,
             use=use, note=note, post=bridge.post,

@@ -52,7 +52,7 @@ def frame_html(place: int, count: int, leads: Mapping[str, str] | None = None) -
     return panel(
         f'<div class="nav">{_step(-1, "‹ previous", "previous frame (P)", place > 0)}'
         f'<span class="dim">{place + 1} of {count}</span>'
-        f'{_step(1, "next ›", "next frame (N)", place + 1 < count)}</div>',
+        f"{_step(1, 'next ›', 'next frame (N)', place + 1 < count)}</div>",
         "" if leads is None else _moves_html(leads),
     )
 
@@ -206,8 +206,7 @@ def controls_html(state: State) -> str:
     legend = ""
     if state.colors == "evidence":
         legend = '<div class="legend" style="padding:0 0 4px 60px">' + "".join(
-            f"<span>{dot(color)}{words(reason)}</span>"
-            for reason, color in DROPPED.items()
+            f"<span>{dot(color)}{words(reason)}</span>" for reason, color in DROPPED.items()
         )
         legend += "</div>"
     return panel(

@@ -51,7 +51,7 @@ def pixel_row_html(state: State) -> str:
 
 
 def _cell(name: str, message: str, hint: str, on: bool, more: str = "") -> str:
-    action = f' onclick="sv(\'{message}\')"' if on else ""
+    action = f" onclick=\"sv('{message}')\"" if on else ""
     return f'<span class="{more}{"" if on else " off"}" role="button" title="{safe(hint)}"{action}>{name}</span>'
 
 

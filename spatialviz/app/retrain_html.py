@@ -76,7 +76,7 @@ def _figures(training: TrainingProgress) -> str:
         '<table class="slices"><tr><th></th><th class="n" title="the network in use">in use</th>'
         '<th class="n" title="learnt from the labels before">before</th>'
         '<th class="n" title="learnt from the labels with the corrections">after</th><th class="n">gain</th></tr>'
-        f'{"".join(rows)}</table>'
+        f"{''.join(rows)}</table>"
         f'<div class="dim">{right} held-out cells became right, {wrong} wrong; gain {interval}</div>'
         + _cells("became right", trained["became_right"]["listed"])
         + _cells("became wrong", trained["became_wrong"]["listed"])
@@ -94,11 +94,11 @@ def _cells(title: str, cells: Sequence[Mapping[str, Any]]) -> str:
         return ""
     rows = "".join(
         f'<div class="cellrow" onclick="{_sends("labels-at:" + _pair_at(c))}" title="{safe(c["frame"])}">'
-        f'<span>{c["a"]} {PHRASE[c["relation"]]} {c["b"]} is {c["label"]}</span>'
+        f"<span>{c['a']} {PHRASE[c['relation']]} {c['b']} is {c['label']}</span>"
         f'<span class="dim">{safe(c["frame"])}</span><span class="n">{c["before"]:.2f} → {c["after"]:.2f}</span></div>'
         for c in cells[:LISTED]
     )
-    return f'<details><summary>{title}, the largest changes</summary>{rows}</details>'
+    return f"<details><summary>{title}, the largest changes</summary>{rows}</details>"
 
 
 def _pair_at(cell: Mapping[str, Any]) -> str:
@@ -135,7 +135,7 @@ def _expressions(title: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _sends(message: str) -> str:
-    return f"sv(this.dataset.m)\" data-m=\"{safe(message)}"
+    return f'sv(this.dataset.m)" data-m="{safe(message)}'
 
 
 def _install(training: TrainingProgress) -> str:

@@ -25,7 +25,7 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> st
         return panel('<div class="dim" style="padding:.7em 0">No labels are open (--labels).</div>')
     on = state.labels is not None
     button = f'<span class="try{" on" if on else ""}" role="button" onclick="sv(\'labels\')" title="Shift+L">'
-    button += f'{"labels are shown" if on else "show the labels"}</span>'
+    button += f"{'labels are shown' if on else 'show the labels'}</span>"
     parts = [f'<div class="nav" style="padding-top:.6em">{button}{_reviewer(desk)}</div>']
     waiting = [] if desk is None else [*desk.waiting]
     # What waits says why itself.
@@ -65,8 +65,8 @@ def pair_html(state: State) -> str:
         return panel(f'<div class="dim">{pair}{keys}</div>')
     colors = palette(state.dark)
     swap = '<span class="try" role="button" onclick="sv(\'swap\')" title="the other way round (X)">swap</span>'
-    first = f'{dot(colors["target"])}{safe(card.names[0])}·{card.a}'
-    second = f'{dot(colors["reference"])}{safe(card.names[1])}·{card.b}'
+    first = f"{dot(colors['target'])}{safe(card.names[0])}·{card.a}"
+    second = f"{dot(colors['reference'])}{safe(card.names[1])}·{card.b}"
     head = heading(f"<b>{first}</b> … <b>{second}</b>", swap)
     if card.why_none:
         return panel(head, note(f"Takes part in no relation: {card.why_none}"))

@@ -95,7 +95,7 @@ def _headline(pair: ScoredPair) -> str:
     doubt = "" if pair.holds else f' style="color:{DOUBT}"'
     return (
         f'<div class="heads"><span title="the probability of the {weakest}">P({weakest}) '
-        f'<b{doubt}>{probability(pair.relation_probability)}</b></span>'
+        f"<b{doubt}>{probability(pair.relation_probability)}</b></span>"
         '<span title="P(target) · P(reference) · P(relation)">product '
         f"<b>{probability(pair.product)}</b></span></div>"
     )
@@ -268,4 +268,3 @@ def _facts_html(entry: SceneObject, title: str) -> str:
     if quality.concerns:
         parts.append('<div style="height:.4em"></div>' + note("; ".join(quality.concerns), DOUBT))
     return "".join(parts)
-

@@ -93,7 +93,7 @@ def _verdicts(summary: RunSummary) -> str:
         rows.append(
             f'<div class="vrow" {searches(f"verdict:{verdict}")} title="{safe(hint)}">{verdict_chip(verdict)}'
             f'<span class="t" style="--c:{hex_color(COLORS[verdict])}"><i style="width:{100 * e.value:.2f}%"></i>'
-            f"{whisker}</span><span class=\"n dim\">{share.count}</span>"
+            f'{whisker}</span><span class="n dim">{share.count}</span>'
             f'<span class="n"><b>{percent(e)}</b></span><span class="n dim">{between(e)}</span></div>'
         )
     return heading("Verdicts", f"% of expressions · 95 % over {summary.unit}s") + "".join(rows)

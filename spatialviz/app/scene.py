@@ -362,9 +362,7 @@ class SceneView:
         colors: Mapping[Role, RGB],
     ) -> list[Tag]:
         while len(self._anchors) < len(objects):
-            self._anchors.append(
-                self._client.scene.add_frame(f"/tags/{len(self._anchors)}", show_axes=False)
-            )
+            self._anchors.append(self._client.scene.add_frame(f"/tags/{len(self._anchors)}", show_axes=False))
         tags = []
         for i in boxed:
             if not (role_of[i] != "other" or i == selected or flags.labels):

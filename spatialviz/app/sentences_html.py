@@ -28,8 +28,10 @@ def sentence_html(state: State) -> str:
     chip = f'<div class="under"><span></span>{up_chip(state)}</div>'
     card = view.sentence
     if card is None:
-        what = "Choose an expression below, or step through them with Alt+J." if view.expressions else (
-            "The labels have no expressions of this frame."
+        what = (
+            "Choose an expression below, or step through them with Alt+J."
+            if view.expressions
+            else ("The labels have no expressions of this frame.")
         )
         return panel(f'<div class="dim" style="padding:.6em 0 .3em">{what}</div>', said, chip)
     colors = palette(state.dark)
@@ -85,7 +87,7 @@ def _chip(state: State, view: LabelView, card: ExpressionCard, number: int, smal
     off = "" if small else f'<i role="button" title="not true of it" onclick="{drop}">×</i>'
     return (
         f'<span class="{" ".join(kinds)}" style="--c:{hex_color(color)}" title="{said}; click selects" '
-        f'onclick="event.stopPropagation();sv(\'number:{number}\')"><span>{name}</span>{off}</span>'
+        f"onclick=\"event.stopPropagation();sv('number:{number}')\"><span>{name}</span>{off}</span>"
     )
 
 
@@ -164,10 +166,12 @@ def _row(state: State, view: LabelView, card: ExpressionCard) -> str:
         tags.append(f'<b style="--c:{DOUBT}">ambiguous</b>')
     changed = {ORIGINS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {"auto"}
     tags += sorted(changed)
-    kinds = f'ex{" sel" if card.id == view.expression else ""}{" out" if card.withdrawn else ""}'
+    kinds = f"ex{' sel' if card.id == view.expression else ''}{' out' if card.withdrawn else ''}"
     title = f"left out: {card.withdrawn}" if card.withdrawn else card.text
-    below = _answers(state, view, card, small=True) if not card.withdrawn else (
-        f'<div class="dim" style="font-size:11px"><span>{safe(card.withdrawn)}</span></div>'
+    below = (
+        _answers(state, view, card, small=True)
+        if not card.withdrawn
+        else (f'<div class="dim" style="font-size:11px"><span>{safe(card.withdrawn)}</span></div>')
     )
     return (
         f'<div class="{kinds}" onclick="{_sends("expression:" + card.id)}" title="{safe(title)}">'

@@ -106,9 +106,7 @@ class Session:
             client, store, state=self._now, take=self._take, draw=self._draw, note=self._note,
             reopen=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
         )  # fmt: skip
-        self._selection = Selection(
-            self._now, self._take, self._draw, self.scene.viewpoint.focus, self._level.on_pixel
-        )
+        self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus, self._level.on_pixel)
         reach = (self._source, self._now, self._take)
         self._beside = BesideLayer(client, self.scene, self._now, self._take, self._draw)
         self._view = ViewSettings(client, self.page, self.scene, *reach, self._draw, self._note)

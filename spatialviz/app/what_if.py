@@ -277,9 +277,7 @@ class WhatIf:
             self._page.edit.content = edit_html(state, self._source(), candidate or hidden, self._map)
 
 
-def _taken(
-    state: State, edits: Edits, edited: Edited, judged: Diagnosis | str | None, keys: tuple[str, ...]
-) -> State:
+def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str | None, keys: tuple[str, ...]) -> State:
     """The state with an answer under edits.
 
     What was selected stays so. The chosen pair stays, too, unless it was the answer: then it is the new one.
@@ -289,8 +287,10 @@ def _taken(
     trace = outcome.trace
     chosen = state.chosen
     first = chosen is None or chosen is state.ranked[0]
-    named = None if chosen is None else tuple(
-        keys[i] for i in (chosen.target, chosen.reference, chosen.second_reference) if i is not None
+    named = (
+        None
+        if chosen is None
+        else tuple(keys[i] for i in (chosen.target, chosen.reference, chosen.second_reference) if i is not None)
     )
     selected = _key_at(state, state.selected, keys)
     changed = replace(
@@ -333,5 +333,3 @@ def _key_at(state: State, i: int | None, keys: tuple[str, ...]) -> str | None:
     if entry.id >= 0:
         return f"#{entry.id}"
     return next((keys[t] for t, s in state.shown.place.items() if s == i), None)
-
-

@@ -90,7 +90,7 @@ def _placement(state: State) -> str:
     shown = "region: shown" if state.flags.region else "region: show it"
     click = f'<span class="try" onclick="sv(\'flag:region\')" title="in the scene (Shift+R)">{shown}</span>'
     legend = "".join(
-        f'<span>{dot(color)}{"holds" if label == "T" else "in doubt"} ({label})</span>'
+        f"<span>{dot(color)}{'holds' if label == 'T' else 'in doubt'} ({label})</span>"
         for label, color in REGION_COLORS.items()
     )
     return (
@@ -152,8 +152,8 @@ def _decomposition(state: State, d: Diagnosis) -> str:
         above = None if change is None or change.right_above is None else threshold(change.right_above, change.right)
         wanted = "" if above is None else f"&gt; {above[0]}"
         rows.append(
-            f"<tr><td>{name}</td><td class=\"n\">{getattr(d.winner, f'p_{name}'):.2f}</td>"
-            f"<td class=\"n\">{getattr(d.right, f'p_{name}'):.2f}</td>"
+            f'<tr><td>{name}</td><td class="n">{getattr(d.winner, f"p_{name}"):.2f}</td>'
+            f'<td class="n">{getattr(d.right, f"p_{name}"):.2f}</td>'
             f'<td style="width:38%"><div class="diverge"><i style="--c:{color};{side}"></i></div></td>'
             f'<td class="n">{share:+.2f}</td><td class="n dim">{wanted}</td></tr>'
         )
@@ -169,8 +169,7 @@ def _decomposition(state: State, d: Diagnosis) -> str:
         'all else as it is">needed</th></tr>'
     )
     return (
-        heading("Answer against the right pair")
-        + f'<div class="facts"><span>answer</span><span>{pairs[0]}</span>'
+        heading("Answer against the right pair") + f'<div class="facts"><span>answer</span><span>{pairs[0]}</span>'
         f"<span>right</span><span>{pairs[1]}</span></div>"
         + f'<table>{head}{"".join(rows)}<tr class="sum"><td>S</td><td></td><td></td><td></td>'
         f'<td class="n"><b>{total:+.2f}</b></td><td></td></tr></table>'
@@ -200,8 +199,7 @@ def _oracles(d: Diagnosis) -> str:
     if len(d.mends) > 1:
         repair = f"each alone would do: {', '.join(d.mends)}"
     return (
-        heading("With the truth in place of", repair)
-        + '<table class="oracles"><tr><th></th><th></th><th>target</th>'
+        heading("With the truth in place of", repair) + '<table class="oracles"><tr><th></th><th></th><th>target</th>'
         '<th class="n" title="S of the best acceptable pair less S of the best other one">margin</th></tr>'
         + "".join(rows)
         + "</table>"
@@ -233,7 +231,7 @@ def _matrix(state: State) -> str:
                 continue
             pair = state.ranked[k]
             chosen = state.at(pair)[:2] == (state.pair or ())[:2]
-            marks = f'{" sel" if chosen else ""}{" ok" if (r, c) in accepted else ""}{" top" if k == 0 else ""}'
+            marks = f"{' sel' if chosen else ''}{' ok' if (r, c) in accepted else ''}{' top' if k == 0 else ''}"
             hint = (
                 f"{_name(state, r)} · {_name(state, c)}: relation {pair.p_relation:.3f}, S {pair.log_score:.2f}, "
                 f"P {pair.probability:.3f}, rank {k + 1}" + (", acceptable" if (r, c) in accepted else "")
@@ -245,7 +243,7 @@ def _matrix(state: State) -> str:
         name = f"{dot(colors['target'])}{safe(_name(state, r))}"
         body.append(
             f'<tr><td class="w2" title="{safe(_name(state, r))}">{name}</td><td class="n dim">{score:.2f}</td>'
-            f'{"".join(cells)}</tr>'
+            f"{''.join(cells)}</tr>"
         )
     cut = max(len(targets.index), len(references.index)) > MATRIX_LIMIT
     more = f"best {MATRIX_LIMIT} a side" if cut else "relation · outlined: acceptable"
@@ -278,4 +276,3 @@ def _heat(p: float) -> float:
 
 def _short(p: float) -> str:
     return "1" if p >= 0.995 else f"{p:.2f}"[1:]
-

@@ -150,7 +150,7 @@ def _expression(answered: Answer) -> str:
 def _views(answered: Answer, context: PreparedFrame, cast: AnswerRoles, scene: str | None) -> str:
     keys = _key("target", "target") + _key("reference", "reference")
     truth = _key("truth", "true", " dashed") if cast.truth else ""
-    picture = f'<figure>{picture_svg(context.frame, cast)}<figcaption>{keys}{truth}</figcaption></figure>'
+    picture = f"<figure>{picture_svg(context.frame, cast)}<figcaption>{keys}{truth}</figcaption></figure>"
     if scene is None:
         return f'<div class="views one">{picture}</div>'
     ghost = _key("truth", "true box") if any(o.lifted.box is not None for _, o in cast.truth.values()) else ""
@@ -248,7 +248,11 @@ class Subject:
 
     @staticmethod
     def of_dataset(
-        path: str, source: Pipeline, context: PreparedFrame, text: str, options: Sequence[str] = (),
+        path: str,
+        source: Pipeline,
+        context: PreparedFrame,
+        text: str,
+        options: Sequence[str] = (),
         labels: Labels | None = None,
     ) -> Subject:
         """An expression on a frame of a dataset, judged by labels or its annotations; `options` of the command line."""

@@ -21,7 +21,7 @@ from pipeline.geometry.camera import Camera, project
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import MaskCrop
 from pipeline.geometry.palette import ON_DARK, Role
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.whole_files import write_whole
 
 TINT = 0.45
@@ -106,14 +106,12 @@ def write_picture(image: np.ndarray, path: Path) -> None:
     InputError
         Where the folder does not exist or cannot be written, or the ending is not that of an image.
     """
-    if not path.parent.is_dir():
-        raise InputError("the folder for the picture does not exist", path=path.parent)
+    require(path.parent.is_dir(), "the folder for the picture does not exist", path=path.parent)
     try:
         ok, data = cv2.imencode(path.suffix or ".", image[..., ::-1])
     except cv2.error:
         ok, data = False, np.zeros(0, np.uint8)
-    if not ok:
-        raise InputError("cannot write a picture of this kind", got=path.suffix, expected=".png or .jpg", path=path)
+    require(ok, "cannot write a picture of this kind", got=path.suffix, expected=".png or .jpg", path=path)
     write_whole(path, data.tobytes(), "the picture")
 
 

@@ -97,9 +97,7 @@ def _draw_boxes(scene: viser.SceneApi, cast: AnswerRoles, to_show: np.ndarray) -
     ends = [box.center @ to_show.T for box in pair if box is not None]
     if len(ends) == 2:
         tint = np.array([[colors["target"], colors["reference"]]], np.uint8)
-        scene.add_line_segments(
-            "/pair", np.array([ends], np.float32), tint, thickness=4.0, thickness_units="screen"
-        )
+        scene.add_line_segments("/pair", np.array([ends], np.float32), tint, thickness=4.0, thickness_units="screen")
 
 
 def _add_boxes(scene: viser.SceneApi, role: Role, boxes: list[Box3D], color: RGB, width: float, faces: float) -> None:

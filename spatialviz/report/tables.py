@@ -178,7 +178,7 @@ def relations_html(answered: Answer, cast: AnswerRoles) -> str:
     )
     return (
         f'<div class="scroll"><table class="relations"><thead><tr><th scope="col">relation</th>{head}</tr></thead>'
-        f'<tbody>{"".join(rows)}</tbody></table></div>'
+        f"<tbody>{''.join(rows)}</tbody></table></div>"
         '<p class="quiet">The label says T holds, U in doubt, F does not; – not judged, or no labelled object.</p>'
     )
 

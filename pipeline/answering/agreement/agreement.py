@@ -16,7 +16,7 @@ from pipeline.language.naming import Synonyms
 from pipeline.metrics.intervals import cohen_kappa
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.class_names import knows, name_groups, same_name, same_names
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 MIN_IOU = 0.5
 """Two detections that overlap less are not of one thing."""
@@ -140,8 +140,7 @@ def agree(a: Layer, b: Layer, *, min_iou: float = MIN_IOU, synonyms: Synonyms | 
     InputError
         An overlap out of range, or masks of different size.
     """
-    if not 0 < min_iou <= 1:
-        raise InputError("the least overlap must be above 0 and at most 1", got=min_iou)
+    require(0 < min_iou <= 1, "the least overlap must be above 0 and at most 1", got=min_iou)
     overlap = overlaps(a, b)
     same = same_names(a.labels, b.labels, synonyms)
     pairs = matched(overlap, same, min_iou)

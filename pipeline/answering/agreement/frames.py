@@ -22,7 +22,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Detector
 from pipeline.proposals.class_names import known_names, knows
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 def find_layer(
@@ -32,8 +32,7 @@ def find_layer(
     if names is None:
         return layer_of_proposals(detector.detect(frame, None), known_names(detector))
     known = [name for name in names if knows(detector.vocabulary, name, synonyms)]
-    if not known:
-        raise InputError(f"the detector {detector.name} knows none of the names", got=", ".join(names))
+    require(known, f"the detector {detector.name} knows none of the names", got=", ".join(names))
     return layer_of_proposals(detector.detect(frame, known), known)
 
 
@@ -77,8 +76,11 @@ def agree_frames(
         raise InputError("there is nothing to compare the detector with", expected="--also NAME or --also NAME=MODEL")
     if names is not None:
         for one in (detector, second):
-            if not any(knows(one.vocabulary, name, source.synonyms) for name in names):
-                raise InputError(f"the detector {one.name} knows none of the names", got=", ".join(names))
+            require(
+                any(knows(one.vocabulary, name, source.synonyms) for name in names),
+                f"the detector {one.name} knows none of the names",
+                got=", ".join(names),
+            )
     chosen = frame_range(source.dataset, frames)
     named = frames if len(chosen) == 1 else ALL_FRAMES
     for done, frame_id in enumerate(chosen, start=1):

@@ -58,7 +58,7 @@ from pipeline.labels.schema import TABLES
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 _NAMED = ("table", "frame", "key", "column")
 _KEYS = {"objects": ("object",), "relations": ("a", "b"), "expressions": ("id",)}
@@ -104,8 +104,7 @@ class Corrector:
         InputError
             The labels have no such frame, or the dataset cannot load it.
         """
-        if frame not in self.index.of_frame:
-            raise InputError("the labels have no such frame", got=repr(frame), path=self.labels.root)
+        require(frame in self.index.of_frame, "the labels have no such frame", got=repr(frame), path=self.labels.root)
         events = journal.events(frame=frame) if isinstance(journal, Journal) else tuple(journal)
         key = frame, tuple(e.ulid for e in events)
         with self._lock:

@@ -52,8 +52,7 @@ class FieldRef:
     field: str
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise InputError("no such kind of entity", got=repr(self.kind), expected=" | ".join(KINDS))
+        require(self.kind in KINDS, "no such kind of entity", got=repr(self.kind), expected=" | ".join(KINDS))
         if self.field not in FIELDS[self.kind]:
             expected = ", ".join(FIELDS[self.kind])
             raise InputError(f"a {self.kind} has no such field", got=repr(self.field)[:60], expected=expected)
@@ -143,8 +142,7 @@ def plain_text(value: Any, what: str, longest: int) -> str:
     """
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"{what} must be a text that is not empty", got=repr(value)[:60])
-    if len(value) > longest:
-        raise InputError(f"{what} is too long", got=f"{len(value)} characters", expected=f"at most {longest}")
+    require(len(value) <= longest, f"{what} is too long", got=f"{len(value)} characters", expected=f"at most {longest}")
     if "\x00" in value or any("\ud800" <= c <= "\udfff" for c in value):
         raise InputError(f"{what} holds a character that cannot be kept", got=ascii(value)[:60])
     return value

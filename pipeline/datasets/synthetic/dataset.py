@@ -22,7 +22,7 @@ from pipeline.datasets.synthetic.layout import Room
 from pipeline.datasets.synthetic.raycast import silhouette
 from pipeline.datasets.synthetic.render import RenderedFrame, choose_views, render_view
 from pipeline.datasets.synthetic.rooms import make_room
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 ROOMS_A_SEED = 1_000_000
 """Room i of dataset seed s has the room seed s * ROOMS_A_SEED + i, so datasets never share a room."""
@@ -125,23 +125,27 @@ def render_dataset(
 
 def _check(out: Path, rooms: int, views: int, seed: int, width: int, height: int, workers: int) -> None:
     for name, value in (("rooms", rooms), ("views", views), ("workers", workers)):
-        if value < 1:
-            raise InputError(f"{name} must be at least 1", got=value)
-    if seed < 0:
-        raise InputError("a seed must not be negative", got=seed)
-    if min(width, height) < SMALLEST_SIDE:
-        raise InputError(
-            "the picture is too small", got=f"{width}x{height}", expected=f"at least {SMALLEST_SIDE} pixels a side"
-        )
-    if out.exists() and not out.is_dir():
-        raise InputError("the output is a file", expected="a folder that is empty or does not exist", path=out)
-    if out.is_dir() and any(out.iterdir()):
-        raise InputError(
-            "the output folder is not empty",
-            expected="a folder that is empty or does not exist",
-            cause="is an earlier rendering in it?",
-            path=out,
-        )
+        require(value >= 1, f"{name} must be at least 1", got=value)
+    require(seed >= 0, "a seed must not be negative", got=seed)
+    require(
+        min(width, height) >= SMALLEST_SIDE,
+        "the picture is too small",
+        got=f"{width}x{height}",
+        expected=f"at least {SMALLEST_SIDE} pixels a side",
+    )
+    require(
+        not (out.exists() and not out.is_dir()),
+        "the output is a file",
+        expected="a folder that is empty or does not exist",
+        path=out,
+    )
+    require(
+        not (out.is_dir() and any(out.iterdir())),
+        "the output folder is not empty",
+        expected="a folder that is empty or does not exist",
+        cause="is an earlier rendering in it?",
+        path=out,
+    )
 
 
 Job = tuple[Path, int, int, int, int]

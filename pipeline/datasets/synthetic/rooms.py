@@ -13,7 +13,7 @@ from pipeline.datasets.synthetic import objects as o
 from pipeline.datasets.synthetic.layout import Focus, Layout, Room
 from pipeline.datasets.synthetic.model import PALETTES, Model, Palette, Part, Surface, assemble
 from pipeline.datasets.synthetic.shell import build_shell, window_opening
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 KINDS = ("study", "dining room", "living room", "bedroom")
 
@@ -26,8 +26,7 @@ def make_room(seed: int) -> Room:
     InputError
         The seed is negative.
     """
-    if seed < 0:
-        raise InputError("a seed must not be negative", got=seed)
+    require(seed >= 0, "a seed must not be negative", got=seed)
     rng = np.random.default_rng([seed, 7])
     kind = KINDS[seed % 4]
     # The first four seeds are the demo's; each has a colour scheme of its own.

@@ -24,7 +24,7 @@ from pipeline.geometry.masks import RunLength, decode_run_length
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, no_proposals
 from pipeline.proposals.recorded import RecordedDetection
-from pipeline.system.errors import InputError, UnknownClass
+from pipeline.system.errors import InputError, UnknownClass, require
 
 
 class KeptDetection(RecordedDetection, extra="forbid"):
@@ -146,8 +146,9 @@ def _proposals(rows: Sequence[KeptDetection], shape: tuple[int, int]) -> Proposa
         if row.mask is None:
             masks[k] = box_mask(boxes[k], *shape)
             continue
-        if row.mask.size != shape:
-            raise InputError(f"the mask of detection {k} has another size", got=row.mask.size, expected=shape)
+        require(
+            row.mask.size == shape, f"the mask of detection {k} has another size", got=row.mask.size, expected=shape
+        )
         masks[k] = decode_run_length(row.mask.size, row.mask.counts, f"detection {k}")
     return Proposals(
         boxes,

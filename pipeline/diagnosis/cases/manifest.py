@@ -15,7 +15,7 @@ from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _LETTERS = {int(T): "T", int(U): "U", int(F): "F"}
 _STATES = {letter: state for state, letter in _LETTERS.items()}
@@ -246,8 +246,12 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
     if not all(0 <= p < n for p in indices):
         among = f"objects 0 to {n - 1}"
         raise InputError("the case is damaged at truth.expression", got=indices, expected=among, path=path)
-    if e.relation not in saved.states or not set(saved.states) <= set(PAIRWISE):
-        raise InputError("the case is damaged at truth.states", got=list(saved.states), path=path)
+    require(
+        e.relation in saved.states and set(saved.states) <= set(PAIRWISE),
+        "the case is damaged at truth.states",
+        got=list(saved.states),
+        path=path,
+    )
     if any(o.R is not None and len(o.R) != 9 for o in saved.objects):
         raise InputError("the case is damaged at truth.objects", expected="R of nine numbers", path=path)
     case = Case(
@@ -286,8 +290,12 @@ def _letters(table: np.ndarray, judged: np.ndarray) -> list[str]:
 
 def _table(rows: tuple[str, ...], n: int, what: str, values: dict[str, int], path: Path) -> np.ndarray:
     """(n, n) int8 of n words of n letters."""
-    if len(rows) != n or any(len(row) != n or not set(row) <= set(values) for row in rows):
-        raise InputError(f"the case is damaged at truth.{what}", expected=f"{n} rows of {n} letters", path=path)
+    require(
+        len(rows) == n and not any(len(row) != n or not set(row) <= set(values) for row in rows),
+        f"the case is damaged at truth.{what}",
+        expected=f"{n} rows of {n} letters",
+        path=path,
+    )
     return np.array([[values[letter] for letter in row] for row in rows], np.int8).reshape(n, n)
 
 

@@ -20,7 +20,7 @@ from pipeline.diagnosis.cases.manifest import Expected, ExpectedObject, checked_
 from pipeline.diagnosis.cases.saving import OpenedCase, open_case, write_expected
 from pipeline.geometry.boxes import iou_2d
 from pipeline.relations import make_scorer
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Status = Literal["same", "changed", "updated", "damaged"]
 
@@ -75,13 +75,11 @@ def find_cases(path: str | Path) -> tuple[Path, ...]:
     path = Path(path)
     if (path / MANIFEST).is_file():
         return (path,)
-    if not path.is_dir():
-        raise InputError("there is no such case", path=path)
+    require(path.is_dir(), "there is no such case", path=path)
     # A half-written case has a hidden name.
     files = (file.relative_to(path) for file in path.rglob(MANIFEST))
     found = sorted(path / f.parent for f in files if not any(part.startswith(".") for part in f.parts))
-    if not found:
-        raise InputError("the folder holds no saved case", expected=f"folders with {MANIFEST}", path=path)
+    require(found, "the folder holds no saved case", expected=f"folders with {MANIFEST}", path=path)
     return tuple(found)
 
 
@@ -101,8 +99,7 @@ def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool 
     InputError
         The case cannot be answered: it is damaged, or lacks its network.
     """
-    if not (np.isfinite(tolerance) and tolerance >= 0):
-        raise InputError("a tolerance must be at least 0", got=tolerance)
+    require((np.isfinite(tolerance) and tolerance >= 0), "a tolerance must be at least 0", got=tolerance)
     now = opened.answer()
     record = answer_record(now)
     after = checked_expected(record, opened.root)

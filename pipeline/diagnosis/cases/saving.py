@@ -43,7 +43,7 @@ from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.proposals import make_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import temporary_beside, write_synced, write_whole
 
@@ -105,11 +105,13 @@ def save_case(
         back from what it gave; nothing is written then.
     """
     folder = Path(folder)
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise InputError("the folder for the case is not empty", expected="a new one", path=folder)
-    now = answer(
-        source, context, text, truth=truth, case=case, mark=mark, confidence=confidence, edits=edits
+    require(
+        not (folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))),
+        "the folder for the case is not empty",
+        expected="a new one",
+        path=folder,
     )
+    now = answer(source, context, text, truth=truth, case=case, mark=mark, confidence=confidence, edits=edits)
     frame, files = saved_frame(context.frame)
     files[PROPOSALS] = _json(_proposals(source, context, now, case)).encode()
     scorer, network = _scorer_record(source.scorer, copy_network)
@@ -316,8 +318,7 @@ def open_case(
         A damaged case, or one whose relation network is neither in it nor given.
     """
     root = Path(root)
-    if not (root / MANIFEST).is_file():
-        raise InputError("this is no saved case", expected=f"a folder with {MANIFEST}", path=root)
+    require((root / MANIFEST).is_file(), "this is no saved case", expected=f"a folder with {MANIFEST}", path=root)
     table = read_manifest(root)
     manifest, expected = checked_manifest(root, table)
     proposals = checked_file(root, table, PROPOSALS)

@@ -12,7 +12,7 @@ from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.cases import FrameCases
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 SMALLEST_SIDE = 0.01
 """Metres; a flatter box could not be taken hold of again."""
@@ -101,8 +101,12 @@ def grown(mask: np.ndarray, pixels: int) -> np.ndarray:
     InputError
         A radius out of range.
     """
-    if abs(pixels) > MOST_PIXELS:
-        raise InputError("a mask grows by so many pixels at most", got=pixels, expected=f"at most {MOST_PIXELS}")
+    require(
+        abs(pixels) <= MOST_PIXELS,
+        "a mask grows by so many pixels at most",
+        got=pixels,
+        expected=f"at most {MOST_PIXELS}",
+    )
     if pixels == 0:
         return mask
     step = np.arange(-abs(pixels), abs(pixels) + 1)
@@ -122,15 +126,13 @@ def rectangle(height: int, width: int, corners: tuple[float, float, float, float
         The rectangle holds no pixel.
     """
     x0, y0, x1, y1 = corners
-    if not np.isfinite([x0, y0, x1, y1]).all():
-        raise InputError("the corners of a rectangle must be finite", got=corners)
+    require(np.isfinite([x0, y0, x1, y1]).all(), "the corners of a rectangle must be finite", got=corners)
     xs, ys = sorted((x0, x1)), sorted((y0, y1))
     left, right = (int(np.clip(round(x * width), 0, width)) for x in xs)
     top, bottom = (int(np.clip(round(y * height), 0, height)) for y in ys)
     mask = np.zeros((height, width), np.bool_)
     mask[top:bottom, left:right] = True
-    if not mask.any():
-        raise InputError("the rectangle holds no pixel", got=corners)
+    require(mask.any(), "the rectangle holds no pixel", got=corners)
     return mask
 
 

@@ -14,7 +14,7 @@ from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.whatif.edits import Edits, checked_lift, checked_profile, checked_rank
 from pipeline.diagnosis.whatif.rerun import Outcome
 from pipeline.language.relation_names import PHRASE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 _WORDS = {
     "k": "proposals a name (K)",
@@ -195,8 +195,7 @@ def each_edit(edits: Edits, named: Callable[[str], str] = str) -> tuple[Edit, ..
 
 def without_edit(edits: Edits, id: str) -> Edits:
     """The edits without one; InputError where there is none of this id, or where the other settings need it."""
-    if id not in {edit.id for edit in each_edit(edits)}:
-        raise InputError("there is no such edit", got=id)
+    require(id in {edit.id for edit in each_edit(edits)}, "there is no such edit", got=id)
     group, *rest = json.loads(id)
     if group in ("k", "min_score", "scorer"):
         return replace(edits, **{group: None})
@@ -211,5 +210,3 @@ def without_edit(edits: Edits, id: str) -> Edits:
 
 def _id(*parts: str) -> str:
     return json.dumps(parts, separators=(",", ":"))
-
-

@@ -28,7 +28,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.predicates import pair_states, predicates_of
 from pipeline.relations.relations import Profile, measure_pairs
 from pipeline.relations.scorer import RuleScorer, stacked_extents
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _PairTable = dict[int, np.ndarray]
 """Other object -> (C, 2, 9): P("moved RELATION other") and P("other RELATION moved") at each cell."""
@@ -82,9 +82,7 @@ class DecisionMap:
     seconds: float
 
 
-def decision_map(
-    baseline: Baseline, edits: Edits, key: str, cells: int = CELLS, margin: float = MARGIN
-) -> DecisionMap:
+def decision_map(baseline: Baseline, edits: Edits, key: str, cells: int = CELLS, margin: float = MARGIN) -> DecisionMap:
     """Who would win if the object stood at each cell of the floor.
 
     Parameters
@@ -103,14 +101,18 @@ def decision_map(
         answer, or the scorer is one that judges a list only as a whole.
     """
     start = perf_counter()
-    if not 2 <= cells <= MOST_CELLS:
-        raise InputError("a decision map needs a number of cells", got=cells, expected=f"2 to {MOST_CELLS}")
-    if not (np.isfinite(margin) and 0 <= margin <= 100):
-        raise InputError("the margin of a decision map is out of range", got=margin, expected="0 to 100 m")
+    require(
+        2 <= cells <= MOST_CELLS, "a decision map needs a number of cells", got=cells, expected=f"2 to {MOST_CELLS}"
+    )
+    require(
+        (np.isfinite(margin) and 0 <= margin <= 100),
+        "the margin of a decision map is out of range",
+        got=margin,
+        expected="0 to 100 m",
+    )
     outcome = rerun(baseline, edits)
     trace = outcome.trace
-    if key not in outcome.keys:
-        raise InputError(f"there is no candidate {key!r}", expected=", ".join(outcome.keys) or "any at all")
+    require(key in outcome.keys, f"there is no candidate {key!r}", expected=", ".join(outcome.keys) or "any at all")
     if trace.ranking is None:
         raise InputError("a question without candidates for every name has no decision map")
     lo, hi = stacked_extents([o.lifted for o in trace.objects])

@@ -29,7 +29,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.relations.relations import Profile
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Record = dict[str, Any]
 _T = TypeVar("_T")
@@ -89,8 +89,11 @@ def checked_profile(values: Mapping[str, Any]) -> dict[str, Any]:
     ):
         if getattr(whole, wider) < getattr(whole, narrower):
             raise InputError(f"{wider} must be at least {narrower}", got=f"{getattr(whole, wider)}")
-    if whole.gap_switch_band[0] > whole.gap_switch_band[1]:
-        raise InputError("gap_switch_band must be from low to high", got=list(whole.gap_switch_band))
+    require(
+        whole.gap_switch_band[0] <= whole.gap_switch_band[1],
+        "gap_switch_band must be from low to high",
+        got=list(whole.gap_switch_band),
+    )
     return found
 
 
@@ -98,8 +101,7 @@ def checked_lift(values: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of LiftConfig; InputError for an unknown one, or one out of range."""
     found = _checked(LiftConfig, values, "lift", _LIFT_BOUNDS.get)
     whole = LiftConfig(**found)
-    if whole.near >= whole.far:
-        raise InputError("near must be less than far", got=f"{whole.near} and {whole.far}")
+    require(whole.near < whole.far, "near must be less than far", got=f"{whole.near} and {whole.far}")
     return found
 
 
@@ -109,8 +111,7 @@ def _checked(
     """The fields of a dataclass, each within its bounds, if it has any."""
     known = [f.name for f in fields(kind)]
     for name in values:
-        if name not in known:
-            raise InputError(f"{where} has no setting {name!r}", expected=", ".join(known))
+        require(name in known, f"{where} has no setting {name!r}", expected=", ".join(known))
     try:
         whole = adapter(kind).validate_json(json.dumps(dict(values), allow_nan=False), strict=True)
     except ValidationError as error:
@@ -124,8 +125,12 @@ def _checked(
     for name, value in found.items():
         least, most = bounds(name) or (-np.inf, np.inf)
         for number in value if isinstance(value, tuple) else (value,):
-            if bounds(name) and not least <= number <= most:
-                raise InputError(f"{name} is out of range", got=number, expected=f"{least:g} to {most:g}")
+            require(
+                not (bounds(name) and not least <= number <= most),
+                f"{name} is out of range",
+                got=number,
+                expected=f"{least:g} to {most:g}",
+            )
     return found
 
 
@@ -183,10 +188,12 @@ class RunLengthMask:
 
     def decoded(self, height: int, width: int, key: str) -> np.ndarray:
         """(H, W) bool; InputError where it is not of a picture of that size."""
-        if self.size != (height, width):
-            raise InputError(
-                f"the mask of {key} is of another picture size", got=list(self.size), expected=f"[{height}, {width}]"
-            )
+        require(
+            self.size == (height, width),
+            f"the mask of {key} is of another picture size",
+            got=list(self.size),
+            expected=f"[{height}, {width}]",
+        )
         return decode_run_length(self.size, self.counts, f"the mask of {key}")
 
 
@@ -209,15 +216,13 @@ class _Relation:
     p: Share
 
     def __post_init__(self) -> None:
-        if self.a == self.b:
-            raise InputError("a relation is between two objects", got=f"{self.a} twice")
+        require(self.a != self.b, "a relation is between two objects", got=f"{self.a} twice")
 
 
 def _each_once(entries: Sequence[_Confidence | _Relation]) -> dict[tuple[str, ...], float]:
     """The probabilities by what they are of."""
     found = {tuple(vars(entry).values())[:-1]: entry.p for entry in entries}
-    if len(found) < len(entries):
-        raise InputError("the edits give one and the same probability twice")
+    require(len(found) >= len(entries), "the edits give one and the same probability twice")
     return found
 
 
@@ -279,8 +284,9 @@ class Edits:
 
     def with_mask(self, key: str, mask: np.ndarray) -> Edits:
         """The object's pixels are these ((H, W) bool)."""
-        if mask.ndim != 2 or mask.dtype != np.bool_:
-            raise InputError("a mask must be bool (H, W)", got=f"{mask.dtype} {mask.shape}")
+        require(
+            mask.ndim == 2 and mask.dtype == np.bool_, "a mask must be bool (H, W)", got=f"{mask.dtype} {mask.shape}"
+        )
         return replace(self, masks={**self.masks, key: RunLengthMask.of(mask)})
 
     def with_hidden(self, key: str) -> Edits:
@@ -297,8 +303,7 @@ class Edits:
 
     def with_relation(self, relation: str, a: str, b: str, p: float) -> Edits:
         """P("a RELATION b") is `p`."""
-        if a == b:
-            raise InputError("a relation is between two objects", got=f"{a} twice")
+        require(a != b, "a relation is between two objects", got=f"{a} twice")
         return replace(self, relations={**self.relations, (relation, a, b): probability(p)})
 
     def with_k(self, k: int | None) -> Edits:
@@ -341,8 +346,7 @@ class Edits:
 
 def probability(p: float) -> float:
     """`p` as a float; InputError outside 0..1."""
-    if not 0.0 <= p <= 1.0:
-        raise InputError("a probability must lie in 0..1", got=p)
+    require(0.0 <= p <= 1.0, "a probability must lie in 0..1", got=p)
     return float(p)
 
 
@@ -384,8 +388,12 @@ def load_edits(path: str | Path) -> Edits:
     """Edits from a file; InputError where it cannot be read or holds none."""
     path = Path(path)
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError("the file of edits is too large", expected=f"at most {LARGEST_FILE} bytes", path=path)
+        require(
+            path.stat().st_size <= LARGEST_FILE,
+            "the file of edits is too large",
+            expected=f"at most {LARGEST_FILE} bytes",
+            path=path,
+        )
         text = path.read_bytes()
     except OSError as error:
         raise InputError("the edits cannot be read", got=error.strerror, path=path) from error

@@ -24,7 +24,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, measure_pairs, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _WHOLE = 0.5
 """From this share of new pairs on everything is scored anew, as one scene."""
@@ -300,8 +300,7 @@ def object_keys(trace: Trace, found: Mapping[str, Proposals]) -> tuple[str, ...]
             entry = trace.objects[at]
             alike = (proposals.boxes == entry.bbox).all(axis=1) & (proposals.scores == np.float32(entry.score))
             indices = [k for k in np.flatnonzero(alike).tolist() if k not in taken]
-            if not indices:
-                raise InputError(f"the trace has an object {name!r} that is not among these detections")
+            require(indices, f"the trace has an object {name!r} that is not among these detections")
             taken.add(indices[0])
             keys[at] = names[indices[0]]
     if any(key is None for key in keys):

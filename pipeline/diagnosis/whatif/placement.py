@@ -13,7 +13,7 @@ from pipeline.relations.contact import Measured, in_measures, near_measures, on_
 from pipeline.relations.predicates import pair_margins, pair_states
 from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
 from pipeline.relations.scorer import stacked_extents
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 Measures = dict[str, float]
 
@@ -40,7 +40,7 @@ class Placement:
 
     @property
     def letter(self) -> str:
-        """"T", "U" or "F"."""
+        """ "T", "U" or "F"."""
         return letter(self.state)
 
 
@@ -58,8 +58,9 @@ def place_in_region(
     InputError
         For a relation that is not of two objects.
     """
-    if relation not in PAIRWISE:
-        raise InputError("there is no region of this relation", got=repr(relation), expected=", ".join(PAIRWISE))
+    require(
+        relation in PAIRWISE, "there is no region of this relation", got=repr(relation), expected=", ".join(PAIRWISE)
+    )
     profile = profile or Profile()
     lo, hi = stacked_extents([target, reference])
     if not known_extents(lo, hi).all():

@@ -22,7 +22,7 @@ from pipeline.language.relation_names import HORIZONTAL, PAIRWISE, RELATIONS
 from pipeline.relations.contact import Measured
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _Line = tuple[float, float]
 _Level = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -107,13 +107,18 @@ def region_of(
         For another relation, a reference without extents, a size that is none.
     """
     profile = profile or Profile()
-    if relation not in PAIRWISE:
-        raise InputError("there is no region of this relation", got=repr(relation), expected=", ".join(PAIRWISE))
+    require(
+        relation in PAIRWISE, "there is no region of this relation", got=repr(relation), expected=", ".join(PAIRWISE)
+    )
     size = np.asarray(size, np.float64)
     if size.shape != (3,) or not np.isfinite(size).all() or (size < 0).any():
         raise InputError("the target's size must be three lengths", got=size.tolist())
-    if not (np.isfinite(reach) and 0 < reach <= 100):
-        raise InputError("the reach of a region is out of range", got=reach, expected="above 0, up to 100 m")
+    require(
+        (np.isfinite(reach) and 0 < reach <= 100),
+        "the reach of a region is out of range",
+        got=reach,
+        expected="above 0, up to 100 m",
+    )
     lo, hi = reference.lo, reference.hi
     if not known_extents(lo[None], hi[None]).all():
         raise InputError("the reference has no place in space, and so there is no region around it")
@@ -206,9 +211,7 @@ def _exact_cuts(
     return np.unique(np.round([x for x in cuts if 0 <= x <= far[0]], 9)), c, m
 
 
-def _uprights(
-    axis: int, side: int, half: float, shorter: float, depth: float, profile: Profile
-) -> list[float]:
+def _uprights(axis: int, side: int, half: float, shorter: float, depth: float, profile: Profile) -> list[float]:
     """Where along the relation's axis the verdict may change at once for every place across it."""
     found = [half + g for g in (0.0, profile.gap_switch, *profile.gap_switch_band)]
     found += [half - share * shorter for share in (profile.overlap_doubts, profile.overlap_excludes)]
@@ -356,9 +359,7 @@ def _in(middle: np.ndarray, hi: np.ndarray, lo: np.ndarray, size: np.ndarray, pr
     return found
 
 
-def _near(
-    middle: np.ndarray, half: np.ndarray, extent: np.ndarray, size: np.ndarray, profile: Profile
-) -> list[Solid]:
+def _near(middle: np.ndarray, half: np.ndarray, extent: np.ndarray, size: np.ndarray, profile: Profile) -> list[Solid]:
     """The box of touching places, grown by a sphere."""
     sizes = [np.maximum(s, profile.min_extent) for s in (extent, size)]
     mean = sum(float(np.linalg.norm(s)) for s in sizes) / 2
@@ -401,9 +402,9 @@ def _overlapping(half: np.ndarray, extent: np.ndarray, own: np.ndarray, share: f
         return np.zeros((0, 2)) if need > 0 else _rectangle(half)
     along = np.geomspace(need / most[1], most[0], _CORNER_STEPS)
     quarter = np.stack([reach[0] - along, reach[1] - need / along], axis=1)
-    return np.concatenate(
-        [quarter[::-1] * [1, 1], quarter * [-1, 1], quarter[::-1] * [-1, -1], quarter * [1, -1]]
-    )[::-1]
+    return np.concatenate([quarter[::-1] * [1, 1], quarter * [-1, 1], quarter[::-1] * [-1, -1], quarter * [1, -1]])[
+        ::-1
+    ]
 
 
 def _loft(middle: np.ndarray, rings: Sequence[np.ndarray], heights: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:

@@ -264,9 +264,7 @@ def _edited(baseline: Baseline, context: PreparedFrame, edits: Edits, name: str,
     return _last_made(baseline, "placed", slot, (entry, moved), lambda: replace(entry, lifted=moved))
 
 
-def _last_made(
-    baseline: Baseline, kind: str, slot: Hashable, inputs: tuple[Any, ...], make: Callable[[], _T]
-) -> _T:
+def _last_made(baseline: Baseline, kind: str, slot: Hashable, inputs: tuple[Any, ...], make: Callable[[], _T]) -> _T:
     """What was made last in a slot, where it was made of the same; else it is made anew."""
     before = baseline.last(kind, slot)
     if before is not None and all(_alike(a, b) for a, b in zip(before[0], inputs, strict=True)):
@@ -294,9 +292,7 @@ def _repainted(
     return replace(entry, mask=mask, bbox=bbox, lifted=lifted)
 
 
-def _with_confidences(
-    candidates: dict[str, Candidates], keys: tuple[str, ...], edits: Edits
-) -> dict[str, Candidates]:
+def _with_confidences(candidates: dict[str, Candidates], keys: tuple[str, ...], edits: Edits) -> dict[str, Candidates]:
     if not edits.confidences:
         return candidates
     result = dict(candidates)

@@ -19,7 +19,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field
 
 from pipeline.diagnosis.whatif.edits import Edits, edits_record, validated
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 VERSION = 1
 LONGEST_STRING = 2 * 2**20
@@ -127,8 +127,11 @@ def encode(state: ViewState) -> str:
     read_state(record)
     content = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
     packed = base64.urlsafe_b64encode(zlib.compress(content, 9)).rstrip(b"=").decode("ascii")
-    if len(content) > LARGEST_CONTENT or len(packed) > LONGEST_STRING:
-        raise InputError("the view is too large for a string", cause="many repainted masks?")
+    require(
+        len(content) <= LARGEST_CONTENT and len(packed) <= LONGEST_STRING,
+        "the view is too large for a string",
+        cause="many repainted masks?",
+    )
     return f"sv{VERSION}:{packed}"
 
 
@@ -140,8 +143,7 @@ def decode(text: str) -> ViewState:
     InputError
         It is no such string, one of a newer version, cut off, damaged, or too large.
     """
-    if len(text) > LONGEST_STRING + 64:
-        raise InputError("the state string is too long", got=f"{len(text)} characters")
+    require(len(text) <= LONGEST_STRING + 64, "the state string is too long", got=f"{len(text)} characters")
     text = re.sub(r"\s+", "", text)
     head = re.match(r"sv([0-9]{1,6}):", text)
     if head is None:
@@ -156,8 +158,14 @@ def decode(text: str) -> ViewState:
         content = unpacker.decompress(packed, LARGEST_CONTENT + 1)
     except (binascii.Error, ValueError, zlib.error) as error:
         raise InputError("the state string is damaged", got=str(error), cause="was all of it copied?") from error
-    if len(content) > LARGEST_CONTENT:
-        raise InputError("the state string unpacks to too much", expected=f"at most {LARGEST_CONTENT} bytes")
-    if not unpacker.eof or unpacker.unused_data:
-        raise InputError("the state string is damaged", cause="was all of it copied, and nothing more?")
+    require(
+        len(content) <= LARGEST_CONTENT,
+        "the state string unpacks to too much",
+        expected=f"at most {LARGEST_CONTENT} bytes",
+    )
+    require(
+        unpacker.eof and not unpacker.unused_data,
+        "the state string is damaged",
+        cause="was all of it copied, and nothing more?",
+    )
     return read_state(content)

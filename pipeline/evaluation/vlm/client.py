@@ -29,7 +29,7 @@ from pipeline.evaluation.vlm.protocol import (
 from pipeline.evaluation.vlm.transport import Failure, checked_base, map_ordered, send
 from pipeline.evaluation.vlm.view import Picture
 from pipeline.proposals.base import listed
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.paths import cache_folder
 
 KEY_VARIABLE = "SPATIALVIZ_VLM_KEY"
@@ -150,8 +150,11 @@ class ChatClient:
         _check(self.parameters, timeout_s, retries)
         self.timeout_s, self.retries = timeout_s, retries
         self._key = (api_key if api_key is not None else os.environ.get(KEY_VARIABLE, "")).strip()
-        if not (self._key.isascii() and self._key.isprintable()) or " " in self._key:
-            raise InputError("the API key holds characters that no key has", cause="was more than the key copied?")
+        require(
+            (self._key.isascii() and self._key.isprintable()) and " " not in self._key,
+            "the API key holds characters that no key has",
+            cause="was more than the key copied?",
+        )
         folder = cache_folder() / "vlm" if cache is True else cache
         self._cache = AnswerCache(folder) if folder else None
         self._clock, self._sleep = clock, sleep
@@ -217,8 +220,7 @@ class ChatClient:
         ------
         ServerError
         """
-        if workers < 1:
-            raise InputError("at least one worker is needed", got=workers)
+        require(workers >= 1, "at least one worker is needed", got=workers)
 
         def answer(question: Question, stop: threading.Event) -> Answer:
             try:
@@ -247,8 +249,7 @@ class ChatClient:
         own = {"max_tokens": question.max_tokens, "top_logprobs": question.top_logprobs}
         parameters = replace(self.parameters, **{k: v for k, v in own.items() if v is not None})
         _check(parameters, self.timeout_s, self.retries)
-        if not question.prompt.strip():
-            raise InputError("a question without words")
+        require(question.prompt.strip(), "a question without words")
         key = answer_key(parameters, question.prompt, question.picture.digest)
         known = self._cache.load(key) if self._cache else None
         if known is not None:
@@ -334,18 +335,25 @@ def _check(parameters: Parameters, timeout_s: float, retries: int) -> None:
         json.dumps(dict(p.extra), allow_nan=False)
     except (TypeError, ValueError) as error:
         raise InputError("the extra keys of a request are no JSON", got=error) from None
-    if p.extra.keys() & {"messages", "model"} or p.extra.get("stream"):
-        raise InputError("the extra keys of a request cannot replace model, messages or stream", got=sorted(p.extra))
-    if not p.model.strip():
-        raise InputError("the model needs a name", cause="the server's own list is at GET /models")
-    if not 0 < timeout_s < math.inf:
-        raise InputError("a timeout must be above 0 seconds", got=timeout_s)
-    if retries < 0 or p.max_tokens < 1:
-        raise InputError("retries must be 0 or more, max_tokens 1 or more", got=f"{retries}, {p.max_tokens}")
-    if not 0 <= p.temperature < math.inf:
-        raise InputError("the temperature must be 0 or more", got=p.temperature)
-    if not 0 <= p.top_logprobs <= 20:
-        raise InputError("top_logprobs", got=p.top_logprobs, expected="0 to 20, the most that the protocol allows")
+    require(
+        not (p.extra.keys() & {"messages", "model"} or p.extra.get("stream")),
+        "the extra keys of a request cannot replace model, messages or stream",
+        got=sorted(p.extra),
+    )
+    require(p.model.strip(), "the model needs a name", cause="the server's own list is at GET /models")
+    require(0 < timeout_s < math.inf, "a timeout must be above 0 seconds", got=timeout_s)
+    require(
+        retries >= 0 and p.max_tokens >= 1,
+        "retries must be 0 or more, max_tokens 1 or more",
+        got=f"{retries}, {p.max_tokens}",
+    )
+    require(0 <= p.temperature < math.inf, "the temperature must be 0 or more", got=p.temperature)
+    require(
+        0 <= p.top_logprobs <= 20,
+        "top_logprobs",
+        got=p.top_logprobs,
+        expected="0 to 20, the most that the protocol allows",
+    )
 
 
 class Pace:

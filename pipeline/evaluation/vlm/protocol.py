@@ -15,7 +15,7 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter
 
 from pipeline.evaluation.vlm.transport import Failure, Reply, wait_asked
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import write_whole
 
 _VERSION = "1"
@@ -285,10 +285,11 @@ class Prices:
     per_million_out: float
 
     def __post_init__(self) -> None:
-        if not all(0 <= price < math.inf for price in (self.per_million_in, self.per_million_out)):
-            raise InputError(
-                "a price of a million tokens must be 0 or more", got=f"{self.per_million_in}, {self.per_million_out}"
-            )
+        require(
+            all(0 <= price < math.inf for price in (self.per_million_in, self.per_million_out)),
+            "a price of a million tokens must be 0 or more",
+            got=f"{self.per_million_in}, {self.per_million_out}",
+        )
 
 
 def money(usage: Usage, prices: Prices, *, with_cached: bool = False) -> float:

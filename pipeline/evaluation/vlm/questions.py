@@ -17,7 +17,7 @@ from pipeline.labels.exports.vqa_questions import BRIEF, ask_grounding, ask_rela
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import noun_phrase, readable
 from pipeline.language.relation_names import PAIRWISE, PHRASE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _Key = tuple[tuple[int, int] | None, str, str, str]
 
@@ -77,8 +77,7 @@ class RelationConfig(AskingConfig):
     logprobs: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.wording < 2**64:
-            raise InputError("the wording of questions", got=self.wording, expected="0 .. 2**64 - 1")
+        require(0 <= self.wording < 2**64, "the wording of questions", got=self.wording, expected="0 .. 2**64 - 1")
 
 
 @dataclass(frozen=True)
@@ -244,8 +243,11 @@ def _checked(pairs: np.ndarray | Sequence[tuple[int, int]], count: int, relation
     indices = np.asarray(pairs)
     if not indices.size:
         indices = np.zeros((0, 2), np.int64)
-    if indices.ndim != 2 or indices.shape[1] != 2 or not np.issubdtype(indices.dtype, np.integer):
-        raise InputError("pairs must be int (N, 2)", got=f"{indices.dtype} {indices.shape}")
+    require(
+        indices.ndim == 2 and indices.shape[1] == 2 and np.issubdtype(indices.dtype, np.integer),
+        "pairs must be int (N, 2)",
+        got=f"{indices.dtype} {indices.shape}",
+    )
     if indices.size and (indices.min() < 0 or indices.max() >= count):
         raise InputError("a pair names an object that is not there", got=f"{indices.min()} to {indices.max()}",
                          expected=f"0 to {count - 1}")  # fmt: skip
@@ -322,8 +324,7 @@ def ground_many(
     config = config or GroundingConfig()
     # An unusable scale is told before the server is asked.
     parse_box("", (1, 1), config.box_scale)
-    if not all(text.strip() for text in texts):
-        raise InputError("an expression is empty")
+    require(all(text.strip() for text in texts), "an expression is empty")
     view = view_of(frame.rgb, square=config.square, max_side=config.max_side)
     questions = [Question(ask_grounding(text, config.wording), view.picture, config.max_tokens) for text in texts]
     answers = client.ask_many(

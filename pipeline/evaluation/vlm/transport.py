@@ -21,7 +21,7 @@ from time import monotonic
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 MAX_BYTES = 16 << 20
 """No answer to a question is longer."""
@@ -99,8 +99,7 @@ def checked_base(url: str) -> str:
         raise InputError("the address of the server cannot be read", got=error, expected=expected) from None
     if parts.scheme not in ("http", "https") or not host or re.search(r"[\s\x00-\x1f\x7f]", url.strip()):
         raise InputError("the address of the server cannot be used", got=repr(url)[:120], expected=expected)
-    if "@" in parts.netloc:
-        raise InputError("a key does not belong into the address of the server", expected=expected)
+    require("@" not in parts.netloc, "a key does not belong into the address of the server", expected=expected)
     if parts.query or parts.fragment:
         raise InputError("the address of the server ends too late", got=repr(url)[:120], expected=expected)
     path = parts.path.rstrip("/").removesuffix("/chat/completions").rstrip("/")

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.palette import ON_DARK
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 JPEG_QUALITY = 92
 PADDING = (122, 116, 104)
@@ -51,8 +51,7 @@ class Picture:
         """The picture as a JPEG in base64."""
         options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
         done, data = cv2.imencode(".jpg", cv2.cvtColor(self.rgb, cv2.COLOR_RGB2BGR), options)
-        if not done:
-            raise InputError("the picture cannot be encoded as JPEG", got=str(self.rgb.shape))
+        require(done, "the picture cannot be encoded as JPEG", got=str(self.rgb.shape))
         return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
 
 

@@ -124,9 +124,11 @@ def _on_its_own(view: FrameView, row: int, rules: ExpressionRules) -> Iterator[F
         yield "expression/empty", f"its own target {a} is not among the targets", {}
     if bool(rows["ambiguous"][row]) != (len(acceptable) > 1):
         flag = "ambiguous" if rows["ambiguous"][row] else "not ambiguous"
-        yield "expression/ambiguous", f"it is said to be {flag}, with {len(acceptable)} acceptable", {
-            "acceptable": len(acceptable)
-        }
+        yield (
+            "expression/ambiguous",
+            f"it is said to be {flag}, with {len(acceptable)} acceptable",
+            {"acceptable": len(acceptable)},
+        )
     if rows["id"][row] != f"{row_hash(rules.seed, str(rows['frame'][row]), a, relation, b):016x}":
         yield "expression/id", "its id is not the hash of frame, objects and relation", {}
     wanted = normal_form(str(rows["target"][row])), relation, normal_form(str(rows["reference"][row]))
@@ -156,9 +158,11 @@ def _against_objects(view: FrameView, row: int) -> Iterator[Found]:
             yield "expression/class", message, {"object": number}
         if not view.objects["usable"][k]:
             reason = view.objects["reason"][k] or "not usable"
-            yield "expression/unusable", f"its {role}, {view.labels[k]} {number}, may not be asked for: {reason}", {
-                "object": number
-            }
+            yield (
+                "expression/unusable",
+                f"its {role}, {view.labels[k]} {number}, may not be asked for: {reason}",
+                {"object": number},
+            )
     names = [str(rows[role][row]) for role in ("target", "reference")]
     for role, definite in zip(("target", "reference"), says_the(str(rows["text"][row]), names), strict=True):
         k = view.row_of[int(rows[f"{role}_object"][row])]
@@ -182,10 +186,14 @@ def _against_relations(view: FrameView, row: int) -> Iterator[Found]:
         yield "expression/state", f"{view.relation_text(a, relation, b)} {what}", {"state": state}
     margin, stated = float(view.margins[relation][a, b]), float(rows["margin"][row])
     if state == T and not abs(margin - stated) <= MARGIN_TOLERANCE:
-        yield "expression/margin", f"its margin is {stated:.4f} m, the relation's {margin:.4f} m", {
-            "stated": stated,
-            "margin": margin,
-        }
+        yield (
+            "expression/margin",
+            f"its margin is {stated:.4f} m, the relation's {margin:.4f} m",
+            {
+                "stated": stated,
+                "margin": margin,
+            },
+        )
     alike, references = view.alike[a] & view.related, view.alike[b] & view.related
     among = states[:, references]
     sure = view.ids[alike & (among == T).any(axis=1)]
@@ -193,11 +201,15 @@ def _against_relations(view: FrameView, row: int) -> Iterator[Found]:
     for name, wanted in (("targets", sure), ("acceptable", likely)):
         stored = rows[name][row]
         if not np.array_equal(np.sort(stored), np.sort(wanted)):
-            yield "expression/sets", f"{name} are {_list(stored)}, the relations give {_list(wanted)}", {
-                "set": name,
-                "stored": len(stored),
-                "given": len(wanted),
-            }
+            yield (
+                "expression/sets",
+                f"{name} are {_list(stored)}, the relations give {_list(wanted)}",
+                {
+                    "set": name,
+                    "stored": len(stored),
+                    "given": len(wanted),
+                },
+            )
     total = int(alike.sum())
     if total >= MANY_ALIKE and len(np.unique(rows["acceptable"][row])) == total:
         message = f"all {total} of its class are acceptable: it tells nothing apart"

@@ -174,8 +174,6 @@ class UpRules:
             yield Finding("frame/up-disagrees", "warning", ups[k][0], (), message, figures)
 
 
-
-
 def _finding(rule: str, message: str, figures: dict[str, Figure], severity: Severity | None = None) -> Finding:
     return Finding(rule, severity or RULES[rule].severity, None, (), message, figures)
 

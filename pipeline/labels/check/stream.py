@@ -23,7 +23,7 @@ from pipeline.labels.schema import ADDED_COLUMNS, TABLES
 from pipeline.labels.tables import arrow_schema, check_version
 from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 BATCH_ROWS = 8_192
 
@@ -95,8 +95,7 @@ class TableStream:
             file = pq.ParquetFile(path, pre_buffer=False)
             check_version(file.schema_arrow.metadata or {}, table, path)
             self._compare(file.schema_arrow)
-            if "frame_index" in self.lacking:
-                raise InputError("it has no column frame_index")
+            require("frame_index" not in self.lacking, "it has no column frame_index")
             self.ordered = _is_ordered(file)
             self._blocks = self._read(file)
             self._advance()

@@ -41,7 +41,7 @@ def indices_where(chosen: np.ndarray) -> list[int]:
 
 
 def state_letter(state: int) -> str:
-    """"T", "U", "F", or a number that is none of the three as it is."""
+    """ "T", "U", "F", or a number that is none of the three as it is."""
     return letter(state) if state in (T, U, F) else str(int(state))
 
 

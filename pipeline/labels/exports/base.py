@@ -17,7 +17,7 @@ from pipeline.labels.reading import Labels
 from pipeline.labels.schema import ADDED_COLUMNS
 from pipeline.labels.tables import arrow_schema, check_version, with_added
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames in all)."""
@@ -209,8 +209,7 @@ def iterate_frames(labels: Labels, tell: Progress | None = None) -> Iterator[Fra
     total = labels.manifest.tables["frames"].rows
     others = {name: _Runs(labels, name) for name in ("objects", "relations", "expressions")}
     for done, (index, rows) in enumerate(_runs(labels, "frames"), start=1):
-        if rows.num_rows != 1:
-            raise InputError(f"frame_index {index} is listed {rows.num_rows} times", path=labels.root)
+        require(rows.num_rows == 1, f"frame_index {index} is listed {rows.num_rows} times", path=labels.root)
         taken = {name: runs.take(index) for name, runs in others.items()}
         yield FrameRows(
             rows.to_pylist()[0], taken["objects"].to_pylist(), taken["relations"], taken["expressions"].to_pylist()
@@ -262,8 +261,7 @@ def _runs(labels: Labels, name: str) -> Iterator[tuple[int, pa.Table]]:
             if start == end:
                 continue
             found = int(index[start])
-            if found < current:
-                raise InputError(f"the table {name} is not in the order of its frames", path=labels.root)
+            require(found >= current, f"the table {name} is not in the order of its frames", path=labels.root)
             if found != current and waiting:
                 yield current, pa.concat_tables(waiting)
                 waiting = []

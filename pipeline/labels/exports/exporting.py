@@ -16,7 +16,7 @@ from pipeline.labels.exports.provenance import load_json, open_provenance
 from pipeline.labels.reading import MANIFEST_FILE, Labels, labelled_dataset
 from pipeline.labels.tables import content_hash
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.plugins import load_plugins
 from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
@@ -85,12 +85,15 @@ def export_labels(
         )
     if chosen.options is not None and options is None:
         options = chosen.options()
-    if images not in ("none", "copy"):
-        raise InputError("images", got=repr(images), expected="none | copy")
+    require(images in ("none", "copy"), "images", got=repr(images), expected="none | copy")
     out = Path(out).expanduser()
     target, root = out.resolve(), labels.root.resolve()
-    if target == root or target in root.parents:
-        raise InputError("an export cannot replace the labels", expected="another folder", path=out)
+    require(
+        target != root and target not in root.parents,
+        "an export cannot replace the labels",
+        expected="another folder",
+        path=out,
+    )
 
     def opened() -> Dataset:
         return dataset or labelled_dataset(labels.manifest)
@@ -143,8 +146,7 @@ def import_labels(path: str | Path, format: str, *, verify: bool = True) -> dict
     chosen = _format(format)
     if chosen.read is None:
         raise InputError(f"the format {format} holds no labels to read back", path=root)
-    if not root.is_dir():
-        raise InputError("there is no such export", expected="a folder", path=root)
+    require(root.is_dir(), "there is no such export", expected="a folder", path=root)
     mark = _read_mark(root)
     if mark is not None and mark.get("format") != format:
         raise InputError("an export in another format", got=mark.get("format"), expected=format, path=root)
@@ -162,10 +164,16 @@ def _check_hashes(root: Path, tables: Mapping[str, pa.Table]) -> None:
             rows, known_hash = known["rows"], known["content_hash"]
         except (KeyError, TypeError) as error:
             raise InputError("the manifest is damaged", got=repr(error), path=root / MANIFEST_FILE) from error
-        if rows != table.num_rows:
-            raise InputError(f"the table {name} is not whole", got=f"{table.num_rows} rows", expected=rows, path=root)
-        if content_hash(table, name) != known_hash:
-            raise InputError(f"the table {name} was changed after it was exported", path=root)
+        require(
+            rows == table.num_rows,
+            f"the table {name} is not whole",
+            got=f"{table.num_rows} rows",
+            expected=rows,
+            path=root,
+        )
+        require(
+            content_hash(table, name) == known_hash, f"the table {name} was changed after it was exported", path=root
+        )
 
 
 def _read_mark(folder: Path) -> dict[str, object] | None:
@@ -181,6 +189,5 @@ def _format(name: str) -> ExportFormat:
     formats = FORMATS
     if name not in FORMATS:
         formats = {**dict(load_plugins(ENTRY_POINT_GROUP, "export", ExportFormat)), **FORMATS}
-    if name not in formats:
-        raise InputError("no such export format", got=repr(name), expected=" | ".join(formats))
+    require(name in formats, "no such export format", got=repr(name), expected=" | ".join(formats))
     return formats[name]

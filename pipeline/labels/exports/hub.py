@@ -18,7 +18,7 @@ from pipeline.labels.exports.provenance import extended_json_schemas, extended_s
 from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.staging import text_file, write_json
 from pipeline.system.whole_files import sha256_of
 
@@ -42,8 +42,7 @@ class HubConfig:
     licence: str = UNKNOWN_LICENCE
 
     def __post_init__(self) -> None:
-        if self.rows_a_file < 1:
-            raise InputError("a file needs at least one row", got=self.rows_a_file)
+        require(self.rows_a_file >= 1, "a file needs at least one row", got=self.rows_a_file)
 
 
 def write_hub(job: Job) -> Written:
@@ -112,8 +111,11 @@ def read_hub(root: Path) -> dict[str, pa.Table]:
     tables = {}
     for name in TABLES:
         paths = sorted((root / "data" / name).glob("train-*-of-*.parquet"))
-        if not paths or not paths[0].name.endswith(f"-of-{len(paths):05d}.parquet"):
-            raise InputError(f"files of the table {name} are missing", path=root / "data" / name)
+        require(
+            paths and paths[0].name.endswith(f"-of-{len(paths):05d}.parquet"),
+            f"files of the table {name} are missing",
+            path=root / "data" / name,
+        )
         tables[name] = pa.concat_tables([read_table(path, name, arrow_schema(name).names) for path in paths])
     return tables
 

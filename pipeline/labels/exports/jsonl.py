@@ -16,7 +16,7 @@ from pipeline.labels.exports.provenance import extended_json_schemas, extended_s
 from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.labels.tables import arrow_schema
 from pipeline.system.arrow import pa, pj
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.staging import text_file
 
 BLOCK = 1 << 24
@@ -80,8 +80,11 @@ def read_rows(path: Path, name: str) -> pa.Table:
     except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
         raise InputError(f"not rows of {name}", got=str(error).split("\n")[0], path=path) from error
     for field in schema:
-        if not field.nullable and found.column(field.name).null_count:
-            raise InputError(f"a row of {name} lacks {field.name!r}", path=path)
+        require(
+            not (not field.nullable and found.column(field.name).null_count),
+            f"a row of {name} lacks {field.name!r}",
+            path=path,
+        )
     return pa.Table.from_arrays([found.column(n) for n in schema.names], schema=schema)
 
 

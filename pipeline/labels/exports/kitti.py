@@ -70,7 +70,7 @@ from pipeline.labels.exports.base import (
 from pipeline.labels.exports.provenance import json_line, load_json
 from pipeline.labels.tables import arrow_schema
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.staging import text_file, write_json
 
 SURVIVING = {
@@ -236,8 +236,13 @@ def _read_objects(
 ) -> Iterator[dict[str, Any]]:
     path, ids_path = root / "label_2" / f"{number}.txt", root / "object_ids" / f"{number}.txt"
     lines, ids = _lines(path), _lines(ids_path)
-    if len(lines) != len(ids):
-        raise InputError("another number of objects than of labels", got=len(ids), expected=len(lines), path=ids_path)
+    require(
+        len(lines) == len(ids),
+        "another number of objects than of labels",
+        got=len(ids),
+        expected=len(lines),
+        path=ids_path,
+    )
     for k, (line, own) in enumerate(zip(lines, ids, strict=True), start=1):
         try:
             token, *rest = line.split(" ")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 Kind = Literal["relation", "which", "grounding", "distance", "size"]
 KINDS: tuple[Kind, ...] = ("relation", "which", "grounding", "distance", "size")
@@ -55,14 +55,15 @@ class VqaConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.per_frame < 1:
-            raise InputError("per_frame must be at least 1", got=self.per_frame)
-        if not self.kinds or set(self.kinds) - set(KINDS):
-            raise InputError("kinds of questions", got=", ".join(self.kinds) or "none", expected=" | ".join(KINDS))
-        if self.box_decimals not in (2, 3):
-            raise InputError("box_decimals", got=self.box_decimals, expected="2 or 3")
-        if self.min_margin < 0 or self.min_distance < 0:
-            raise InputError("a least margin or distance cannot be negative")
+        require(self.per_frame >= 1, "per_frame must be at least 1", got=self.per_frame)
+        require(
+            self.kinds and not (set(self.kinds) - set(KINDS)),
+            "kinds of questions",
+            got=", ".join(self.kinds) or "none",
+            expected=" | ".join(KINDS),
+        )
+        require(self.box_decimals in (2, 3), "box_decimals", got=self.box_decimals, expected="2 or 3")
+        require(self.min_margin >= 0 and self.min_distance >= 0, "a least margin or distance cannot be negative")
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from pipeline.labels.report.style import (
 )
 from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import open_database
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.staging import staged_folder, write_json
 
 PAGE = "index.html"
@@ -120,8 +120,15 @@ def check_report_folder(out: Path) -> None:
         raise InputError(
             "the folder for the report holds other files", got=foreign[0], expected="a new or empty folder", path=out
         )
-    if there and not (PAGE in there and GENERATOR in (out / PAGE).read_text(encoding="utf-8", errors="replace")[:500]):
-        raise InputError(f"the {PAGE} there is not of a report", expected="a new or empty folder", path=out)
+    require(
+        not (
+            there
+            and not (PAGE in there and GENERATOR in (out / PAGE).read_text(encoding="utf-8", errors="replace")[:500])
+        ),
+        f"the {PAGE} there is not of a report",
+        expected="a new or empty folder",
+        path=out,
+    )
 
 
 GENERATOR = "spatialviz report of labels"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pipeline.language.vectors.contract import LanguageContract
 from pipeline.language.vectors.phrases import Phrase, PhraseTable, TextVectors, VectorSource
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 __all__ = ["LanguageContract", "Phrase", "PhraseTable", "TextVectors", "VectorSource", "open_vectors"]
 
@@ -38,13 +38,17 @@ def open_vectors(path: str | Path, *, kind: str | None = None, cache: Path | Non
         There is no such file, the format is not known, or the file is damaged.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError("there is no file of text vectors", expected=FORMATS, path=path)
+    require(path.is_file(), "there is no file of text vectors", expected=FORMATS, path=path)
     name = path.name.lower()
     if kind not in (None, "word", "phrase"):
         raise InputError("text vectors are of words or of phrases", got=repr(kind), expected="word or phrase")
-    if name.endswith((".vec", ".vec.gz", ".bin")) and kind == "phrase":
-        raise InputError("FastText's files hold vectors of words", got="kind 'phrase'", expected="word", path=path)
+    require(
+        not (name.endswith((".vec", ".vec.gz", ".bin")) and kind == "phrase"),
+        "FastText's files hold vectors of words",
+        got="kind 'phrase'",
+        expected="word",
+        path=path,
+    )
     return TextVectors(_source(path, name, kind, cache))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.language.vectors.phrases import TextVectors
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 CONTRACT = "spatialviz-language-1"
 """Also the rules by which a name becomes words and words become a vector: a change of these must change it."""
@@ -78,22 +78,26 @@ class LanguageContract:
             raise InputError(
                 "the network's language features cannot be read", got=f"{type(error).__name__}: {error}", path=path
             ) from error
-        if dimension < 1 or not contract.fingerprint:
-            raise InputError("the network's language features cannot be read", got=contract, path=path)
+        require(
+            dimension >= 1 and contract.fingerprint,
+            "the network's language features cannot be read",
+            got=contract,
+            path=path,
+        )
         return contract
 
     def check(self, vectors: TextVectors) -> None:
         """Raise InputError unless these are the vectors that the network was trained with."""
-        if vectors.dimension != self.dimension:
-            raise InputError(
-                "the text vectors have another dimension than the network wants",
-                got=f"{vectors.dimension} numbers of {vectors.name}",
-                expected=f"{self.dimension} numbers of {self.name}",
-            )
+        require(
+            vectors.dimension == self.dimension,
+            "the text vectors have another dimension than the network wants",
+            got=f"{vectors.dimension} numbers of {vectors.name}",
+            expected=f"{self.dimension} numbers of {self.name}",
+        )
         found = vectors.fingerprint()
-        if found != self.fingerprint:
-            raise InputError(
-                "the text vectors are other ones than the network was trained with",
-                got=f"{vectors.name}, fingerprint {found}",
-                expected=f"{self.name}, fingerprint {self.fingerprint}",
-            )
+        require(
+            found == self.fingerprint,
+            "the text vectors are other ones than the network was trained with",
+            got=f"{vectors.name}, fingerprint {found}",
+            expected=f"{self.name}, fingerprint {self.fingerprint}",
+        )

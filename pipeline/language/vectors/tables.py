@@ -16,7 +16,7 @@ import xxhash
 
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 NAME_KEYS = {"words": "word", "phrases": "phrase", "names": "phrase"}
 """The array of names, and what its entries are where the file has no `kind`."""
@@ -133,38 +133,37 @@ def _member(archive: zipfile.ZipFile, key: str, path: Path) -> np.ndarray:
     info = archive.getinfo(f"{key}.npy")
     with archive.open(info) as file:
         version = np.lib.format.read_magic(file)
-        if version not in ((1, 0), (2, 0)):
-            raise InputError(f"the array {key!r} is of an unknown version", got=version, path=path)
+        require(version in ((1, 0), (2, 0)), f"the array {key!r} is of an unknown version", got=version, path=path)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read(file)
-        if dtype.hasobject:
-            raise InputError(
-                f"the array {key!r} holds Python objects, which are never unpickled",
-                expected="unicode or floats",
-                cause="save names with np.array(names, dtype=np.str_)",
-                path=path,
-            )
+        require(
+            not dtype.hasobject,
+            f"the array {key!r} holds Python objects, which are never unpickled",
+            expected="unicode or floats",
+            cause="save names with np.array(names, dtype=np.str_)",
+            path=path,
+        )
         expected = math.prod(shape) * dtype.itemsize
         packed = max(info.compress_size, 1)
         bomb = packed > path.stat().st_size or info.file_size > max(_FREE, _MOST_PACKED * packed)
-        if bomb or expected != info.file_size - file.tell():
-            raise InputError(
-                f"the array {key!r} is damaged",
-                got=f"{shape} of {dtype}, which is {expected} bytes, in {info.file_size} ({packed} packed)",
-                path=path,
-            )
+        require(
+            not bomb and expected == info.file_size - file.tell(),
+            f"the array {key!r} is damaged",
+            got=f"{shape} of {dtype}, which is {expected} bytes, in {info.file_size} ({packed} packed)",
+            path=path,
+        )
     with archive.open(info) as file:
         return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _texts(names: np.ndarray, key: str, path: Path) -> list[str]:
-    if names.ndim != 1 or names.dtype.kind not in "US":
-        raise InputError(
-            f"the array {key!r} is no list of names",
-            got=f"{names.dtype} of shape {names.shape}",
-            expected="unicode of shape (N,)",
-            path=path,
-        )
+    require(
+        names.ndim == 1 and names.dtype.kind in "US",
+        f"the array {key!r} is no list of names",
+        got=f"{names.dtype} of shape {names.shape}",
+        expected="unicode of shape (N,)",
+        path=path,
+    )
     try:
         return [n.decode("utf-8") for n in names.tolist()] if names.dtype.kind == "S" else names.tolist()
     except UnicodeDecodeError as error:
@@ -212,17 +211,24 @@ def _table(path: Path, kind: Any, names: Sequence[str], vectors: np.ndarray) -> 
     if kind not in ("word", "phrase"):
         what = "text vectors are of words or of phrases"
         raise InputError(what, got=repr(kind), expected="word or phrase", path=path)
-    if vectors.ndim != 2 or vectors.dtype.kind != "f" or not 1 <= vectors.shape[-1] <= MAX_DIMENSION or not len(names):
-        raise InputError(
-            "the array 'vectors' is no table of vectors",
-            got=f"{vectors.dtype} of shape {vectors.shape}",
-            expected=f"floats of shape (N, D), N above 0, D up to {MAX_DIMENSION}",
-            path=path,
-        )
-    if len(names) != len(vectors):
-        raise InputError(
-            "names and vectors differ in number", got=f"{len(names)} names, {len(vectors)} vectors", path=path
-        )
+    require(
+        not (
+            vectors.ndim != 2
+            or vectors.dtype.kind != "f"
+            or not 1 <= vectors.shape[-1] <= MAX_DIMENSION
+            or not len(names)
+        ),
+        "the array 'vectors' is no table of vectors",
+        got=f"{vectors.dtype} of shape {vectors.shape}",
+        expected=f"floats of shape (N, D), N above 0, D up to {MAX_DIMENSION}",
+        path=path,
+    )
+    require(
+        len(names) == len(vectors),
+        "names and vectors differ in number",
+        got=f"{len(names)} names, {len(vectors)} vectors",
+        path=path,
+    )
     largest = float(np.finfo(np.float32).max)
     for start in range(0, len(vectors), _BLOCK):
         block = vectors[start : start + _BLOCK].astype(np.float64)

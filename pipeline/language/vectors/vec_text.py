@@ -16,7 +16,7 @@ import numpy as np
 import xxhash
 
 from pipeline.language.vectors.phrases import utf8
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.file_memory import FileMemory, keep, memory_path, recall
 
 MAX_DIMENSION = 1 << 16
@@ -61,13 +61,13 @@ class VecFile:
                 path=path,
             )
         words, dimension = int(found[1]), int(found[2])
-        if not 1 <= dimension <= MAX_DIMENSION or words < 1:
-            raise InputError(
-                "the header of the text vectors makes no sense",
-                got=f"{words} words of {dimension} dimensions",
-                expected=f"at least one word of 1 to {MAX_DIMENSION} dimensions",
-                path=path,
-            )
+        require(
+            1 <= dimension <= MAX_DIMENSION and words >= 1,
+            "the header of the text vectors makes no sense",
+            got=f"{words} words of {dimension} dimensions",
+            expected=f"at least one word of 1 to {MAX_DIMENSION} dimensions",
+            path=path,
+        )
         return cls(path, words, dimension, cache)
 
     @property

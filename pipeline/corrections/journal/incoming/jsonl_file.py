@@ -93,8 +93,9 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
             while line := file.readline(BLOCK):
                 number += 1
                 where = f"{path.name} line {number}"
-                if len(line) == BLOCK:
-                    raise InputError(f"line {number} is too long", expected=f"at most {BLOCK} characters", path=path)
+                require(
+                    len(line) != BLOCK, f"line {number} is too long", expected=f"at most {BLOCK} characters", path=path
+                )
                 try:
                     row = json.loads(line, parse_constant=no_number) if line.strip() else None
                 except (ValueError, RecursionError) as error:
