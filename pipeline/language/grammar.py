@@ -1,68 +1,53 @@
-"""The grammar of spatial expressions: tokens to a chain of nouns and relations, or an error that says why not.
+"""The grammar of spatial expressions: tokens to noun phrases and the relations between them, or an error that says why.
 
-    query  := [view [","]] [verb | "is"] noun clause+ [view] ["?"]
-    clause := [linking] relation noun | [linking] "between" noun "and" noun | "with" noun relation ["it"]
-    noun   := [article] word+ | [article] superlative noun ("to" | "from") noun
+    query  := [frame] [view [","]] noun part* ["."] (("it" | "this") "is" part+)*
+    part   := [linking] [neg] relation noun | [linking] [neg] "between" noun "and" noun | "with" noun relation ["it"]
+            | side | [","] ["not"] noun | "and" part
+    noun   := [article] (choice | attribute | number)* word* ["of the" number [word+]] ["from the" side]
+            | [article] superlative noun ("to" | "from") noun
 
-The chain says which noun follows which relation; which earlier noun a relation modifies is left open here, and
-`pipeline.language.expression` enumerates it.
+It goes through the tokens once, from left to right. Which earlier noun a part modifies is left open here, and
+`pipeline.language.expression` enumerates it. What it cannot use it notes, with the reason, and goes on; only where
+nothing is left that tells the thing meant is that an error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from pipeline.language import lexicon
-from pipeline.language.naming import DETERMINERS
-from pipeline.language.relation_names import MIRRORED
-from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, label_of, tokenize
-from pipeline.language.unreadable import FORM, check_judged, check_noun, no_relation, other_view, unreadable
+from pipeline.language import choices, lexicon
+from pipeline.language.naming import DETERMINERS, singular
+from pipeline.language.nouns import NounReader, Phrase, joined_words, leading_removed
+from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
+from pipeline.language.tree import Choice, Role, Span
+from pipeline.language.unreadable import FORM, check_judged, not_known, other_view, unreadable
 from pipeline.system.errors import InputError
 
-Role = Literal["target", "relation", "reference"]
-Attach = Literal["any", "nearest", "same"]
-
-
-@dataclass(frozen=True)
-class Span:
-    """A stretch of the expression and what it is there for.
-
-    Attributes
-    ----------
-    start, end : int
-        Character range in the expression as it was typed.
-    role : {"target", "relation", "reference"}
-    index : int
-        The number of the noun (0 is the target), or of the relation, in order of mention.
-    """
-
-    start: int
-    end: int
-    role: Role
-    index: int
+Attach = Literal["any", "nearest", "same", "root"]
 
 
 @dataclass(frozen=True)
 class Clause:
-    """One relation of the chain with its references.
+    """One relation, side or exclusion of the chain.
 
     Attributes
     ----------
     relation : str
-        Canonical name.
+        Canonical name; empty for a choice and for an exclusion.
     phrase : str
         The words that said it.
     references : tuple of int
-        Numbers of the nouns; two for `between`.
+        Numbers of the nouns; two for `between`, none for a choice.
     swapped : bool
         Whether the relation holds from the reference to the target.
-    attach : {"any", "nearest", "same"}
-        Which noun it may modify: any on the right frontier; only the one before it (`the nearest chair to`); or the
-        one that the relation before it modifies (`left of a and behind b`).
+    attach : {"any", "nearest", "same", "root"}
+        Which noun it may modify: any on the right frontier; only the one before it (`the nearest chair to`); the
+        one that the part before it modifies (`left of a and behind b`); or the target.
     closed : bool
         Whether nothing later may modify its references, as in `table with a lamp on top`.
+    negated : bool
+    choice : Choice or None
     """
 
     relation: str
@@ -71,13 +56,15 @@ class Clause:
     swapped: bool = False
     attach: Attach = "any"
     closed: bool = False
+    negated: bool = False
+    choice: Choice | None = None
 
 
 @dataclass
 class Chain:
-    """What the grammar read: nouns in order of mention, relations between them, and where each stands."""
+    """What the grammar read: nouns in order of mention, parts between them, and where each stands."""
 
-    nouns: list[str] = field(default_factory=list)
+    nouns: list[Phrase] = field(default_factory=list)
     clauses: list[Clause] = field(default_factory=list)
     spans: list[Span] = field(default_factory=list)
 
@@ -91,223 +78,484 @@ def read_chain(text: str, known: Vocabulary) -> Chain:
         With the reason, and with suggestions where a relation is close to a known one.
     """
     tokens = tokenize(text, known)
-    try:
-        return _Reader(text).read(tokens)
-    except InputError as first:
-        # `pillow on bed` may be a class, and yet here the pillow that lies on a bed is meant.
-        if not any(t.guards for t in tokens):
-            raise
+    # `pillow on bed` may be a class, and yet here the pillow that lies on a bed is meant.
+    apart = tokenize(text, known, hold_names=False) if any(t.guards for t in tokens) else None
+    problem = None
+    for held in (tokens, apart):
+        if held is None:
+            continue
         try:
-            return _Reader(text).read(tokenize(text, known, hold_names=False))
-        except InputError:
-            raise first from None
+            chain = _Reader(text, held).read()
+        except InputError as error:
+            problem = problem or error
+        else:
+            if chain.clauses or held is apart or apart is None:
+                return chain
+    if problem is None:
+        return _Reader(text, tokens).read()
+    raise problem
 
 
-class _Reader:
+@dataclass(frozen=True)
+class _Opened:
+    """A relation that waits for its reference."""
+
+    token: Token
+    negated: bool
+    attach: Attach
+
+
+class _Reader(NounReader):
     """One pass over one expression, adding to its chain."""
 
-    def __init__(self, text: str) -> None:
-        self.text = text
-        self.chain = Chain()
-
-    def read(self, tokens: list[Token]) -> Chain:
+    def __init__(self, text: str, tokens: list[Token]) -> None:
         while tokens and tokens[-1].plain in lexicon.CLOSING:
             tokens = tokens[:-1]
-        tokens = _without_leading(_without_view(tokens, self.text))
-        check_judged(tokens, self.text)
-        phrases = [t for t in tokens if t.relation is not None]
-        if not phrases:
-            raise no_relation(tokens, self.text)
-        segments: list[list[Token]] = [[]]
-        for token in tokens:
-            if token.relation is None:
-                segments[-1].append(token)
-            else:
-                segments.append([])
-        self._read_segments(segments, phrases)
-        return self.chain
+        tokens = _without_view(tokens, text)
+        tokens, self.asks_what = leading_removed(tokens)
+        super().__init__(text, tokens)
+        self.chain = Chain()
+        self.problems: list[InputError] = []
+        self.opened: list[_Opened] = []
+        self.negated = self.joined = self.linked = self.at_root = False
 
-    def _read_segments(self, segments: list[list[Token]], phrases: list[Token]) -> None:
-        """Words stand in segments[k] before phrases[k]; the last segment ends the expression."""
-        opened: Token | None = None
-        early: Token | None = None
-        attach: Attach = "any"
-        in_tail = False
-        for k, segment in enumerate(segments):
-            after = phrases[k] if k < len(phrases) else None
-            body, joined = _without_linking(segment) if after is not None else (segment, False)
-            if after is not None and early is None and not body and after.text in lexicon.SUPERLATIVES:
-                early = after
-                continue
-            if in_tail:
-                # What is left here is the `it` of `with a lamp on it`, or nothing.
-                if body and body[-1].plain not in lexicon.PLACE_PRONOUNS:
-                    raise unreadable(body[-1].text, self.text)
-                in_tail = False
-            elif early is not None:
-                self._nearest_noun(opened, attach, early, body)
-                early = None
-            else:
-                split = _with_clause(body, after, segments[k + 1]) if after is not None else None
-                self._place(opened, attach, split[0] if split else body)
-                if split and after is not None:
-                    self._with_tail(after, *split)
-                    in_tail = True
-            opened = None if in_tail else after
-            attach = "same" if joined and self.chain.clauses else "any"
+    def read(self) -> Chain:
+        at = 0
+        while at < len(self.tokens):
+            at = self._step(at)
+        for opened in self.opened:
+            self._missing(opened)
+        chain = self.chain
+        if not chain.nouns:
+            raise self.problems[0] if self.problems else self._no_target()
+        told = chain.clauses or any(n.attributes or n.choices for n in chain.nouns)
+        if self.problems and not told:
+            raise self.problems[0]
+        return chain
 
-    def _place(self, opened: Token | None, attach: Attach, body: list[Token]) -> None:
-        """Add the target, or the reference or references of the relation that `opened` them."""
-        if opened is None:
-            self._noun(body, None)
+    # ---- one step --------------------------------------------------------------------------------------------------
+
+    def _step(self, at: int) -> int:
+        token, word = self.tokens[at], self.tokens[at].plain
+        if self.chain.nouns and self.breaks[at] and word in ("it", "this", "they") and not self.opened:
+            self.at_root = True
+            return at + 1
+        if word == "without":
+            return self._unused(at, "what a thing does not have is not judged")
+        if word in lexicon.NEGATIONS:
+            self.negated = self.linked = True
+            return at + 1
+        if word in lexicon.AND or word in ("or", "nor", "plus"):
+            self.joined = True
+            return at + 1
+        if (side := self._side(at)) is not None:
+            return side
+        loose = self.chain.nouns and not self.opened and token.relation is None
+        filler = self.match(lexicon.FILLER, at) if loose else None
+        if filler is not None and self._goes_on(filler[1]):
+            return filler[1]
+        if self._links(at):
+            self.linked = True
+            return at + 1
+        if self.opened and (viewer := self._viewer(at)) is not None:
+            return viewer
+        if token.relation is not None and not self.is_superlative_noun(at):
+            return self._relation(at)
+        if word in lexicon.WITH and self.chain.nouns and not self.opened:
+            return self._with(at)
+        if self.chain.nouns and not self.opened and word in ("left", "right") and at + 1 < len(self.tokens):
+            side_token = replace(token, relation=word)
+            self.opened.append(_Opened(side_token, self._take_negation(), self._attach()))
+            return at + 1
+        if word in lexicon.ACTIONS and not at and len(self.tokens) > 1 and self.tokens[1].plain in DETERMINERS:
+            raise InputError(
+                f"'{word}' asks to do something, and only a thing can be asked for",
+                got=f"'{self.text}'",
+                expected=FORM,
+                cause="not a known relation or name",
+            )
+        if word in lexicon.UNKNOWN_RELATIONS or (word in lexicon.ACTIONS and self.chain.nouns):
+            return self._unused(at, not_known(self.tokens, at, self.text))
+        return self._noun(at)
+
+    def _side(self, at: int) -> int | None:
+        """A side that chooses: `on the left`, `furthest to the right`; None where there is none here."""
+        if (not self.chain.nouns and not self.asks_what) or " " in self.tokens[at].text:
+            return None
+        if found := self.match(choices.EXTREME_AT_SIDE, at):
+            self._choice(Choice(choices.SIDES[found[0]["side"]], 1, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
+            return found[1]
+        found = self.match(choices.AT_SIDE, at)
+        if found is None or not (found[0]["part"] or found[0]["most"] or self._ends(found[1])):
+            return self._region(at)
+        rank = 1 if found[0]["far"] or found[0]["most"] else None
+        for order in choices.orders_of(found[0]["side"]):
+            self._choice(Choice(order, rank, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
+        return found[1]
+
+    def _region(self, at: int) -> int | None:
+        """A part of a thing: it stands in a relation to that thing, and at a side."""
+        found = self.match(choices.REGION_OF, at)
+        if found is None or self.opened:
+            return None
+        if not self.chain.nouns:
+            self._add_noun(Phrase(label="thing"), "target", (at, at))
+        attach = self._attach()
+        for order in choices.orders_of(found[0]["side"] or ""):
+            choice = Choice(order, None, found[0][0].strip())  # type: ignore[arg-type]
+            self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
+            attach = "same"
+        relation = choices.REGION_RELATION.get(found[0]["preposition"], "near")
+        token = Token(found[0][0].strip(), self.tokens[at].start, self.tokens[found[1] - 1].end, relation)
+        self.opened.append(_Opened(token, self._take_negation(), attach))
+        return found[1]
+
+    def _choice(self, choice: Choice, at: int, end: int) -> None:
+        if not self.chain.nouns:
+            self._add_noun(Phrase(label="thing"), "target", (at, at))
+        attach = self._attach()
+        if self.opened:
+            self.opened.pop()
+        if self.negated:
+            self._note(at, end, "a side that is not meant is not judged")
+            self.negated = False
             return
-        if opened.text in lexicon.POSSESSIVE_TAILS:
-            raise unreadable(opened.text, self.text)
-        phrase = self._relation_span(opened)
-        if opened.relation == "between":
-            cut = next((i for i, t in enumerate(body) if t.plain in lexicon.AND), None)
-            if cut is None:
+        span = Span(self.tokens[at].start, self.tokens[end - 1].end, "choice", 0)
+        if not any(s.start == span.start for s in self.chain.spans):
+            self.chain.spans.append(span)
+        self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
+
+    def _links(self, at: int) -> bool:
+        """Whether a word only links a noun to what follows."""
+        word, following = self.tokens[at].plain, self.tokens[at + 1] if at + 1 < len(self.tokens) else None
+        if word is None or word in DETERMINERS - lexicon.RELATIVE:
+            return False
+        if not self.chain.nouns or self.opened:
+            return word in lexicon.COPULAS or (
+                word in lexicon.LINKING and following is not None and following.relation is not None
+            )
+        if word == "right" or word in lexicon.POSTURES:
+            return following is None or following.relation is not None or self._structural(at + 1)
+        return word in lexicon.LINKING or word in lexicon.PLACE_PRONOUNS
+
+    def _viewer(self, at: int) -> int | None:
+        end = at + (self.tokens[at].plain in DETERMINERS)
+        if end >= len(self.tokens) or self.tokens[end].plain not in lexicon.VIEWERS or not self._ends(end + 1):
+            return None
+        phrase = Phrase(label=self.tokens[end].text, viewer=True)
+        self._refer(self._add_noun(phrase, "reference", (end, end + 1)))
+        return end + 1
+
+    def _relation(self, at: int) -> int:
+        token = self.tokens[at]
+        if not self.chain.nouns:
+            if not (self.asks_what or self.linked or self.joined):
+                raise self._no_target()
+            self._add_noun(Phrase(label="thing"), "target", (at, at))
+        scene = self._scene(at + 1) if token.relation in choices.OF_THE_SCENE else None
+        if scene is not None:
+            order = lexicon.SCENE_ORDER.get(str(token.relation))
+            if order is None:
+                self._note(at, scene, "all of the frame is there")
+            else:
+                self._choice(Choice(order, None, token.text), at, scene)  # type: ignore[arg-type]
+            return scene
+        order = lexicon.BARE_SIDES.get(token.text)
+        if order is not None and not self._starts_noun(at + 1):
+            self._choice(Choice(order, 1 if token.text == "on top" else None, token.text), at, at + 1)  # type: ignore[arg-type]
+            return at + 1
+        if token.text in lexicon.POSSESSIVE_TAILS:
+            self.problems.append(unreadable(token.text, self.text))
+            self._note(at, at + 1, self.problems[-1].what)
+            return at + 1
+        if self.opened and not self.joined:
+            self._missing(self.opened.pop())
+        self.opened.append(_Opened(token, self._take_negation(), self._attach()))
+        return at + 1
+
+    def _scene(self, at: int) -> int | None:
+        """Past `the room`, where the scene itself is the reference; None where a thing is."""
+        at += at < len(self.tokens) and self.tokens[at].plain in DETERMINERS
+        if at < len(self.tokens) and self.tokens[at].plain in lexicon.SCENE and self._ends(at + 1):
+            return at + 1
+        return None
+
+    def _with(self, at: int) -> int:
+        """`table with a lamp on top`: the relation holds from the lamp to the table. Else it tells of a part."""
+        phrase, end = self.noun(at + 1)
+        after = self.tokens[end] if end < len(self.tokens) else None
+        while after is not None and after.plain in lexicon.LINKING and after.plain not in DETERMINERS:
+            end += 1
+            after = self.tokens[end] if end < len(self.tokens) else None
+        tail = None if after is None or phrase is None else self._with_tail(end)
+        if phrase is None or after is None or tail is None:
+            return self._unused(at, "parts and what a thing has are left to the detector")
+        self._relation_span(self.tokens[at])
+        number = self._add_noun(phrase, "reference", phrase.where)
+        self._relation_span(after)
+        words = f"{self.tokens[at].text} ... {after.text}"
+        relation, swapped = str(after.relation), not after.swapped
+        attach: Attach = "same" if self.joined and self.chain.clauses else "nearest"
+        self.chain.clauses.append(Clause(relation, words, (number,), swapped, attach, True, self._take_negation()))
+        self.joined = False
+        return tail
+
+    # ---- nouns -----------------------------------------------------------------------------------------------------
+
+    def _noun(self, at: int) -> int:
+        phrase, end = self.noun(at, stop_at_and=bool(self.opened) and self.opened[-1].token.relation == "between")
+        if phrase is None:
+            self._note(at, max(end, at + 1), "these words have no place here")
+            return max(end, at + 1)
+        if phrase.superlative is not None and (reference := self._superlative_reference(end)) is not None:
+            return self._nearest_noun(phrase, end, reference)
+        if self.opened:
+            return self._reference(at, phrase, end)
+        if not self.chain.nouns:
+            if self._is_pronoun(phrase) and not self.asks_what:
+                self.problems.append(self._names_nothing("target", phrase))
+                phrase = replace(phrase, label="thing", head="")
+            if phrase.where == (at, at + 1) and end < len(self.tokens) and self.tokens[end].plain in DETERMINERS:
+                # `gran the mug`: a verb that nobody knows.
+                self._note(at, end, "this word is not known")
+                return end
+            self._add_noun(phrase, "target", phrase.where)
+            self._forget()
+            return end
+        return self._further(at, phrase, end)
+
+    def _reference(self, at: int, phrase: Phrase, end: int) -> int:
+        if self._is_pronoun(phrase):
+            self.problems.append(self._names_nothing("reference", phrase))
+            self._note(at, end, self.problems[-1].what, self.opened.pop().token)
+            self._forget()
+            return end
+        phrase = self._resolved(phrase)
+        first = self._add_noun(phrase, "reference", phrase.where)
+        if self.opened[-1].token.relation == "between":
+            second, end = self._second(phrase, first, end)
+            if second is None and " of" in self.opened[-1].token.text:
+                # In the middle of one thing.
+                opened = self.opened.pop()
+                self.opened.append(replace(opened, token=replace(opened.token, relation="on")))
+                self._refer(first)
+            elif second is None:
                 raise InputError(
-                    f"'{opened.text}' needs two references",
+                    f"'{self.opened[-1].token.text}' needs two references",
                     got=f"'{self.text}'",
                     expected="TARGET between REFERENCE and REFERENCE",
                 )
-            first = self._noun(body[:cut], phrase)
-            self._relation_span(body[cut])
-            references = (first, self._noun(body[cut + 1 :], "and"))
+            else:
+                self._refer(first, second)
         else:
-            references = (self._noun(body, phrase),)
-        relation = str(opened.relation)
-        self.chain.clauses.append(Clause(relation, phrase, references, opened.swapped, attach))
+            self._refer(first)
+        return end
 
-    def _nearest_noun(self, opened: Token | None, attach: Attach, early: Token, body: list[Token]) -> None:
-        """`the nearest chair to the door`: the relation stands before the noun that it modifies."""
-        cut = next((i for i, t in enumerate(body) if t.plain in ("to", "from")), None)
-        if cut is None:
-            raise InputError(
-                f"'{early.text}' names no reference",
-                got=f"'{self.text}'",
-                expected=f"TARGET {lexicon.wording(str(early.relation))} REFERENCE",
+    def _second(self, first: Phrase, number: int, end: int) -> tuple[int | None, int]:
+        """The other reference of `between`; `the two chairs` are both."""
+        if (
+            end < len(self.tokens)
+            and self.tokens[end].plain in lexicon.AND
+            and not (first.count == 2 and self._ends(end + 1))
+        ):
+            self._relation_span(self.tokens[end])
+            phrase, after = self.noun(end + 1)
+            if phrase is None:
+                raise InputError(
+                    "the reference is missing after 'and'", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
+                )
+            return self._add_noun(self._resolved(phrase, first), "reference", phrase.where), after
+        if first.count == 2 or (first.count is None and first.head_word != singular(first.head_word)):
+            self.chain.nouns.append(first)
+            return number + 1, end
+        return None, end
+
+    def _further(self, at: int, phrase: Phrase, end: int) -> int:
+        """A noun without a relation before it: the target once more, what it is not, or nothing that is of use."""
+        root = self.chain.nouns[0]
+        if self.negated:
+            if phrase.anything and not (phrase.attributes or phrase.choices):
+                # `not the ones on the stool`: what follows is negated.
+                self.at_root = True
+                return end
+            number = self._add_noun(self._resolved(phrase, root), "reference", phrase.where)
+            self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
+            self.negated, self.at_root = False, True
+            return end
+        clauses = self.chain.clauses
+        if self.joined and not self.linked and clauses and clauses[-1].references and not phrase.anything:
+            last = clauses[-1]
+            number = self._add_noun(self._resolved(phrase), "reference", phrase.where)
+            clauses.append(replace(last, references=(number, *last.references[1:]), attach="same"))
+            self._forget()
+            return end
+        same = phrase.name == root.name or phrase.anything or phrase.name in root.name.split()
+        if self.joined and not clauses and not same:
+            joint = "and the" if self.tokens[at].plain in DETERMINERS else "and"
+            raise InputError(f"'{joint}' names a second target", got=f"'{self.text}'", expected="one target a relation")
+        if same or (self.linked and (phrase.attributes or phrase.choices)):
+            self._merge(phrase)
+            self.at_root = True
+        else:
+            self.problems.append(
+                not_known(self.tokens, max(at - 1, 1), self.text) if at else unreadable(phrase.label, self.text)
             )
-        self._place(opened, attach, body[:cut])
-        phrase = self._relation_span(early)
-        self._relation_span(body[cut])
-        reference = self._noun(body[cut + 1 :], f"{phrase} {body[cut].text}")
-        clause = Clause(str(early.relation), f"{phrase} {body[cut].text}", (reference,), attach="nearest")
-        self.chain.clauses.append(clause)
+            self._note(at, end, "a second thing without a relation to the first")
+        self._forget()
+        return end
 
-    def _with_tail(self, after: Token, head: list[Token], link: Token, item: list[Token]) -> None:
-        """`table with a lamp on top`: the relation holds from the lamp to the table."""
-        self._relation_span(link)
-        reference = self._noun(item, link.text)
-        self._relation_span(after)
-        phrase = f"{link.text} ... {after.text}"
-        relation = str(after.relation)
-        swapped = not after.swapped
-        self.chain.clauses.append(Clause(relation, phrase, (reference,), swapped, attach="nearest", closed=True))
+    def _merge(self, phrase: Phrase) -> None:
+        """Words about the target that come later: `the mug ... , the red one`, `the mug is the leftmost object`."""
+        root = self.chain.nouns[0]
+        merged = replace(
+            root, attributes=(*root.attributes, *phrase.attributes), choices=(*root.choices, *phrase.choices)
+        )
+        self.chain.nouns[0] = merged
+        self._modifier_spans(phrase, 0)
 
-    def _relation_span(self, token: Token) -> str:
-        self.chain.spans.append(Span(token.start, token.end, "relation", len(self.chain.clauses)))
-        return token.text
+    def _resolved(self, phrase: Phrase, other: Phrase | None = None) -> Phrase:
+        """`the yellow one` of the thing that was named last."""
+        if not phrase.anything or phrase.head_word not in ("one", "ones") or not self.chain.nouns:
+            return phrase
+        named = other if other is not None and not other.anything else self.chain.nouns[-1]
+        words = list(phrase.words)
+        return replace(phrase, label=" ".join([*words, named.name]), head=named.name if words else "")
 
-    def _noun(self, tokens: list[Token], after: str | None) -> int:
-        """Add the noun that the tokens write; its number. `after` is the phrase before it, None for the target."""
-        role: Role = "target" if after is None else "reference"
-        while tokens and (tokens[0].plain in DETERMINERS or (tokens[0].plain in lexicon.OTHER and len(tokens) > 1)):
-            tokens = tokens[1:]
-        if not tokens:
-            where = "before the relation" if after is None else f"after '{after}'"
-            raise InputError(f"the {role} is missing {where}", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE)
-        check_noun(tokens, role, self.text)
-        label, number = label_of(self.text, tokens), len(self.chain.nouns)
-        self.chain.nouns.append(label)
-        self.chain.spans.append(Span(tokens[0].start, tokens[-1].end, role, number))
+    def _nearest_noun(self, phrase: Phrase, end: int, at: int) -> int:
+        """`the nearest chair to the door`: the relation stands before the noun that it modifies."""
+        early = phrase.superlative
+        assert early is not None
+        others = tuple(c for c in phrase.choices if c.text != early.text)
+        modifiers = tuple(m for m in phrase.modifiers if m[0] != early.start)
+        phrase = replace(phrase, superlative=None, choices=others, modifiers=modifiers)
+        if self.opened:
+            self._refer(self._add_noun(phrase, "reference", phrase.where))
+        elif not self.chain.nouns:
+            self._add_noun(phrase, "target", phrase.where)
+        else:
+            self._merge(phrase)
+        link = self.tokens[end]
+        self._relation_span(early)
+        self.opened.append(
+            _Opened(replace(link, text=f"{early.text} {link.text}", relation=early.relation), False, "nearest")
+        )
+        viewer = self._viewer(at)
+        return self._reference(at, *self._required(at)) if viewer is None else viewer
+
+    def _required(self, at: int) -> tuple[Phrase, int]:
+        phrase, end = self.noun(at)
+        if phrase is None:
+            raise self._missing_reference(self.opened[-1].token.text)
+        return phrase, end
+
+    # ---- what is added ---------------------------------------------------------------------------------------------
+
+    def _refer(self, *references: int) -> None:
+        """Close the relations that are open with their references."""
+        for opened in self.opened:
+            self._relation_span(opened.token)
+            clause = Clause(
+                str(opened.token.relation), opened.token.text, references, opened.token.swapped, opened.attach,
+                negated=opened.negated,
+            )  # fmt: skip
+            self.chain.clauses.append(clause)
+        self.opened.clear()
+        self._forget()
+
+    def _add_noun(self, phrase: Phrase, role: Role, where: tuple[int, int]) -> int:
+        number = len(self.chain.nouns)
+        self.chain.nouns.append(phrase)
+        if where[1] > where[0]:
+            self.chain.spans.append(Span(self.tokens[where[0]].start, self.tokens[where[1] - 1].end, role, number))
+        self._modifier_spans(phrase, number)
         return number
+
+    def _modifier_spans(self, phrase: Phrase, number: int) -> None:
+        self.chain.spans += [Span(start, end, role, number) for start, end, role in phrase.modifiers]
+
+    def _relation_span(self, token: Token) -> None:
+        self.chain.spans.append(Span(token.start, token.end, "relation", len(self.chain.clauses)))
+
+    def _attach(self) -> Attach:
+        """Where the part that begins here belongs."""
+        attach: Attach = (
+            "root" if self.at_root else "same" if self.joined and (self.chain.clauses or self.opened) else "any"
+        )
+        self.joined = self.at_root = False
+        return attach
+
+    def _take_negation(self) -> bool:
+        negated, self.negated = self.negated, False
+        return negated
+
+    def _forget(self) -> None:
+        self.joined = self.linked = self.negated = False
+
+    def _unused(self, at: int, why: str | InputError) -> int:
+        """Words up to the next part that cannot be used."""
+        end = at + 1
+        if self._starts_noun(end):
+            end = max(self.noun(end)[1], end)
+        self.problems.append(why if isinstance(why, InputError) else InputError(why, got=f"'{self.words(at, end)}'"))
+        self._note(at, end, self.problems[-1].what)
+        self._forget()
+        return end
+
+    def _note(self, at: int, end: int, why: str, also: Token | None = None) -> None:
+        start = self.tokens[at].start if also is None else also.start
+        self.chain.spans.append(Span(start, self.tokens[end - 1].end, "unused", 0, why))
+
+    def _missing(self, opened: _Opened) -> None:
+        self.problems.append(self._missing_reference(opened.token.text))
+        token = opened.token
+        self.chain.spans.append(Span(token.start, token.end, "unused", 0, self.problems[-1].what))
+
+    # ---- errors ----------------------------------------------------------------------------------------------------
+
+    def _missing_reference(self, after: str) -> InputError:
+        return InputError(
+            f"the reference is missing after '{after}'", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
+        )
+
+    def _no_target(self) -> InputError:
+        return InputError(
+            "the target is missing before the relation", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
+        )
+
+    def _is_pronoun(self, phrase: Phrase) -> bool:
+        return phrase.label in lexicon.PRONOUNS - lexicon.ANYTHING and not phrase.named
+
+    def _names_nothing(self, role: str, phrase: Phrase) -> InputError:
+        return InputError(
+            f"the {role} names no object: '{phrase.label}'", got=f"'{self.text}'", expected="the name of a thing"
+        )
 
 
 def _without_view(tokens: list[Token], text: str) -> list[Token]:
-    """Drop the camera's view, which is the default; refuse views from elsewhere."""
+    """Drop the camera's view, which is the default; refuse views from elsewhere, and what is not judged."""
     words = {t.text for t in tokens}
     if not words.isdisjoint(lexicon.VIEW_WORDS):
-        joined, starts, ends = _joined(tokens)
+        joined, starts, ends = joined_words(tokens)
         first = lexicon.VIEW_FIRST.match(joined)
         if first and first.end() in ends:
             tokens = tokens[ends.index(first.end()) + 1 :]
-            joined, starts, ends = _joined(tokens)
+            joined, starts, ends = joined_words(tokens)
         last = lexicon.VIEW_LAST.search(joined)
         if last and last.start() in starts:
             tokens = tokens[: starts.index(last.start())]
     singles = {w for t in tokens for w in t.text.split()}
     if not singles.isdisjoint(lexicon.OBJECT_VIEW_WORDS):
-        found = lexicon.OBJECT_VIEW.search(_joined(tokens)[0])
+        found = lexicon.OBJECT_VIEW.search(joined_words(tokens)[0])
         if found:
             raise other_view(found[0].strip(), text)
     if "'" in text or "’" in text:
-        joined, _, ends = _joined(tokens)
+        joined, _, ends = joined_words(tokens)
         for owned in lexicon.SIDE_OF_OWNER.finditer(joined):
             following = ends.index(owned.end()) + 1 if owned.end() in ends else None
-            if following is not None and _says_no_noun(tokens[following : following + 1]):
+            if following is not None and all(
+                t.relation is not None or t.plain in lexicon.LINKING or t.plain in lexicon.AND
+                for t in tokens[following : following + 1]
+            ):
                 raise other_view(owned[0], text)
+    check_judged(tokens, text)
     return tokens
-
-
-def _says_no_noun(tokens: Sequence[Token]) -> bool:
-    return all(t.relation is not None or t.plain in lexicon.LINKING or t.plain in lexicon.AND for t in tokens)
-
-
-def _joined(tokens: Sequence[Token]) -> tuple[str, list[int], list[int]]:
-    """The words as one string, with where each token starts and ends in it; names are hidden from patterns."""
-    words = ["_" if t.name is not None else t.text for t in tokens]
-    starts, at = [], 0
-    for word in words:
-        starts.append(at)
-        at += len(word) + 1
-    return " ".join(words), starts, [s + len(w) for s, w in zip(starts, words, strict=True)]
-
-
-def _without_leading(tokens: list[Token]) -> list[Token]:
-    """Drop `please find me` and the like, as long as a noun is left before the relation."""
-    while tokens:
-        for n in (5, 4, 3, 2, 1):
-            run = tokens[:n]
-            if len(run) == n and " ".join(t.text for t in run) in lexicon.LEADING:
-                if any(t.bound or t.name is not None for t in run):
-                    continue
-                if len(tokens) > n and tokens[n].relation is None:
-                    tokens = tokens[n:]
-                    break
-        else:
-            return tokens
-    return tokens
-
-
-def _without_linking(segment: list[Token]) -> tuple[list[Token], bool]:
-    """A segment before a relation without its `that is` and `and`; whether there was an `and`."""
-    end, joined = len(segment), False
-    while end:
-        word = segment[end - 1].plain
-        before = segment[end - 2].plain if end > 1 else None
-        if word in lexicon.AND:
-            joined = True
-        elif word not in lexicon.LINKING and not (word in lexicon.POSTURES and before in lexicon.RELATIVE):
-            break
-        end -= 1
-    return segment[:end], joined
-
-
-def _with_clause(
-    body: list[Token], after: Token, following: list[Token]
-) -> tuple[list[Token], Token, list[Token]] | None:
-    """Head, `with`, item where the words before a phrase and those after it say `HEAD with ITEM on top (of it)`."""
-    cut = next((i for i, t in enumerate(body) if i and t.plain in lexicon.WITH), None)
-    if cut is None or cut + 1 == len(body):
-        return None
-    # Only what can be said from the other side, by another name or by a phrase of its own.
-    if after.relation not in MIRRORED and after.relation not in lexicon.SAYS_SWAPPED:
-        return None
-    rest, _ = _without_linking(following)
-    pronoun = len(rest) == 1 and rest[0].plain in lexicon.PLACE_PRONOUNS
-    bare = after.text in lexicon.BARE_TAILS and not rest and not any(t.plain in lexicon.ARTICLES for t in following)
-    if not pronoun and not bare:
-        return None
-    return _without_linking(body[:cut])[0], body[cut], body[cut + 1 :]

@@ -7,6 +7,7 @@ in `pipeline.language.grammar`.
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 
 from pipeline.language.relation import DECLARED
 from pipeline.language.relation_names import RELATIONS
@@ -14,6 +15,10 @@ from pipeline.language.relation_names import RELATIONS
 
 def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
+
+
+def _phrases(text: str) -> frozenset[str]:
+    return frozenset(text.split(", "))
 
 
 SAYS: dict[str, tuple[str, ...]] = {r.name: r.reads for r in DECLARED}
@@ -40,109 +45,80 @@ UNDER = frozenset({"under", "underneath", "beneath", "underneath of"})
 SUPERLATIVES = frozenset({"closest", "nearest", "farthest", "furthest", "most distant"})
 """Relation phrases that may also stand before the noun: `the nearest chair to the door`."""
 
+ANYTHING = _words("thing things object objects item items one ones stuff something anything")
+"""Heads that say no more than that it is a thing."""
+
+VIEWERS = _words("me you us camera viewer observer photographer robot i yourself myself")
+"""Who looks, where no class is called so."""
+
+SCENE_ORDER = {
+    "left": "left",
+    "right": "right",
+    "front": "near",
+    "behind": "far",
+    "between": "middle",
+    "below": "bottom",
+}
+"""The side that a relation to the scene names: `on the left of the room`, `in the middle of the picture`."""
+BARE_SIDES = {"in front": "near", "behind": "far", "in back": "far", "on top": "high", "on the top": "high"}
+"""Relation phrases that name a side where no reference follows."""
+
+STACKS = _words("stack pile heap")
+SCENE = _words("room picture image photo photograph scene view frame screen shot")
+"""What holds all of the frame: its sides are those of the picture."""
+
 WITH = frozenset({"with", "has", "have", "having"})
 PRONOUNS = _words("it them itself themselves they he she him her me you something anything someone one what")
 PLACE_PRONOUNS = frozenset({"it", "them", "itself", "themselves"})
 
-LEADING = frozenset(
-    [
-        "please",
-        "can you",
-        "could you",
-        "would you",
-        "will you",
-        "i want",
-        "i want you to",
-        "i need",
-        "i see",
-        "i am looking for",
-        "i'm looking for",
-        "looking for",
-        "find",
-        "find me",
-        "help me find",
-        "spot",
-        "locate",
-        "show",
-        "show me",
-        "pick",
-        "pick up",
-        "grab",
-        "get",
-        "get me",
-        "give me",
-        "bring",
-        "bring me",
-        "fetch",
-        "fetch me",
-        "take",
-        "select",
-        "choose",
-        "point to",
-        "point at",
-        "point out",
-        "go to",
-        "move to",
-        "navigate to",
-        "drive to",
-        "walk to",
-        "head to",
-        "look for",
-        "look at",
-        "search for",
-        "detect",
-        "segment",
-        "highlight",
-        "ground",
-        "identify",
-        "click",
-        "click on",
-        "hand me",
-        "pass me",
-        "where is",
-        "where can i find",
-        "where can i see",
-        "where are",
-        "where's",
-        "what is",
-        "what are",
-        "what's",
-        "which is",
-        "which are",
-        "which",
-        "what",
-        "is there",
-        "are there",
-        "is it true that",
-        "there is",
-        "there are",
-        "is",
-        "are",
-        "does",
-        "do you see",
-        "can you see",
-        "can i see",
-        "i can see",
-        "tell me where",
-        "tell me",
-    ]
+LEADING = _phrases(
+    "please, now, ok, okay, hey, hello, robot, just, then, can you, could you, would you, will you, can you please, "
+    "could you please, i want, i want you to, i need, i need you to, i would like, i would like you to, i'd like, "
+    "i'd like you to, you should, try to, you need to, i see, i am looking for, i'm looking for, looking for, "
+    "find, find me, help me find, spot, locate, show, show me, pick, pick up, pickup, grab, get, get me, give, "
+    "give me, bring, bring me, bring over, fetch, fetch me, take, select, choose, point to, point at, point out, "
+    "go to, move to, navigate to, drive to, walk to, head to, look for, look at, search for, detect, segment, "
+    "highlight, ground, identify, mark, reach for, reach, click, click on, hand, hand me, pass, pass me, where is, "
+    "where can i find, where can i see, where are, where's, what is, what are, what's, which is, which are, "
+    "which one is, which, what, is there, are there, there's, is it true that, there is, there are, this is, "
+    "these are, it is, it's, is, are, does, do you see, can you see, can i see, i can see, you can see, we see, "
+    "tell me where, tell me which, tell me, tell me where is, let me see"
 )
 """What may stand before the first noun and says nothing about it."""
 
 LINKING = _words(
-    "that which who is are was were be being that's which's who's it's there also directly immediately just right "
+    "that which who is are was were be been being that's which's who's it's there also directly immediately just right "
     "straight exactly slightly somewhere still currently located positioned placed situated standing stood sitting "
-    "seated lying laying laid resting hanging hung leaning mounted kept found put parked the a an"
+    "seated lying laying laid resting hanging hung leaning mounted kept found put parked the a an thats whos can could "
+    "may seen visible propped stored stacked arranged displayed perched tucked nestled almost nearly very quite "
+    "closely pictured appears seems approximately about"
 )
 """Words between a noun and its relation that say nothing: `the mug that is standing on`."""
 
+COPULAS = _words("that which who is are was were be been being that's which's who's it's there thats whos also")
+
 RELATIVE = frozenset({"that", "which", "who"})
-POSTURES = _words("stands sits lies rests hangs leans stand sit lie rest hang lean sat")
+POSTURES = _words("stands sits lies rests hangs leans stand sit lie rest hang lean sat goes belongs appears")
 """Linking words only after `that`, since `tv stands` are things."""
 
 CLOSING = _words("please thanks is are there")
 AND = frozenset({"and", "but", "&"})
-NEGATIONS = _words("not no isn't aren't without except excluding neither nor never cannot")
+NEGATIONS = _words(
+    "not no isn't aren't isnt arent wasn't doesn't doesnt don't without except excluding neither nor never cannot"
+)
+
+FILLER = re.compile(
+    r"(?:(?:a |one |two |three |several |some )?(?:few |couple of |couple |little |bit )?"
+    r"(?:feet|foot|inch|inches|meters|metres|centimeters|steps|bit|little|ways?)(?: away| off| over| back| up| down)?"
+    r"|(?:up|down|over|out|off|all the way|in place|by itself|here|located)) ?(?= |$)"
+)
+"""A distance or a direction before a relation, which no relation judges: `a few feet to the left of`."""
+
+ACTIONS = _words(
+    "put place move turn open close push pull throw pour clean wash wipe fold lift drop carry stack arrange fill empty "
+    "switch press cut eat drink read write sit stand walk go"
+)
+"""Commands that ask for more than to point at a thing."""
 
 OTHER = frozenset({"another", "other"})
 """Before a noun they tell two things of one name apart, `the mug left of the other mug`, and say nothing more."""
@@ -159,10 +135,6 @@ UNKNOWN_RELATIONS = _words(
 """Words that relate two nouns in English and that no relation here stands for. Never guessed."""
 
 VERBS = _words("that which who whose is are was were has have should where")
-
-_SIDES = "left|right|front|back|rear|top|bottom|middle|center|centre|side|far left|far right|other side|inside|outside"
-SIDE_ONLY = re.compile(rf"(?:{_SIDES})(?: (?:hand )?side)?")
-"""A reference that is only a side: `the mug on the left`."""
 
 SIDE_OF_OWNER = re.compile(r"\S+'s? (?:own )?(?:left|right|front|back|rear)(?: (?:hand )?side)?(?= |$)")
 """An object's own side, where no noun follows: `the couch's left`, and not `the dog's left paw`."""
@@ -205,12 +177,26 @@ OBJECT_VIEW_WORDS = _words(
 """No expression without one of these words matches OBJECT_VIEW."""
 
 
+GRAMMAR_WORDS = (
+    LINKING
+    | POSTURES
+    | NEGATIONS
+    | UNKNOWN_RELATIONS
+    | VERBS
+    | ACTIONS
+    | ANYTHING
+    | frozenset(word for phrase in LEADING for word in phrase.split())
+)
+"""Words that are never taken for misspelt ones."""
+
+
 def wording(relation: str, *, inverse: bool = False) -> str:
     """How a relation is said between two nouns: `left of`; for `on` from the other side, `supporting`."""
     declared = RELATIONS[relation]
     return declared.swapped_phrase or f"reached by {declared.phrase}" if inverse else declared.phrase
 
 
+@lru_cache(maxsize=1)
 def phrase_table() -> dict[str, tuple[str, bool]]:
     """All phrases with the relation each says and whether it says it from the other side."""
     table = {phrase: (relation, False) for relation, phrases in SAYS.items() for phrase in phrases}

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from pipeline.language.lexicon import AND, WITH, phrase_table
-from pipeline.language.naming import DETERMINERS, Synonyms
+from pipeline.language.lexicon import AND, GRAMMAR_WORDS, WITH, phrase_table
+from pipeline.language.naming import DETERMINERS, Synonyms, known_words
 from pipeline.system.errors import InputError, require
 
 MAX_LENGTH = 300
@@ -68,13 +68,66 @@ class Vocabulary:
 
 def _phrases_by_first_word() -> dict[str, tuple[tuple[tuple[str, ...], str, bool], ...]]:
     table: dict[str, list[tuple[tuple[str, ...], str, bool]]] = {}
-    for phrase, (relation, swapped) in phrase_table().items():
+    known = phrase_table()
+    for phrase, (relation, swapped) in known.items():
         words = tuple(phrase.split())
-        table.setdefault(words[0], []).append((words, relation, swapped))
+        # People run them together: `infront of`, `nextto`, `ontopof`.
+        joined = [("".join(words[:n]), *words[n:]) for n in range(2, len(words) + 1)]
+        for form in (words, *(f for f in joined if " ".join(f) not in known)):
+            table.setdefault(form[0], []).append((form, relation, swapped))
     return {first: tuple(sorted(entries, key=lambda e: -len(e[0]))) for first, entries in table.items()}
 
 
 _PHRASES = _phrases_by_first_word()
+_MISSPELT = [
+    "left",
+    "right",
+    "behind",
+    "front",
+    "between",
+    "beside",
+    "besides",
+    "under",
+    "above",
+    "below",
+    "next",
+    "near",
+    "bottom",
+    "middle",
+    "closest",
+    "nearest",
+    "farthest",
+    "furthest",
+    "leftmost",
+    "rightmost",
+    "inside",
+    "beneath",
+    "underneath",
+    "infront",
+]
+"""Words of the grammar that are taken for what a misspelt word should be."""
+
+
+@lru_cache(maxsize=4096)
+def spelled(word: str) -> str:
+    """A word of the grammar where one is misspelt by a letter too many, too few or two that changed places.
+
+    A word that is known is left alone; in long ones one letter may be another.
+    """
+    if len(word) < 3 or word in _PHRASES or word in _MISSPELT or word in GRAMMAR_WORDS or word in known_words():
+        return word
+    for meant in _MISSPELT:
+        if abs(len(word) - len(meant)) <= 1 and word[0] == meant[0] and _one_slip(word, meant):
+            return meant
+    return word
+
+
+def _one_slip(word: str, meant: str) -> bool:
+    start = next((k for k, (a, b) in enumerate(zip(word, meant, strict=False)) if a != b), min(len(word), len(meant)))
+    a, b = word[start:], meant[start:]
+    swapped = a[:2] == b[1::-1] and a[2:] == b[2:] and len(a) > 1
+    other = len(word) > 6 and a[1:] == b[1:]
+    return swapped or a[1:] == b or a == b[1:] or other
 
 
 def words_of(name: str) -> tuple[str, ...]:
@@ -152,7 +205,7 @@ def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[T
     `built-in oven` is none.
     """
     found = list(_WORD.finditer(text))
-    words = [m[0].lower().replace("’", "'") for m in found]
+    words = [spelled(m[0].lower().replace("’", "'")) for m in found]
     starts = [m.start() for m in found]
     ends = [m.end() for m in found]
     opens = [i == 0 or _BREAKS.search(text, ends[i - 1], starts[i]) is not None for i in range(len(found))]

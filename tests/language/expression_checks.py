@@ -10,6 +10,7 @@ from pipeline.system.errors import InputError
 
 def triple(text: str, **options: object) -> tuple[str, str, str]:
     expression = parse(text, **options).expression  # type: ignore[arg-type]
+    assert expression is not None
     return expression.target, expression.relation, expression.reference
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from expression_checks import refused, triple
 
-from pipeline.language.expression import Expression, parse
+from pipeline.language.expression import parse
+from pipeline.language.tree import Expression
 from pipeline.language.relation_names import RELATIONS
 from pipeline.system.errors import InputError
 

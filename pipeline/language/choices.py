@@ -1,0 +1,93 @@
+"""The words that choose among several things of one kind: extremes, ordinals, comparisons and sides, as data."""
+
+from __future__ import annotations
+
+import re
+
+from pipeline.language.lexicon import SCENE
+
+
+def _table(text: str) -> dict[str, str]:
+    """ "left: a, b; right: c" as word -> order."""
+    return {
+        word.strip(): order.strip()
+        for order, words in (line.split(":") for line in text.split(";"))
+        for word in words.split(",")
+    }
+
+
+EXTREMES = _table(
+    "left: leftmost, left most, most left, far left, farthest left, furthest left, extreme left;"
+    "right: rightmost, right most, most right, far right, farthest right, furthest right, extreme right;"
+    "high: topmost, top most, uppermost, highest, higher;"
+    "low: lowest, bottommost, bottom most, lowermost, lower most, lower;"
+    "near: closest, nearest, closer, nearer, frontmost, front most, foremost;"
+    "far: farthest, furthest, farther, further, backmost, back most, rearmost, most distant;"
+    "tall: tallest, taller; short: shortest, shorter;"
+    "big: biggest, bigger, largest, larger, greatest;"
+    "small: smallest, smaller, tiniest, tinier, littlest, littler;"
+    "wide: widest, wider, broadest, broader; narrow: narrowest, narrower, slimmest, slimmer;"
+    "long: longest, longer; thin: thinnest, thinner; thick: thickest, thicker"
+)
+"""Superlatives and comparatives before a noun, by the order of which they are the first."""
+
+COMPARATIVES = frozenset({"higher", "lower", "closer", "nearer", "farther", "further"})
+"""Of two things only: `the lower of the two`, else another word."""
+
+SIDES = _table(
+    "left: left, left hand, lefthand; right: right, right hand, righthand; top: top, upper; bottom: bottom, lower;"
+    "near: front, foreground; far: back, rear, background, distance, far; middle: middle, center, centre, central, mid"
+)
+"""Words of sides before a noun or after `on the`, by the order of which they are the beginning."""
+
+ORDINALS = {w: n for n, words in enumerate(
+    ("first 1st", "second 2nd", "third 3rd", "fourth 4th", "fifth 5th", "sixth 6th", "seventh 7th", "eighth 8th",
+     "ninth 9th", "tenth 10th"), start=1) for w in words.split()} | {"last": -1}  # fmt: skip
+NUMBERS = {w: n for n, w in enumerate(("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"), 2)}
+NUMBERS |= {str(n): n for n in range(2, 11)}
+OPPOSITE = {
+    "left": "right", "right": "left", "top": "bottom", "bottom": "top", "near": "far", "far": "near", "high": "low",
+    "low": "high", "tall": "short", "short": "tall", "big": "small", "small": "big",
+}  # fmt: skip
+
+_SIDE = "|".join(sorted(SIDES, key=len, reverse=True))
+_THE = r"(?:(?:the|your|my|our|its|their|this|that) )?"
+_SCENE = rf"(?: (?:of|in) {_THE}(?:{'|'.join(sorted(SCENE))}))?"
+_PART = r"(?:side|corner|end|edge|part|half|hand|area|section|portion|region|position|row|most)"
+AT_SIDE = re.compile(
+    rf"(?:on|at|in|to|toward|towards|from) {_THE}(?P<far>(?:(?:very|far|farthest|furthest|extreme|most) (?={_SIDE})))?"
+    rf"(?P<side>(?:{_SIDE})(?: (?:{_SIDE}))?)(?P<most> ?most)?(?P<part>(?: {_PART})*){_SCENE}(?= |$)(?! of )"
+)
+"""A side after the noun: `on the left`, `at the bottom right corner of the picture`, `to your far left`."""
+
+REGION_OF = re.compile(
+    rf"(?P<preposition>on|at|in|to|toward|towards|near|by) {_THE}(?:(?:very|far|extreme|outer|inner) )?"
+    rf"(?:(?P<side>(?:{_SIDE})(?: (?:{_SIDE}))?) )?(?:(?:hand )?(?:side|corner|end|edge|part|half|area|section|portion|"
+    rf"region|position|front|back|right|left) )of(?= )"
+)
+"""A part of a thing: `on the right end of the couch`, `at the edge of the table`."""
+REGION_RELATION = {"in": "in", "on": "on"}
+"""What a part of a thing says of it, by the preposition; else `near`."""
+
+FROM_SIDE = re.compile(
+    rf"(?:from|starting from|counting from|counted from|on|to|at|in) {_THE}(?:far )?(?P<side>{_SIDE})"
+    rf"(?: (?:hand )?(?:side|end|edge))?{_SCENE}(?= |$)(?! of )"
+)
+"""Where an ordinal begins to count: `second from the left`."""
+
+EXTREME_AT_SIDE = re.compile(
+    rf"(?:farthest|furthest|most|further|farther|closest|nearest|all the way)(?: away)? ?(?:to|on|at|toward|towards)? "
+    rf"{_THE}(?P<side>left|right|top|bottom|front|back)(?: (?:hand )?(?:side|end|edge))?{_SCENE}(?= |$)(?! of )"
+)
+"""`furthest to the left`, `farthest left`."""
+
+
+def orders_of(words: str) -> tuple[str, ...]:
+    """The orders that words of sides name: `bottom left` is both."""
+    if words in SIDES:
+        return (SIDES[words],)
+    return tuple(dict.fromkeys(SIDES[w] for w in words.split() if w in SIDES))
+
+
+OF_THE_SCENE = frozenset({"left", "right", "front", "behind", "between", "above", "below", "on", "in"})
+"""Relations that name a side or say nothing where their reference is the scene: `on the left side of the room`."""

@@ -1,0 +1,466 @@
+"""Noun phrases of an expression: the thing, how it looks, which of several it is, and how many there are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pipeline.language import choices, lexicon
+from pipeline.language.attributes import Attribute, attribute
+from pipeline.language.naming import DETERMINERS, is_compound, singular
+from pipeline.language.relation_names import MIRRORED
+from pipeline.language.tokens import Token, label_of
+from pipeline.language.tree import Choice, Role
+
+_QUANTIFIERS = frozenset({"all", "both", "each", "every", "same"})
+_JUST = frozenset({"just", "directly", "right", "immediately", "slightly", "exactly", "straight", "almost", "very"})
+_MODALS = frozenset({"can", "could", "may"})
+_LONGEST_CHOICE = 3
+
+
+@dataclass(frozen=True)
+class Phrase:
+    """A noun phrase as the grammar reads it.
+
+    Attributes
+    ----------
+    label : str
+        The thing with its attributes.
+    head : str
+        The thing alone, where there are attributes.
+    attributes : tuple of Attribute
+    words : tuple of str
+        Each attribute as it was said.
+    choices : tuple of Choice
+    count : int or None
+    viewer : bool
+    named : bool
+        The vocabulary holds the name together.
+    where : (int, int)
+        The tokens of the thing.
+    modifiers : tuple of (int, int, str)
+        Character ranges of what stands apart from the thing: its choices, and attributes without a thing.
+    superlative : Token or None
+        `nearest` and the like, which may be a relation: `the nearest chair to the door`.
+    """
+
+    label: str
+    head: str = ""
+    attributes: tuple[Attribute, ...] = ()
+    words: tuple[str, ...] = ()
+    choices: tuple[Choice, ...] = ()
+    count: int | None = None
+    viewer: bool = False
+    named: bool = False
+    where: tuple[int, int] = (0, 0)
+    modifiers: tuple[tuple[int, int, Role], ...] = ()
+    superlative: Token | None = None
+
+    @property
+    def name(self) -> str:
+        """The thing alone."""
+        return self.head or self.label
+
+    @property
+    def head_word(self) -> str:
+        """Its last word."""
+        return self.name.split()[-1] if self.name else ""
+
+    @property
+    def anything(self) -> bool:
+        """Whether it says only that it is a thing."""
+        return self.name in lexicon.ANYTHING and not self.named
+
+
+@dataclass
+class _Draft:
+    """A noun phrase in the making."""
+
+    attributes: list[Attribute]
+    words: list[str]
+    choices: list[Choice]
+    modifiers: list[tuple[int, int, Role]]
+    count: int | None = None
+    ordinal: tuple[int, str] | None = None
+    superlative: Token | None = None
+
+    def choose(self, order: str, text: str, rank: int | None = 1) -> None:
+        if self.ordinal is not None and rank == 1:
+            rank, self.ordinal = self.ordinal[0], None
+            if rank < 0:
+                order, rank = choices.OPPOSITE.get(order, order), 1
+        self.choices.append(Choice(order, rank, text))  # type: ignore[arg-type]
+
+
+class NounReader:
+    """A cursor over tokens that reads noun phrases.
+
+    Attributes
+    ----------
+    text : str
+    tokens : list of Token
+        Words that hyphens join are one.
+    breaks : list of bool
+        Whether punctuation stands before a token.
+    """
+
+    def __init__(self, text: str, tokens: Sequence[Token]) -> None:
+        self.text = text
+        self.tokens = _hyphens_joined(text, tokens)
+        self.breaks = [
+            k > 0 and any(c in text[self.tokens[k - 1].end : t.start] for c in ",;:.!?()")
+            for k, t in enumerate(self.tokens)
+        ]
+        self.line, self._starts, ends = joined_words(self.tokens)
+        self._after = {end: k + 1 for k, end in enumerate(ends)}
+
+    def match(self, pattern: re.Pattern[str], at: int) -> tuple[re.Match[str], int] | None:
+        """The pattern at a token, and the token after it, where it ends with a word."""
+        found = pattern.match(self.line, self._starts[at]) if at < len(self.tokens) else None
+        end = None if found is None else self._after.get(self._starts[at] + len(found[0].rstrip()))
+        if found is None or end is None or any(self.breaks[k] for k in range(at + 1, end)):
+            return None
+        return found, end
+
+    def words(self, at: int, end: int) -> str:
+        """The tokens as they were typed."""
+        return self.text[self.tokens[at].start : self.tokens[min(end, len(self.tokens)) - 1].end]
+
+    # ---- boundaries ------------------------------------------------------------------------------------------------
+
+    def _structural(self, at: int) -> bool:
+        """Whether a token is grammar, and no word of a name."""
+        if at >= len(self.tokens):
+            return True
+        token = self.tokens[at]
+        if token.relation is not None:
+            return True
+        word = token.plain
+        if word in _MODALS:
+            return at + 1 < len(self.tokens) and self.tokens[at + 1].plain in ("be", "been")
+        return word is not None and (
+            word in lexicon.AND or word in lexicon.WITH or word in lexicon.NEGATIONS or word in lexicon.LINKING
+            or word in lexicon.RELATIVE or word in lexicon.UNKNOWN_RELATIONS or word in lexicon.VERBS
+        )  # fmt: skip
+
+    def _ends(self, at: int) -> bool:
+        """Whether a noun phrase or a side may end before a token."""
+        return at >= len(self.tokens) or self.breaks[at] or self._structural(at) or (
+            self.tokens[at].plain in lexicon.POSTURES or self.tokens[at].plain in ("or", "nor", "it", "this")
+        ) or self.match(choices.AT_SIDE, at) is not None  # fmt: skip
+
+    def _goes_on(self, at: int) -> bool:
+        """Whether a relation, a side or the end follows."""
+        return at >= len(self.tokens) or self._structural(at) or self.match(choices.AT_SIDE, at) is not None
+
+    def _starts_noun(self, at: int) -> bool:
+        """Whether a noun phrase may begin at a token."""
+        if at >= len(self.tokens) or self.breaks[at]:
+            return False
+        word = self.tokens[at].plain
+        return word in DETERMINERS or not (self._structural(at) or word in lexicon.PLACE_PRONOUNS)
+
+    def is_superlative_noun(self, at: int) -> bool:
+        """Whether `nearest` stands before a noun, as in `the nearest chair`."""
+        return self.tokens[at].text in lexicon.SUPERLATIVES and self._starts_noun(at + 1) and (
+            at == 0 or self.tokens[at - 1].plain in DETERMINERS or self.tokens[at - 1].plain in choices.ORDINALS
+            or self.tokens[at - 1].relation is not None
+        )  # fmt: skip
+
+    def _superlative_reference(self, at: int) -> int | None:
+        """The token after `to` or `from`, where what `nearest` is near to follows there."""
+        if (
+            at + 1 < len(self.tokens)
+            and self.tokens[at].plain in ("to", "from")
+            and not self.match(choices.AT_SIDE, at)
+        ):
+            return at + 1
+        return None
+
+    # ---- one noun phrase -------------------------------------------------------------------------------------------
+
+    def noun(self, at: int, *, stop_at_and: bool = False) -> tuple[Phrase | None, int]:
+        """The noun phrase at a token and the token after it; None where there is none.
+
+        Parameters
+        ----------
+        at : int
+        stop_at_and : bool
+            An `and` never belongs to the name.
+        """
+        draft = _Draft([], [], [], [])
+        at = self._before(self._determiners(at), draft)
+        if draft.choices or draft.ordinal:
+            at = self._of_several(at, draft)
+        end = self._head_end(at, draft, stop_at_and=stop_at_and)
+        head = self._of_a_stack(self.tokens[at:end])
+        after = self._ordinal_end(end, draft)
+        if not head and not (draft.attributes or draft.choices or draft.count):
+            return None, after
+        start = at if not head else end - len(head)
+        name, cut = "thing", end
+        if head:
+            cut = next((k for k, t in enumerate(head) if k and t.plain in lexicon.WITH), len(head))
+            name = label_of(self.text, head)
+        label = " ".join([*draft.words, name])
+        alone = label_of(self.text, head[:cut]) if head and cut < len(head) else name
+        return Phrase(
+            label=label,
+            head=alone if alone != label else "",
+            attributes=tuple(draft.attributes),
+            words=tuple(draft.words),
+            choices=tuple(draft.choices),
+            count=draft.count,
+            named=len(head) == 1 and head[0].name is not None,
+            where=(_first_word(draft, self.tokens, start), end) if head else (end, end),
+            modifiers=tuple(m for m in draft.modifiers if not head or m[2] == "choice"),
+            superlative=draft.superlative,
+        ), after
+
+    def _determiners(self, at: int) -> int:
+        while at < len(self.tokens) and (self.tokens[at].plain in DETERMINERS or self.tokens[at].plain in _QUANTIFIERS):
+            at += 1
+        return at
+
+    def _before(self, at: int, draft: _Draft) -> int:
+        """Read choices, numbers and attributes before the head."""
+        while at < len(self.tokens):
+            token = self.tokens[at]
+            end = self._choice_before(at, draft) or self._attribute(at, draft)
+            if end is None and token.plain in lexicon.OTHER and not self._ends(at + 1):
+                end = at + 1
+            if end is None and token.plain in choices.NUMBERS and not self._ends(at + 1):
+                draft.count, end = choices.NUMBERS[token.plain], at + 1
+            if end is None and token.plain in lexicon.AND and draft.attributes and attribute(self._text(at + 1)):
+                end = at + 1
+            if end is None or (at > 0 and self.breaks[at] and not draft.attributes):
+                break
+            at = end
+        return at
+
+    def _text(self, at: int) -> str:
+        """A word as the tables of choices and attributes have it; empty for names and phrases."""
+        if at >= len(self.tokens):
+            return ""
+        token = self.tokens[at]
+        if token.name is not None or (token.relation is not None and token.text not in lexicon.SUPERLATIVES):
+            return ""
+        return token.text.replace("-", " ")
+
+    def _compound(self, at: int) -> bool:
+        """Whether a known name of several words begins at a token: `white board`, `front door`."""
+        words: list[str] = []
+        for k in range(at, min(at + 4, len(self.tokens))):
+            if self.tokens[k].plain is None:
+                return False
+            words.append(self.tokens[k].text)
+            if len(words) > 1 and is_compound(words):
+                return True
+        return False
+
+    def _choice_before(self, at: int, draft: _Draft) -> int | None:
+        if self.breaks[at] and at and draft.choices:
+            return None
+        for size in range(_LONGEST_CHOICE, 0, -1):
+            if at + size > len(self.tokens) or any(self.breaks[at + 1 : at + size]):
+                continue
+            text = " ".join(self._text(k) for k in range(at, at + size))
+            order = choices.EXTREMES.get(text)
+            side = choices.SIDES.get(text) if size == 1 or " hand" in text else None
+            rank = choices.ORDINALS.get(text) if size == 1 else None
+            if order is None and side is None and rank is None:
+                continue
+            last = at + size
+            if self._compound(at) or (size == 1 and not self._may_choose(text, last, draft, side is not None)):
+                return None
+            if rank is not None:
+                draft.ordinal = rank, text
+            elif order is not None:
+                draft.choose(order, text)
+                if self.tokens[at].text in lexicon.SUPERLATIVES:
+                    draft.superlative = self.tokens[at]
+            else:
+                draft.choose(str(side), text, None)
+            draft.modifiers.append((self.tokens[at].start, self.tokens[last - 1].end, "choice"))
+            return last
+        return None
+
+    def _may_choose(self, text: str, after: int, draft: _Draft, side: bool) -> bool:
+        """Whether a word that could be part of a name chooses: something follows it, or it stands for the thing."""
+        if text in choices.COMPARATIVES and after < len(self.tokens) and self.tokens[after].plain != "of":
+            return side
+        following = self.tokens[after] if after < len(self.tokens) else None
+        if following is not None and following.plain == "of":
+            return True
+        if side and self._ends(after):
+            return bool(draft.choices) or bool(draft.attributes)
+        return True
+
+    def _attribute(self, at: int, draft: _Draft) -> int | None:
+        for size in (2, 1):
+            if at + size > len(self.tokens) or (size == 2 and self.breaks[at + 1]):
+                continue
+            text = " ".join(self._text(k) for k in range(at, at + size)).strip()
+            if (size == 2 and " " not in text) or not text:
+                continue
+            found = attribute(text)
+            if found is None or (size == 1 and (self._compound(at) or self._is_the_thing(at, draft))):
+                continue
+            draft.attributes.append(found)
+            draft.words.append(text)
+            draft.modifiers.append((self.tokens[at].start, self.tokens[at + size - 1].end, "attribute"))
+            return at + size
+        return None
+
+    def _is_the_thing(self, at: int, draft: _Draft) -> bool:
+        """`orange`, `glass` and `light` name things too, where nothing follows that could be one."""
+        word = self.tokens[at].text
+        follows = at + 1 < len(self.tokens) and not self._ends(at + 1)
+        return not follows and is_compound([word]) and not draft.attributes
+
+    def _of_several(self, at: int, draft: _Draft) -> int:
+        """`the taller of the two boxes`: past `of the two`."""
+        if at >= len(self.tokens) or self.tokens[at].plain != "of":
+            return at
+        return self._before(self._determiners(at + 1), draft)
+
+    def _head_end(self, at: int, draft: _Draft, *, stop_at_and: bool) -> int:
+        end = at
+        while end < len(self.tokens):
+            token, word = self.tokens[end], self.tokens[end].plain
+            if token.relation is not None or (end > at and self.breaks[end]):
+                break
+            before = self.tokens[end - 1].plain if end > at else None
+            if word is not None and self._stops(end, at, word, before, stop_at_and):
+                break
+            end += 1
+        return end
+
+    def _stops(self, end: int, at: int, word: str, before: str | None, stop_at_and: bool) -> bool:
+        if word in DETERMINERS:
+            return end > at and before not in lexicon.ARTICLE_BEARING
+        if word in lexicon.WITH:
+            return word != "with" or end == at or not self._starts_noun(end + 1) or self._with_relation(end + 1)
+        if word in lexicon.AND:
+            return stop_at_and or end == at or self._ends(end + 1) or self.tokens[end + 1].plain in DETERMINERS
+        if word in lexicon.ARTICLE_BEARING:
+            return end == at or (word == "or" and self._ends(end + 1))
+        if end == at:
+            return word in lexicon.COPULAS or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
+        if word in _JUST:
+            return self._ends(end + 1)
+        if word in _MODALS:
+            return end + 1 < len(self.tokens) and self.tokens[end + 1].plain in ("be", "is", "see", "been")
+        if word in lexicon.POSTURES:
+            return self._ends(end + 1) and not is_compound([self.tokens[end - 1].text, singular(word)])
+        if word in ("it", "this") or self.match(choices.EXTREME_AT_SIDE, end) or self._filler(end):
+            return True
+        if word in ("left", "right"):
+            return not self._compound(end - 1)
+        if self.match(choices.AT_SIDE, end) is not None:
+            return True
+        return (
+            word in lexicon.LINKING or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
+            or word in lexicon.VERBS
+        )  # fmt: skip
+
+    def _filler(self, at: int) -> bool:
+        found = self.match(lexicon.FILLER, at)
+        return found is not None and " " in found[0][0].strip() and self._goes_on(found[1])
+
+    def _with_relation(self, at: int) -> bool:
+        """Whether `with a lamp on top` follows, and no part of the thing."""
+        _, end = self.noun(at)
+        while end < len(self.tokens) and self.tokens[end].plain in lexicon.LINKING - DETERMINERS:
+            end += 1
+        return end < len(self.tokens) and self._with_tail(end) is not None
+
+    def _with_tail(self, at: int) -> int | None:
+        """Past `on top (of it)`; None where no relation of two things ends the clause."""
+        token = self.tokens[at]
+        # Only what can be said from the other side, by another name or by a phrase of its own.
+        if token.relation not in MIRRORED and token.relation not in lexicon.SAYS_SWAPPED:
+            return None
+        if at + 1 < len(self.tokens) and self.tokens[at + 1].plain in lexicon.PLACE_PRONOUNS:
+            return at + 2
+        return at + 1 if token.text in lexicon.BARE_TAILS and not self._starts_noun(at + 1) else None
+
+    def _ordinal_end(self, end: int, draft: _Draft) -> int:
+        """`from the left` after an ordinal says where it begins to count."""
+        if draft.ordinal is None:
+            return end
+        found = self.match(choices.FROM_SIDE, end)
+        rank, text = draft.ordinal
+        draft.ordinal = None
+        order, after = "left", end
+        if found is not None:
+            order, after = choices.SIDES[found[0]["side"]], found[1]
+            text = f"{text} {found[0][0].strip()}"
+            draft.modifiers.append((self.tokens[end].start, self.tokens[after - 1].end, "choice"))
+            if rank == -1 and found[0][0].startswith(("on", "at", "to")):
+                rank = 1
+        if rank == -1:
+            order, rank = choices.OPPOSITE.get(order, order), 1
+        draft.choices.append(Choice(order, rank, text))  # type: ignore[arg-type]
+        return after
+
+    def _of_a_stack(self, head: list[Token]) -> list[Token]:
+        """`pile of books` asks for the books."""
+        if len(head) > 2 and head[0].plain in lexicon.STACKS and head[1].plain == "of":
+            return head[2:]
+        return head
+
+
+def _first_word(draft: _Draft, tokens: Sequence[Token], head: int) -> int:
+    """The token with which the thing and the attributes right before it begin."""
+    starts = {start for start, _, role in draft.modifiers if role == "attribute"}
+    first = head
+    for k in range(head - 1, -1, -1):
+        if tokens[k].start in starts:
+            first = k
+        elif any(start < tokens[k].start < end for start, end, _ in draft.modifiers):
+            continue
+        elif tokens[k].plain not in lexicon.AND:
+            break
+    return first
+
+
+def _hyphens_joined(text: str, tokens: Sequence[Token]) -> list[Token]:
+    """The tokens with those that hyphens join as one, which no table of single words holds."""
+    found: list[Token] = []
+    for k, token in enumerate(tokens):
+        last = found[-1] if found else None
+        if token.bound and last is not None and tokens[k - 1].bound and text[last.end : token.start].strip(" ") != "":
+            found[-1] = Token(text[last.start : token.end].lower(), last.start, token.end, bound=True)
+        else:
+            found.append(token)
+    return found
+
+
+def joined_words(tokens: Sequence[Token]) -> tuple[str, list[int], list[int]]:
+    """The words as one string, with where each token starts and ends in it; names are hidden from patterns."""
+    words = ["_" if t.name is not None else t.text for t in tokens]
+    starts, at = [], 0
+    for word in words:
+        starts.append(at)
+        at += len(word) + 1
+    return " ".join(words), starts, [s + len(w) for s, w in zip(starts, words, strict=True)]
+
+
+def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
+    """Without `please find me` and the like, as long as something is left; whether they ask `what` or `which`."""
+    asks = False
+    while tokens:
+        for n in (5, 4, 3, 2, 1):
+            run = tokens[:n]
+            if len(run) == n and " ".join(t.text for t in run) in lexicon.LEADING:
+                if any(t.bound or t.name is not None for t in run):
+                    continue
+                asked = any(t.text.startswith(("what", "which")) for t in run)
+                if len(tokens) > n and (tokens[n].relation is None or tokens[n].text in lexicon.SUPERLATIVES or asked):
+                    tokens, asks = tokens[n:], asks or asked
+                    break
+        else:
+            return tokens, asks
+    return tokens, asks

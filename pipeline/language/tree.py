@@ -1,0 +1,303 @@
+"""What an expression says: a tree of noun phrases, with the relations and the choices that tell the thing meant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from pipeline.language.attributes import Attribute
+from pipeline.language.lexicon import ANYTHING, wording
+from pipeline.language.relation_names import RELATIONS
+from pipeline.system.errors import InputError, require
+
+Role = Literal["target", "relation", "reference", "attribute", "choice", "unused"]
+Order = Literal[
+    "left", "right", "top", "bottom", "near", "far", "middle",
+    "high", "low", "tall", "short", "big", "small", "wide", "narrow", "long", "thin", "thick",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of the expression and what it is there for.
+
+    Attributes
+    ----------
+    start, end : int
+        Character range in the expression as it was typed.
+    role : {"target", "relation", "reference", "attribute", "choice", "unused"}
+    index : int
+        The number of the noun (0 is the target), or of the relation, in order of mention; of an attribute or a choice
+        that of its noun. 0 for what was not used.
+    note : str
+        Of what was not used: why.
+    """
+
+    start: int
+    end: int
+    role: Role
+    index: int
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which of several things that the rest of the noun phrase fits: `leftmost`, `second from the left`, `on the left`.
+
+    Attributes
+    ----------
+    order : str
+        What the things are put in order by. left, right, top and bottom are those of the picture; near and far the
+        distance from the camera; high and low the height above the ground; the others are sizes.
+    rank : int or None
+        The place in that order, 1 for the first; None for a side, of which more than one thing may be.
+    text : str
+        The words that said it.
+    """
+
+    order: Order
+    rank: int | None = 1
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Expression:
+    """One relation between a target and its reference.
+
+    Attributes
+    ----------
+    target, reference : str
+        Names, lower case without articles, or as the class list spells them.
+    relation : str
+        Canonical name, one of `relation_names.RELATIONS`.
+    text : str
+        The expression as it was typed.
+    second_reference : str or None
+        The other reference of `between`.
+    inverse : bool
+        Whether the relation holds from the reference to the target: `table holding a lamp` looks for a table such
+        that the lamp is on it. Only `on` and `in` need it.
+    mapped_from : str or None
+        What was said, where the vocabulary has no relation for it and another stands in.
+    note : str or None
+        That mapping in words.
+    """
+
+    target: str
+    relation: str
+    reference: str
+    text: str
+    second_reference: str | None = None
+    inverse: bool = False
+    mapped_from: str | None = None
+    note: str | None = None
+
+    def __post_init__(self) -> None:
+        require(
+            self.relation in RELATIONS,
+            "unknown relation",
+            got=repr(self.relation),
+            expected="one of " + ", ".join(RELATIONS),
+        )
+        require(
+            self.target.strip() and self.reference.strip(),
+            "an expression needs a target and a reference",
+            got=repr((self.target, self.reference)),
+        )
+        if (self.relation == "between") != (self.second_reference is not None):
+            raise InputError("between, and only between, has a second reference", got=self.relation)
+
+    def __str__(self) -> str:
+        second = f" and {self.second_reference}" if self.second_reference else ""
+        return f"{self.target} {wording(self.relation, inverse=self.inverse)} {self.reference}{second}"
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A relation that modifies a noun.
+
+    Attributes
+    ----------
+    relation : str
+        Canonical name.
+    nodes : tuple of Node
+        Its references; two for `between`, else one.
+    inverse : bool
+        Whether the relation holds from the reference to the noun that it modifies.
+    phrase : str
+        The words that said it.
+    mapped_from, note : str or None
+        As in `Expression`.
+    negated : bool
+        Whether it must not hold, of no reference.
+    """
+
+    relation: str
+    nodes: tuple[Node, ...]
+    inverse: bool = False
+    phrase: str = ""
+    mapped_from: str | None = None
+    note: str | None = None
+    negated: bool = False
+
+    @property
+    def of_pairs(self) -> bool:
+        """Whether it tells pairs of objects apart, and so spans the table of candidate pairs."""
+        return not self.negated and not any(n.viewer for n in self.nodes)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A noun phrase and what modifies it.
+
+    Attributes
+    ----------
+    label : str
+        The thing with its attributes, as a detector of open vocabulary is asked for it: `red mug`.
+    attachments : tuple of Attachment
+        In order of mention; all must hold.
+    mention : int
+        Its number among the nouns of the expression; 0 is the target.
+    head : str
+        The thing alone: `mug`; empty where the label is no more than that.
+    attributes : tuple of Attribute
+    choices : tuple of Choice
+    count : int or None
+        How many there are, where the words say so: `the two chairs`.
+    viewer : bool
+        It is who looks: `me`, `the camera`.
+    excluded : tuple of Node
+        What it is not: `the box, not the brick`.
+    """
+
+    label: str
+    attachments: tuple[Attachment, ...] = ()
+    mention: int = 0
+    head: str = ""
+    attributes: tuple[Attribute, ...] = ()
+    choices: tuple[Choice, ...] = ()
+    count: int | None = None
+    viewer: bool = False
+    excluded: tuple[Node, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The thing alone, without its attributes."""
+        return self.head or self.label
+
+    @property
+    def anything(self) -> bool:
+        """Whether it says only that it is a thing."""
+        return self.name in ANYTHING
+
+    @property
+    def pairwise(self) -> Attachment | None:
+        """The first relation to other objects: that of the table of candidate pairs."""
+        return next((a for a in self.attachments if a.of_pairs), None)
+
+    def walk(self) -> Iterator[Node]:
+        """This node and all below it, depth first; what it is not stands last."""
+        yield self
+        for attachment in self.attachments:
+            for node in attachment.nodes:
+                yield from node.walk()
+        for node in self.excluded:
+            yield from node.walk()
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read an expression.
+
+    Attributes
+    ----------
+    root : Node
+        The target.
+    is_default : bool
+        Whether every relation modifies the noun nearest before it.
+    description : str
+        With brackets: `mug left of (laptop on table)`.
+    """
+
+    root: Node
+    is_default: bool
+    description: str
+
+
+@dataclass(frozen=True)
+class Query:
+    """An expression with all its readings.
+
+    Attributes
+    ----------
+    text : str
+        As it was typed.
+    readings : tuple of Reading
+        The default first.
+    spans : tuple of Span
+        What each stretch of the text says, in order, without overlap.
+    """
+
+    text: str
+    readings: tuple[Reading, ...]
+    spans: tuple[Span, ...]
+
+    @property
+    def default(self) -> Reading:
+        """The reading in which every relation modifies the noun nearest before it."""
+        return self.readings[0]
+
+    @property
+    def target(self) -> str:
+        """The label of the thing asked for."""
+        return self.default.root.label
+
+    @property
+    def expression(self) -> Expression | None:
+        """The triple of the target and its first relation in the default reading; None without a relation."""
+        root = self.default.root
+        top = root.pairwise or next(iter(root.attachments), None)
+        if top is None:
+            return None
+        reference, *more = (n.label for n in top.nodes)
+        return Expression(
+            target=root.label,
+            relation=top.relation,
+            reference=reference,
+            text=self.text,
+            second_reference=more[0] if more else None,
+            inverse=top.inverse,
+            mapped_from=top.mapped_from,
+            note=top.note,
+        )
+
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """All things asked for, the target first, in order of mention; without who looks."""
+        return tuple(sorted((n for n in self.default.root.walk() if not n.viewer), key=lambda n: n.mention))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The names of all things asked for, the target first, in order of mention, without repeats."""
+        return tuple(dict.fromkeys(n.label for n in self.nodes))
+
+    @property
+    def unused(self) -> tuple[Span, ...]:
+        """The words that say something and could not be used, with the reason."""
+        return tuple(s for s in self.spans if s.role == "unused")
+
+
+def described(node: Node) -> str:
+    """A noun phrase with brackets, in one form for every wording: `mug left of (laptop on table)`."""
+    words = node.label
+    for choice in node.choices:
+        words = f"{words} [{choice.text}]"
+    for number, attachment in enumerate(node.attachments):
+        ends = [f"({described(n)})" if n.attachments or n.choices else n.label for n in attachment.nodes]
+        head = f"({words})" if number else words
+        negation = "not " if attachment.negated else ""
+        words = f"{head} {negation}{wording(attachment.relation, inverse=attachment.inverse)} {' and '.join(ends)}"
+    for other in node.excluded:
+        words = f"{words}, not {described(other)}"
+    return words
