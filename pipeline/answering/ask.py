@@ -14,7 +14,10 @@ from pipeline.answering.ranking import Candidates, RankConfig, Ranking, Relation
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.language.expression import Attachment, Query, parse
+from pipeline.answering.asked_names import detections
+from pipeline.answering.evidence import SceneEvidence
+from pipeline.language.expression import parse
+from pipeline.language.tree import Attachment, Node, Query
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.score_calibration import ScoreCalibration
@@ -110,9 +113,14 @@ class Trace:
         return tuple(name for name in self.query.labels if not len(self.candidates[name].index))
 
     @property
-    def asked(self) -> Attachment:
-        """The target's first relation in the reading that was taken: that of the ranked pairs."""
-        return (self.query.default if self.ranking is None else self.ranking.reading).root.attachments[0]
+    def root(self) -> Node:
+        """The target with all that is said of it, in the reading that was taken."""
+        return (self.query.default if self.ranking is None else self.ranking.reading).root
+
+    @property
+    def asked(self) -> Attachment | None:
+        """The target's first relation to another object: that of the ranked pairs; None without one."""
+        return self.root.pairwise
 
 
 def ask(
@@ -158,7 +166,8 @@ def ask(
     timings["frame"] = context.seconds
     before = getattr(detector, "seconds", 0.0)
     with timed(timings, "opm"):
-        found = {name: propose(context, detector, name, config.k) for name in query.labels}
+        runs, query = detections(context.frame, detector, query, synonyms)
+        found = {name: of_run(run, detector, config.k) for name, run in runs.items()}
     masks = getattr(detector, "seconds", 0.0) - before
     if masks:
         timings |= {"opm": timings["opm"] - masks, "masks": masks}
@@ -205,7 +214,8 @@ def ranked(
         alike = same(trace.objects)
         lookup = edited(relation_lookup(trace.scores, trace.objects, alike))
         sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
-        ranking = rank(trace.query.readings, trace.candidates, lookup, alike, sizes, config)
+        evidence = SceneEvidence(trace.objects, trace.frame, trace.viewer, trace.named)
+        ranking = rank(trace.query.readings, trace.candidates, lookup, alike, sizes, config, evidence)
     return replace(trace, ranking=ranking)
 
 
@@ -219,7 +229,11 @@ def timed(timings: dict[str, float], stage: str) -> Iterator[None]:
 
 def propose(context: PreparedFrame, detector: Detector, name: str, k: int) -> Proposals:
     """What goes on of a detector's run for one class name: the best K, or all where they are the truth."""
-    proposals = detector.detect(context.frame, [name])
+    return of_run(detector.detect(context.frame, [name]), detector, k)
+
+
+def of_run(proposals: Proposals, detector: Detector, k: int) -> Proposals:
+    """What goes on of a whole run: the best K, or all where they are the truth."""
     return proposals if detector.exact else top_k(proposals, k)
 
 

@@ -14,6 +14,8 @@ from typing import Literal
 
 import numpy as np
 
+from pipeline.answering.evidence import Factor
+
 MIN_RELATION = 1e-6
 MIN_SCORE = 1e-6
 TIE = 1e-9
@@ -60,7 +62,7 @@ class ScoredPair:
     ----------
     target : int
     reference : int or None
-        Places in the list of objects; None where no pair was allowed.
+        Places in the list of objects; None where no pair was allowed, or no relation to another object was asked.
     p_target, p_reference, p_relation : float
         The three factors.
     log_score : float
@@ -73,6 +75,8 @@ class ScoredPair:
         All relations of the expression with the objects that fill them; empty where only the one was asked.
     second_reference : int or None
         The other end of "between".
+    factors : tuple of Factor
+        What the expression says of its objects one by one: attributes, choices, what they are not.
     """
 
     target: int
@@ -85,6 +89,7 @@ class ScoredPair:
     probability: float
     links: tuple[Link, ...] = ()
     second_reference: int | None = None
+    factors: tuple[Factor, ...] = ()
 
     def __repr__(self) -> str:
         factors = f"{self.p_target:.3f} · {self.p_reference:.3f} · {self.p_relation:.3f}"
@@ -102,8 +107,13 @@ class ScoredPair:
 
     @property
     def holds(self) -> bool:
-        """The pair stands in every relation of the expression, as far as the scorer says."""
-        return self.reference is not None and self.relation_probability >= HOLDS
+        """All that the expression says is so, as far as the scorers say: every relation, attribute and choice."""
+        return self.relation_probability >= HOLDS and all(f.probability >= HOLDS for f in self.factors)
+
+    @property
+    def p_attributes(self) -> float:
+        """P(attributes, choices | x): what the expression says of the objects alone; 1 where it says nothing."""
+        return math.prod(f.probability for f in self.factors)
 
     @property
     def log_factors(self) -> dict[str, float]:
@@ -112,7 +122,7 @@ class ScoredPair:
             "target": float(np.log(max(self.p_target, MIN_SCORE))),
             "reference": float(np.log(max(self.p_reference, MIN_SCORE))),
             "relation": float(np.log(max(self.p_relation, MIN_RELATION))),
-        }
+        } | ({"attributes": float(np.log(max(self.p_attributes, MIN_SCORE)))} if self.factors else {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,8 +270,8 @@ class PairTable:
     def _ties(self, scene: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
         """What decides between pairs of one S, the last first: relation, target's score, its mask, lower places."""
         i, rest = np.divmod(at, math.prod(self.shape[1:]))
-        j = rest // math.prod(self.shape[2:])
-        target, reference = self.target.index[i], self.ends[0].index[j]
+        target = self.target.index[i]
+        reference = self.ends[0].index[rest // math.prod(self.shape[2:])] if self.ends else np.zeros_like(target)
         p = self.p_relation.reshape(-1, self.flat.shape[1])
         scores = self.target.scores.reshape(-1, self.shape[0])
         return (
@@ -330,16 +340,14 @@ class PairTable:
         return math.inf if second < 0 else float(scores[first] - scores[second])
 
     def pair(self, at: int) -> ScoredPair:
-        """A pair of the only scene, where one relation of two objects is asked."""
-        i, rest = divmod(at, math.prod(self.shape[1:]))
-        j, *k = (rest,) if len(self.shape) == 2 else divmod(rest, self.shape[2])
-        p_target, p_reference = float(self.target.scores[i]), float(self.ends[0].scores[j])
-        p = float(self.p_relation.flat[at])
-        second = int(self.ends[1].index[k[0]]) if k else None
-        p_second = float(self.ends[1].scores[k[0]]) if k else 1.0
+        """A pair of the only scene, where one relation of two objects is asked; without a relation an object alone."""
+        i, *ends = (int(x) for x in np.unravel_index(at, self.shape))
+        p_target, p = float(self.target.scores[i]), float(self.p_relation.flat[at])
+        reference, second = (*(int(e.index[k]) for e, k in zip(self.ends, ends, strict=True)), None, None)[:2]
+        p_reference, p_second = (*(float(e.scores[k]) for e, k in zip(self.ends, ends, strict=True)), 1.0, 1.0)[:2]
         return ScoredPair(
             target=int(self.target.index[i]),
-            reference=int(self.ends[0].index[j]),
+            reference=reference,
             p_target=p_target,
             p_reference=p_reference,
             p_relation=p,

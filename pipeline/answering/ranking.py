@@ -6,6 +6,7 @@ branch is found exactly by max-product from the leaves up.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -23,7 +24,8 @@ from pipeline.answering.pair_table import (
     pair_table,
     side,
 )
-from pipeline.language.expression import Attachment, Node, Reading
+from pipeline.answering.evidence import Factor, Kind, SceneEvidence
+from pipeline.language.tree import Attachment, Node, Reading
 
 NON_DEFAULT_PENALTY = 0.1
 
@@ -96,6 +98,7 @@ def rank(
     same: np.ndarray,
     mask_sizes: np.ndarray,
     config: RankConfig | None = None,
+    evidence: SceneEvidence | None = None,
 ) -> Ranking:
     """Rank the pairs of the reading that explains the scene best.
 
@@ -111,9 +114,13 @@ def rank(
         Pairs of one and the same object are excluded.
     mask_sizes : (N,) int
         Pixels; the larger mask wins a tie.
+    config : RankConfig, optional
+    evidence : SceneEvidence, optional
+        Gives what attributes and choices say of the objects; without it they say nothing.
     """
     config = config or RankConfig()
-    solved = [_solve(r.root, candidates, lookup, same, config, config.target_weight) for r in readings]
+    scene = _Scene(candidates, lookup, same, config, evidence)
+    solved = [scene.solve(r.root, config.target_weight) for r in readings]
     best_of = tuple(float(s.side.log.max(initial=-np.inf)) for s in solved)
     chosen = int(
         np.argmax([s - (0.0 if r.is_default else NON_DEFAULT_PENALTY) for r, s in zip(readings, best_of, strict=True)])
@@ -137,11 +144,17 @@ def rank(
 
 @dataclass(frozen=True)
 class _Solved:
-    """A node: what each candidate adds to S by itself, and with the best of its subtree."""
+    """A node: what each candidate adds to S by itself, and with the best of its subtree.
+
+    `belief` is how surely each is what the noun phrase says, 0..1; `factors` are what it says of each alone.
+    """
 
     own: np.ndarray
     side: Side
     branches: tuple[_Branch, ...]
+    mention: int
+    belief: np.ndarray
+    factors: tuple[tuple[Kind, str, np.ndarray], ...]
 
 
 @dataclass(frozen=True)
@@ -154,33 +167,88 @@ class _Branch:
     forbidden: np.ndarray
     total: np.ndarray
 
+    @property
+    def belief(self) -> np.ndarray:
+        """(K,) float64: how surely each head stands in the relation to something that is what its end says."""
+        found = np.where(self.forbidden, 0.0, self.probability)
+        for axis, end in enumerate(self.ends, start=1):
+            found = found * np.expand_dims(end.belief, tuple(a for a in range(found.ndim) if a != axis))
+        return found.reshape(len(found), -1).max(axis=1, initial=0.0)
 
-def _solve(
-    node: Node,
-    candidates: Mapping[str, Candidates],
-    lookup: RelationLookup,
-    same: np.ndarray,
-    config: RankConfig,
-    weight: float,
-) -> _Solved:
-    here = candidates[node.label]
-    own = side(here.index, here.scores, weight)
-    branches = []
-    best = own.log
-    for attachment in node.attachments:
-        ends = tuple(_solve(n, candidates, lookup, same, config, config.reference_weight) for n in attachment.nodes)
-        indices = (here.index, *(e.side.index for e in ends))
-        probability = lookup(attachment, indices[0], indices[1:])
-        forbidden = one_object_twice(indices, same)
+
+@dataclass(frozen=True)
+class _Scene:
+    """What all nodes of an expression are solved with."""
+
+    candidates: Mapping[str, Candidates]
+    lookup: RelationLookup
+    same: np.ndarray
+    config: RankConfig
+    evidence: SceneEvidence | None
+
+    def solve(self, node: Node, weight: float) -> _Solved:
+        """A node with all below it."""
+        here = self.candidates[node.label]
+        own = side(here.index, here.scores, weight)
+        factors = self._attributes(node, here.index)
+        branches = [self._branch(a, here.index) for a in node.attachments if a.of_pairs]
+        belief = here.scores / max(float(here.scores.max(initial=0.0)), MIN_SCORE)
+        factors += self._negations(node, here.index)
+        for told in (*(p for _, _, p in factors), *(b.belief for b in branches)):
+            belief = belief * told
+        factors += self._choices(node, here.index, belief)
+        alone = own.log + sum((np.log(np.maximum(p, MIN_SCORE)) for _, _, p in factors), np.zeros(len(own.log)))
+        best = alone + sum((_max_over_ends(b.total) for b in branches), np.zeros(len(own.log)))
+        for _, _, p in factors:
+            belief = np.minimum(belief, p)
+        return _Solved(alone, replace(own, log=best), tuple(branches), node.mention, belief, tuple(factors))
+
+    def _branch(self, attachment: Attachment, heads: np.ndarray) -> _Branch:
+        ends = tuple(self.solve(n, self.config.reference_weight) for n in attachment.nodes)
+        indices = (heads, *(e.side.index for e in ends))
+        probability = self.lookup(attachment, indices[0], indices[1:])
+        forbidden = one_object_twice(indices, self.same)
         if len(attachment.nodes) == 2 and attachment.nodes[0] == replace(
             attachment.nodes[1], mention=attachment.nodes[0].mention
         ):
             # "between a mug and a mug": the two ends may be swapped, and one answer would stand twice.
             forbidden |= indices[1][:, None] > indices[2][None, :]
-        total = attached(probability, [e.side for e in ends], forbidden, config)
-        branches.append(_Branch(attachment, ends, probability, forbidden, total))
-        best = best + _max_over_ends(total)
-    return _Solved(own.log, replace(own, log=best), tuple(branches))
+        total = attached(probability, [e.side for e in ends], forbidden, self.config)
+        return _Branch(attachment, ends, probability, forbidden, total)
+
+    def _attributes(self, node: Node, index: np.ndarray) -> list[tuple[Kind, str, np.ndarray]]:
+        if self.evidence is None or self.evidence.named(node):
+            return []
+        told = [(a, self.evidence.attribute(a, index)) for a in node.attributes]
+        return [("attribute", str(a), p) for a, p in told if p is not None]
+
+    def _negations(self, node: Node, index: np.ndarray) -> list[tuple[Kind, str, np.ndarray]]:
+        """What must not hold of any reference, and what the thing is not."""
+        found: list[tuple[Kind, str, np.ndarray]] = []
+        for attachment in node.attachments:
+            if attachment.negated and not any(n.viewer for n in attachment.nodes):
+                branch = self._branch(attachment, index)
+                found.append(("negation", f"not {attachment.phrase}", 1 - branch.belief))
+        for other in node.excluded:
+            solved = self.solve(other, self.config.reference_weight)
+            alike = self.same[np.ix_(index, solved.side.index)] * solved.belief
+            found.append(("negation", f"not {other.label}", 1 - alike.max(axis=1, initial=0.0)))
+        return found
+
+    def _choices(
+        self, node: Node, index: np.ndarray, belief: np.ndarray
+    ) -> list[tuple[Kind, str, np.ndarray]]:
+        if self.evidence is None:
+            return []
+        found: list[tuple[Kind, str, np.ndarray]] = []
+        for choice in node.choices:
+            found.append(("choice", choice.text, self.evidence.choice(choice, index, belief)))
+        for attachment in node.attachments:
+            if any(n.viewer for n in attachment.nodes):
+                p = self.evidence.of_viewer(attachment.relation, index, belief)
+                if p is not None:
+                    found.append(("viewer", attachment.phrase, 1 - p if attachment.negated else p))
+        return found
 
 
 def _max_over_ends(total: np.ndarray) -> np.ndarray:
@@ -189,7 +257,10 @@ def _max_over_ends(total: np.ndarray) -> np.ndarray:
 
 
 def _table(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> PairTable:
-    """The pairs of the first relation, each with the best of all that hangs on its ends."""
+    """The pairs of the first relation, each with the best of all that hangs on its ends; objects alone without one."""
+    if not root.branches:
+        count = len(root.own)
+        return pair_table(root.side, (), np.ones(count), np.zeros(count, np.bool_), mask_sizes, config)
     first, *others = root.branches
     rest = root.own + sum((_max_over_ends(b.total) for b in others), np.zeros(len(root.own)))
     ends = [e.side for e in first.ends]
@@ -201,15 +272,19 @@ def _ranked_pairs(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> 
     found = []
     for at in table.order().tolist():
         i, *ends = (int(x) for x in np.unravel_index(at, table.shape))
-        links, product = _links(root, i, tuple(ends))
-        found.append(replace(table.pair(at), product=product, links=links))
+        links, factors, product = _links(root, i, tuple(ends))
+        found.append(replace(table.pair(at), product=product, links=links, factors=factors))
     return tuple(found)
 
 
-def _links(solved: _Solved, at: int, first_ends: tuple[int, ...] | None) -> tuple[tuple[Link, ...], float]:
-    """All relations below candidate number `at`, each at its best, and the product of all factors."""
+def _links(
+    solved: _Solved, at: int, first_ends: tuple[int, ...] | None
+) -> tuple[tuple[Link, ...], tuple[Factor, ...], float]:
+    """All relations below candidate number `at`, each at its best, what is said of each object, and the product."""
     links: list[Link] = []
-    product = float(solved.side.scores[at])
+    here = int(solved.side.index[at])
+    factors = [Factor(kind, text, solved.mention, here, float(p[at])) for kind, text, p in solved.factors]
+    product = float(solved.side.scores[at]) * math.prod(f.probability for f in factors)
     for number, branch in enumerate(solved.branches):
         block = branch.total[at]
         best = tuple(int(x) for x in np.unravel_index(int(block.argmax()), block.shape))
@@ -217,21 +292,16 @@ def _links(solved: _Solved, at: int, first_ends: tuple[int, ...] | None) -> tupl
         objects = [int(e.side.index[k]) for e, k in zip(branch.ends, ends, strict=True)]
         probability = float(branch.probability[(at, *ends)])
         product *= probability
+        second = objects[1] if len(objects) > 1 else None
         links.append(
-            Link(
-                branch.attachment.relation,
-                int(solved.side.index[at]),
-                objects[0],
-                probability,
-                objects[1] if len(objects) > 1 else None,
-                branch.attachment.inverse,
-            )
+            Link(branch.attachment.relation, here, objects[0], probability, second, branch.attachment.inverse)
         )
         for end, k in zip(branch.ends, ends, strict=True):
-            below, factor = _links(end, k, None)
+            below, told, factor = _links(end, k, None)
             links += below
+            factors += told
             product *= factor
-    return tuple(links), product
+    return tuple(links), tuple(factors), product
 
 
 def alone(candidates: Candidates) -> int | None:

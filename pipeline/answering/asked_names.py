@@ -1,0 +1,91 @@
+"""What a detector is asked for: each noun phrase of a question as a name that the detector knows."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+from pipeline.geometry.frame import Frame
+from pipeline.language.naming import Synonyms, match
+from pipeline.language.tree import Node, Query, Reading, Span, described
+from pipeline.proposals.base import Detector, Proposals
+from pipeline.system.errors import UnknownClass
+
+
+def name_for(node: Node, detector: Detector, synonyms: Synonyms | None = None) -> str | None:
+    """What a detector is asked for: the whole phrase, or the thing without its attributes; None for everything.
+
+    A detector of open vocabulary is given the phrase as it stands. One that knows only its own names is asked for the
+    phrase if that is one of them (`red bull`), else for the thing alone (`red mug`).
+    """
+    if detector.vocabulary is None:
+        return node.label
+    if node.anything and not match(node.name, detector.vocabulary, synonyms):
+        return None
+    if node.label == node.name or match(node.label, detector.vocabulary, synonyms):
+        return node.label
+    return node.name
+
+
+def detections(
+    frame: Frame, detector: Detector, query: Query, synonyms: Synonyms | None = None
+) -> tuple[dict[str, Proposals], Query]:
+    """The detector's whole run for each noun phrase, and the question without what it cannot be asked.
+
+    A reference that the detector cannot know is left out together with its relation where the rest still says which
+    thing is meant: where there are other relations, choices or attributes, or only one thing of the name.
+
+    Raises
+    ------
+    UnknownClass
+        A name that the detector cannot know, and without it the thing meant is not told.
+    """
+    found: dict[str, Proposals] = {}
+    unknown: dict[str, UnknownClass] = {}
+    for node in query.nodes:
+        if node.label in found or node.label in unknown:
+            continue
+        name = name_for(node, detector, synonyms)
+        try:
+            found[node.label] = detector.detect(frame, None if name is None else [name])
+        except UnknownClass as error:
+            if node.label == query.target:
+                raise
+            unknown[node.label] = error
+    if not unknown:
+        return found, query
+    told = without(query, {label: str(error.what) for label, error in unknown.items()})
+    root = told.default.root
+    if not (root.attachments or root.choices or root.attributes) and len(found[query.target]) > 1:
+        raise next(iter(unknown.values()))
+    return {label: found[label] for label in told.labels}, told
+
+
+def without(query: Query, reasons: dict[str, str]) -> Query:
+    """The question without the relations to the things of some labels, whose words are then not used, and why."""
+    readings: list[Reading] = []
+    for reading in query.readings:
+        root = _pruned(reading.root, reasons)
+        words = described(root)
+        if not any(r.description == words for r in readings):
+            readings.append(Reading(root, not readings, words))
+    gone = {n.mention: reasons[n.label] for n in query.nodes if n.label in reasons}
+    spans = tuple(
+        replace(s, role="unused", index=0, note=gone[s.index]) if s.role == "reference" and s.index in gone else s
+        for s in query.spans
+    )
+    return Query(query.text, tuple(readings), spans)
+
+
+def _pruned(node: Node, gone: Collection[str]) -> Node:
+    attachments = tuple(
+        replace(a, nodes=tuple(_pruned(n, gone) for n in a.nodes))
+        for a in node.attachments
+        if not any(n.label in gone and not n.viewer for n in a.nodes)
+    )
+    return replace(node, attachments=attachments, excluded=tuple(n for n in node.excluded if n.label not in gone))
+
+
+def unused_words(query: Query) -> tuple[tuple[Span, str], ...]:
+    """The stretches of a question that were not used, each with its words."""
+    return tuple((s, query.text[s.start : s.end]) for s in query.unused)
