@@ -47,9 +47,7 @@ def meant_names(
 
 def synonyms_hash(synonyms: Synonyms | None) -> str:
     """Hash of what decides which names a query means, for fingerprints."""
-    table = synonyms or default_synonyms()
-    content = (sorted(sorted(group) for group in table.groups), sorted(table.exceptions))
-    return xxhash.xxh3_64_hexdigest(repr(content).encode())
+    return (synonyms or default_synonyms()).fingerprint
 
 
 def names_hash(names: Sequence[str]) -> str:

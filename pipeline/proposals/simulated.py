@@ -180,8 +180,7 @@ class SimulatedDetector:
     @cached_property
     def _fingerprint(self) -> str:
         table = self.synonyms or default_synonyms()
-        content = (sorted(sorted(group) for group in table.groups), sorted(table.exceptions))
-        parts = (self.options.model_dump_json(), self.min_score, content)
+        parts = (self.options.model_dump_json(), self.min_score, table.fingerprint)
         return f"simulated:{xxhash.xxh3_64_hexdigest(repr(parts).encode())}"
 
     def fingerprint(self) -> str:

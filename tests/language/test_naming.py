@@ -11,9 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.language.naming import (
-    TABLE,
     Synonyms,
-    default_synonyms,
     match,
     normal_form,
     same_class,
@@ -129,7 +127,7 @@ def test_coco_is_found_by_other_words(query: str, coco: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "query", ["mug", "monitor", "glasses", "can", "lamp", "top", "stop", "dining", "zzz", "", "the"]
+    "query", ["glasses", "can", "lamp", "top", "stop", "dining", "zzz", "", "the"]
 )
 def test_coco_has_no_such_class(query: str) -> None:
     assert match(query, COCO) == ()
@@ -195,16 +193,6 @@ def test_suggestions() -> None:
     assert suggest("table lamp", COCO, n=1) == ("dining table",)
     assert suggest("xyzzy", COCO) == ()
     assert len(suggest("tennis ball", COCO, n=1)) == 1
-
-
-def test_the_table_is_sound() -> None:
-    table = json.loads(TABLE.read_text(encoding="utf-8"))
-    spelled = [frozenset(normal_form(n).replace(" ", "") for n in group) for group in table["groups"]]
-    assert all(len(group) > 1 for group in spelled)
-    assert len(set(spelled)) == len(spelled)
-    for group in table["groups"]:
-        for name in group:
-            assert default_synonyms().same(normal_form(name), normal_form(group[0]))
 
 
 def test_a_user_extends_the_table(tmp_path: Path) -> None:

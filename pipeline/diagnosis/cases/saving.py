@@ -196,7 +196,7 @@ def _json(record: dict[str, Any]) -> str:
 def _synonyms_record(table: Synonyms | None) -> dict[str, Any] | None:
     if table is None or table == default_synonyms():
         return None
-    return {"groups": [sorted(g) for g in table.groups], "exceptions": sorted(table.exceptions)}
+    return table.record()
 
 
 def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, bytes | None]:

@@ -1,0 +1,271 @@
+"""Where a query may be found among known names: what is looked up for it, in which order, and what names answer to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from string import ascii_lowercase
+from typing import Literal
+
+from pipeline.language.name_table import Synonyms
+from pipeline.language.normal import HEAD_ENDS, base_of, forms_of, key_of, singular, spellings
+
+How = Literal["exact", "synonym", "kind", "spelling", "vectors"]
+
+PACKAGING, PACKED = "packaging", "packed goods"
+"""Names of the table under which stand the things that others are sold in, and what is sold in them."""
+
+_STEPS = 6
+"""Steps up the table within which a name is a kind of another."""
+
+_OF = re.compile(r"(.+?) of (.+)")
+_AMOUNT = re.compile(
+    "pair|stack|pile|set|bunch|heap|piece|slice|row|group|collection|couple|pack|roll|bundle|lot|number|type|kind"
+    "|sort|part|bit|sheet|stick|loaf"
+)
+"""Words before `of` that say how much there is and not what."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """One thing to look up for a query.
+
+    Attributes
+    ----------
+    tier : int
+        Smaller ones come first.
+    where : {"spelled", "form", "kind", "held"}
+        Among the names' own spellings, their forms, what they are kinds of, or what they hold.
+    key : str
+    score : float
+        For the nearest names; of kinds 0.05 less for each further step.
+    how, via
+        As in `Meaning`.
+    sharing : tuple of frozenset of str
+        Of each of these sets of words, the name must have one.
+    """
+
+    tier: int
+    where: Literal["spelled", "form", "kind", "held"]
+    key: str
+    score: float
+    how: How
+    via: str
+    sharing: tuple[frozenset[str], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class KnownNames:
+    """Known names by what they answer to.
+
+    Attributes
+    ----------
+    found : mapping of (where, key) to tuple of (int, int)
+        Places of names, and the steps from the key to each.
+    shares : tuple of frozenset of str
+        The words that each name, and what it is a kind of, has before its head.
+    words : frozenset of str
+        The words of all names.
+    """
+
+    names: tuple[str, ...]
+    found: Mapping[tuple[str, str], tuple[tuple[int, int], ...]]
+    shares: tuple[frozenset[str], ...]
+    words: frozenset[str]
+
+
+@lru_cache(maxsize=4096)
+def known_as(names: tuple[str, ...], table: Synonyms) -> KnownNames:
+    """The index of known names, those that stand twice once."""
+    names = tuple(dict.fromkeys(names))
+    found: dict[tuple[str, str], list[tuple[int, int]]] = {}
+    shares: list[frozenset[str]] = []
+    for i, name in enumerate(names):
+        entries, shared = _entries(name, table)
+        for entry, steps in entries:
+            found.setdefault(entry, []).append((i, steps))
+        shares.append(shared)
+    words = frozenset(word for name in names for form in forms_of(name) for word in form.split())
+    return KnownNames(names, {k: tuple(v) for k, v in found.items()}, tuple(shares), words)
+
+
+@lru_cache(maxsize=65536)
+def _entries(name: str, table: Synonyms) -> tuple[tuple[tuple[tuple[str, str], int], ...], frozenset[str]]:
+    """What a name answers to with the steps to it, and the words before its heads."""
+    found: dict[tuple[str, str], int] = {("spelled", key): 0 for key in spellings(name)}
+    shared: set[str] = set()
+    forms = forms_of(name)
+    for form in forms:
+        turned = _turned(form)
+        for own in (form, *turned[:1]):
+            found[("form", key_of(own))] = 0
+        for more in (form, *turned):
+            for upper, steps in ((more, 0), *above(more, table)):
+                shared.update(upper.split()[:-1])
+                if steps or more != form:
+                    _least(found, ("kind", key_of(upper)), max(steps, 1))
+                if content := _content(upper, table):
+                    for held in _held(content, table):
+                        _least(found, ("held", key_of(held)), steps + 1)
+    return tuple(found.items()), frozenset(shared)
+
+
+def _least(found: dict[tuple[str, str], int], entry: tuple[str, str], steps: int) -> None:
+    found[entry] = min(steps, found.get(entry, steps))
+
+
+def _turned(form: str) -> tuple[str, ...]:
+    """`tissue box` for `box of tissues`; for `stack of chairs` what it is of comes last, `chair`."""
+    parts = _OF.fullmatch(base_of(form))
+    if parts is None:
+        return ()
+    content = " ".join([*parts[2].split()[:-1], singular(parts[2].split()[-1])])
+    return (f"{content} {parts[1]}", content) if _AMOUNT.fullmatch(parts[1]) else (f"{content} {parts[1]}",)
+
+
+@lru_cache(maxsize=65536)
+def above(form: str, table: Synonyms) -> tuple[tuple[str, int], ...]:
+    """What a thing of this name, in normal form, is a kind of, with the steps to it: by the last words of its head
+    and by the table, of synonyms too, which are not chained."""
+    found = {form: 0}
+    level = [form]
+    for steps in range(_STEPS):
+        upper: list[str] = []
+        for name in level:
+            aliases = [a for a in table.of(name) if a not in found]
+            found |= dict.fromkeys(aliases, steps)
+            upper += [g for one in (name, *aliases) for g in sorted(table.general(one))]
+            if not table.is_exception(name):
+                upper += _last_words(name)[:1]
+        level = [u for u in dict.fromkeys(upper) if u not in found]
+        found |= dict.fromkeys(level, steps + 1)
+    return tuple((name, steps) for name, steps in found.items() if name != form)
+
+
+def _last_words(form: str) -> list[str]:
+    """A name without the words after its head, then without one word more of those before it each."""
+    head = HEAD_ENDS.split(base_of(form), maxsplit=1)[0].split()
+    ends = [" ".join(head[i:]) for i in range(len(head))]
+    return [end for end in ends if end != form]
+
+
+def _is_a(form: str, general: str, table: Synonyms) -> bool:
+    return form == general or any(upper == general for upper, _ in above(form, table))
+
+
+def _content(form: str, table: Synonyms) -> str:
+    """`tomato soup` of `tomato soup can`: what is packed in a package; "" for anything else."""
+    *first, head = form.split() or [""]
+    content = " ".join(first)
+    return content if content and _is_a(head, PACKAGING, table) and _is_a(content, PACKED, table) else ""
+
+
+def _held(content: str, table: Synonyms) -> Iterator[str]:
+    """The words for a content that stand for its package: itself, its synonyms, its last words and its words."""
+    yield from table.of(content)
+    for end in _last_words(content):
+        yield from table.of(end)
+    for word in content.split():
+        if _is_a(word, PACKED, table):
+            yield word
+
+
+@lru_cache(maxsize=65536)
+def lookups(query: str, table: Synonyms) -> tuple[Look, ...]:
+    """What is looked up for a query in normal form, tier by tier; `meanings` says what the tiers are."""
+    return tuple(sorted(_looks(query, table), key=lambda look: look.tier))
+
+
+def _looks(query: str, table: Synonyms) -> Iterator[Look]:
+    aliases = sorted(table.of(query) - {query})
+    yield Look(1, "spelled", key_of(query), 1.0, "exact", "")
+    for alias in (query, *aliases):
+        yield Look(1, "form", key_of(alias), 0.9, "synonym", alias)
+    variants = [v for v in dict.fromkeys(_variants(query, table)) if v != query and v not in aliases]
+    for variant in variants:
+        yield Look(2, "form", key_of(variant), 0.85, "synonym", variant)
+    for form in (query, *aliases, *variants):
+        yield Look(3, "kind", key_of(form), 0.8, "kind", form)
+        yield Look(4, "held", key_of(form), 0.7, "kind", form)
+    ends = [] if table.is_exception(query) else list(_ends(query, table))
+    for end in ends:
+        first = query[: -len(end)].split()
+        sharing = tuple(frozenset({word, *table.of(word)}) for word in first)
+        for alias in sorted(table.of(end)):
+            yield Look(3, "kind", key_of(alias), 0.75, "kind", alias, sharing)
+        if _is_a(end, PACKAGING, table):
+            for alias in sorted(table.of(" ".join(first))):
+                yield Look(4, "held", key_of(alias), 0.7, "kind", alias)
+        for general in sorted(table.general(" ".join(first))):
+            yield Look(4, "form", key_of(f"{general} {end}"), 0.7, "kind", f"{general} {end}")
+    for dropped, end in enumerate(ends):
+        for alias in sorted(table.of(end)):
+            yield Look(6 + dropped, "form", key_of(alias), 0.65, "kind", alias)
+        yield Look(6 + dropped, "held", key_of(end), 0.65, "kind", end)
+    known = key_of(query) in table.keys
+    for start in (query, *aliases, *ends):
+        for general in sorted(table.general(start)):
+            for alias in sorted(table.of(general)):
+                yield Look(20, "form", key_of(alias), 0.6, "kind", alias)
+            yield Look(20, "held", key_of(general), 0.6, "kind", general)
+    for end in [] if known else ends:
+        first = query[: -len(end)].split()
+        if not any(_is_a(part, PACKED, table) for part in (" ".join(first), *first)):
+            yield Look(21, "kind", key_of(end), 0.55, "kind", end)
+    for start in (query, *aliases, *([] if known else ends)):
+        for other in sorted(table.taken_for(start)):
+            yield Look(22, "form", key_of(other), 0.5, "kind", other)
+
+
+def _ends(query: str, table: Synonyms) -> Iterator[str]:
+    """The query without words before its head, the fewest first, as far as its last words say what it is."""
+    for end in _last_words(query):
+        yield end
+        if table.is_exception(end):
+            return
+
+
+def _variants(query: str, table: Synonyms) -> Iterator[str]:
+    """The query with its parts in another order, and with synonyms of its parts."""
+    turned = _turned(query)
+    for form in turned:
+        yield from table.of(form)
+    for form in (query, *turned):
+        words = form.split()
+        for i in range(1, len(words)):
+            first, end = " ".join(words[:i]), " ".join(words[i:])
+            for a in sorted(table.of(first)):
+                for b in sorted(table.of(end)):
+                    yield f"{a} {b}"
+
+
+def respelled(query: str, known: KnownNames, table: Synonyms) -> str | None:
+    """The query with its misspelt words mended, None where there are none: words of five letters and more that
+    neither the known names nor the table have, and of which one word that they have is one letter away."""
+    words = query.split()
+    mended = [_mended(word, known.words, table) for word in words]
+    return " ".join(mended) if mended != words else None
+
+
+def _mended(word: str, words: frozenset[str], table: Synonyms) -> str:
+    if len(word) < 5 or not word.isalpha() or word in words or word in table.words or singular(word) in table.words:
+        return word
+    near = _one_letter_away(word)
+    for among in (words, table.words):
+        candidates = [n for n in near if n in among]
+        kept = [c for c in candidates if c[0] == word[0]] or candidates
+        if len(kept) == 1:
+            return kept[0]
+    return word
+
+
+@lru_cache(maxsize=1024)
+def _one_letter_away(word: str) -> frozenset[str]:
+    splits = [(word[:i], word[i:]) for i in range(len(word) + 1)]
+    lost = {a + b[1:] for a, b in splits if b}
+    swapped = {a + b[1] + b[0] + b[2:] for a, b in splits if len(b) > 1}
+    changed = {a + c + b[1:] for a, b in splits if b for c in ascii_lowercase}
+    added = {a + c + b for a, b in splits for c in ascii_lowercase}
+    return frozenset((lost | swapped | changed | added) - {word})

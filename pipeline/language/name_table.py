@@ -1,0 +1,220 @@
+"""The table of what class names mean: which are synonyms, which are kinds of which, which are taken for one another."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import xxhash
+
+from pipeline.language.normal import key_of, normal_form
+from pipeline.system.errors import InputError
+
+NAMES = Path(__file__).with_name("names")
+"""The project's own table: every JSON file in here. `names/README.md` says what its keys mean."""
+
+_FORM = '{"groups": [["bin", "trash can"], ...], "kinds": {"cup": ["mug", ...]}, "exceptions": ["hot dog", ...]}'
+_TOLD = {"about", "source", "licence"}
+
+
+@dataclass(frozen=True, eq=False)
+class Synonyms:
+    """Which names mean the same, which are kinds of which, and which are not what their last word says.
+
+    Attributes
+    ----------
+    groups : tuple of frozenset of str
+        Names, in normal form, that mean the same. A name may stand in several groups (`computer` with `laptop` and
+        with `desktop`), and meaning is not chained through it.
+    exceptions : frozenset of str
+        Names, in normal form, that their last word must not match: a `hot dog` is no `dog`.
+    kinds : mapping of str to frozenset of str
+        Of a general name, in normal form, names of its kinds: `cup` -> `mug`, `teacup`.
+    near : tuple of frozenset of str
+        Names of different things that people and detectors call by one another's: `desk` and `table`.
+    """
+
+    groups: tuple[frozenset[str], ...]
+    exceptions: frozenset[str] = frozenset()
+    kinds: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    near: tuple[frozenset[str], ...] = ()
+    _indices: dict[str, frozenset[int]] = field(init=False, repr=False)
+    _excepted: frozenset[str] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        indices: dict[str, set[int]] = {}
+        for number, group in enumerate(self.groups):
+            for name in group:
+                indices.setdefault(key_of(name), set()).add(number)
+        excepted = {key_of(n) for n in self.exceptions}
+        # What holds for the trash can holds for the garbage can.
+        keys = [{key_of(n) for n in group} for group in self.groups]
+        excepted |= {key for group in keys if not excepted.isdisjoint(group) for key in group}
+        object.__setattr__(self, "_indices", {k: frozenset(v) for k, v in indices.items()})
+        object.__setattr__(self, "_excepted", frozenset(excepted))
+
+    @classmethod
+    def load(cls, extra: str | Path | None = None) -> Synonyms:
+        """The table of the project, extended by a file of the user's.
+
+        Parameters
+        ----------
+        extra : str or Path, optional
+            A JSON file `{"groups": [["bin", "my bin"], ...], "kinds": {"cup": ["my mug"]}, "near": [["desk", "table"]],
+            "exceptions": ["hot dog", ...]}`, every key optional. A group of it that shares a name with one of ours adds
+            its names to that group.
+
+        Raises
+        ------
+        InputError
+            Where the file is missing, is no JSON or has another shape.
+        """
+        if extra is None:
+            return default_synonyms()
+        path = Path(extra)
+        read = checked_table(_json_of(path), path)
+        ours = default_synonyms().extended(read["groups"], read["exceptions"])
+        kinds = dict(ours.kinds)
+        for general, names in read["kinds"].items():
+            general = normal_form(general)
+            kinds[general] = kinds.get(general, frozenset()) | frozenset(map(normal_form, names))
+        near = (*ours.near, *(frozenset(map(normal_form, g)) for g in read["near"]))
+        return cls(ours.groups, ours.exceptions, kinds, near)
+
+    def extended(self, groups: Iterable[Iterable[str]], exceptions: Iterable[str] = ()) -> Synonyms:
+        """A new table with more groups and exceptions, added as `load` describes."""
+        merged = list(self.groups)
+        for names in groups:
+            group = frozenset(normal_form(n) for n in names)
+            keys = {key_of(n) for n in group}
+            shares = [i for i, old in enumerate(merged) if not keys.isdisjoint(key_of(n) for n in old)]
+            for i in shares:
+                merged[i] = merged[i] | group
+            if not shares:
+                merged.append(group)
+        more = self.exceptions | frozenset(normal_form(n) for n in exceptions)
+        return Synonyms(tuple(merged), more, self.kinds, self.near)
+
+    def of(self, name: str) -> frozenset[str]:
+        """All names in the table that mean the same as `name`, in normal form, itself included."""
+        normal = normal_form(name)
+        return frozenset({normal}).union(*(self.groups[i] for i in self._indices.get(key_of(normal), ())))
+
+    def same(self, a: str, b: str) -> bool:
+        """Whether two names in normal form are one spelling or share a group."""
+        a, b = key_of(a), key_of(b)
+        return a == b or not self._indices.get(a, frozenset()).isdisjoint(self._indices.get(b, frozenset()))
+
+    def is_exception(self, name: str) -> bool:
+        """Whether the last word of a name in normal form does not say what the thing is."""
+        return key_of(name) in self._excepted
+
+    def general(self, name: str) -> frozenset[str]:
+        """The names, in normal form, of which a name in normal form is said to be a kind."""
+        return self._general.get(key_of(name), frozenset())
+
+    def taken_for(self, name: str) -> frozenset[str]:
+        """The names, in normal form, that a thing of this name, in normal form, is often given."""
+        return self._taken.get(key_of(name), frozenset())
+
+    @cached_property
+    def _general(self) -> dict[str, frozenset[str]]:
+        found: dict[str, set[str]] = {}
+        for general, names in self.kinds.items():
+            for name in names:
+                found.setdefault(key_of(name), set()).add(general)
+        return {key: frozenset(names) for key, names in found.items()}
+
+    @cached_property
+    def _taken(self) -> dict[str, frozenset[str]]:
+        found: dict[str, set[str]] = {}
+        for group in self.near:
+            for name in group:
+                found.setdefault(key_of(name), set()).update(group - {name})
+        return {key: frozenset(names) for key, names in found.items()}
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """Every name of the table, in normal form."""
+        kinds = frozenset(self.kinds).union(*self.kinds.values())
+        return kinds.union(self.exceptions, *self.groups, *self.near)
+
+    @cached_property
+    def keys(self) -> frozenset[str]:
+        """The names of the table without gaps."""
+        return frozenset(map(key_of, self.names))
+
+    @cached_property
+    def words(self) -> frozenset[str]:
+        """The single words of all names of the table."""
+        return frozenset(word for name in self.names for word in name.split())
+
+    def record(self) -> dict[str, Any]:
+        """What `Synonyms` is made of, for JSON, in one order."""
+        return {
+            "groups": sorted(sorted(g) for g in self.groups),
+            "exceptions": sorted(self.exceptions),
+            "kinds": {general: sorted(names) for general, names in sorted(self.kinds.items())},
+            "near": sorted(sorted(g) for g in self.near),
+        }
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of all that decides what a name means."""
+        return xxhash.xxh3_64_hexdigest(json.dumps(self.record()).encode())
+
+
+@lru_cache(maxsize=1)
+def default_synonyms() -> Synonyms:
+    """The project's own table, read once."""
+    groups: list[frozenset[str]] = []
+    exceptions: set[str] = set()
+    kinds: dict[str, set[str]] = {}
+    near: list[frozenset[str]] = []
+    for path in sorted(NAMES.glob("*.json")):
+        # These files hold names in normal form, which a test of them sees to.
+        read = _json_of(path)
+        groups += map(frozenset, read.get("groups", ()))
+        exceptions |= set(read.get("exceptions", ()))
+        near += map(frozenset, read.get("near", ()))
+        for general, names in read.get("kinds", {}).items():
+            kinds.setdefault(general, set()).update(names)
+    frozen = {general: frozenset(names) for general, names in kinds.items()}
+    return Synonyms(tuple(groups), frozenset(exceptions), frozen, tuple(near))
+
+
+def _json_of(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise InputError(
+            "the synonym table cannot be read", got=str(error), expected="a JSON file", path=path
+        ) from None
+
+
+def checked_table(table: Any, path: Path) -> dict[str, Any]:
+    """The groups, exceptions, kinds and near names of a file, each there, or InputError where it has another shape."""
+    if not isinstance(table, dict):
+        raise InputError("the synonym table has the wrong shape", got=type(table).__name__, expected=_FORM, path=path)
+    read: dict[str, Any] = {"groups": [], "exceptions": [], "kinds": {}, "near": []}
+    unknown = sorted(set(table) - set(read) - _TOLD)
+    if unknown:
+        raise InputError("unknown key in the synonym table", got=repr(unknown[0]), expected=_FORM, path=path)
+    read |= {key: value for key, value in table.items() if key in read}
+    for key, kind, called in (("groups", list, "list"), ("near", list, "list"), ("kinds", dict, "object")):
+        if not isinstance(read[key], kind):
+            raise InputError(
+                f"{key} of the synonym table are no {called}", got=repr(read[key])[:60], expected=_FORM, path=path
+            )
+    for names in [*read["groups"], *read["near"], read["exceptions"], [*read["kinds"]], *read["kinds"].values()]:
+        good = isinstance(names, list) and all(isinstance(n, str) and normal_form(n) for n in names)
+        if not good:
+            raise InputError("a group of the synonym table is no list of names", got=repr(names)[:60], path=path)
+    for group in [*read["groups"], *read["near"]]:
+        if len(group) < 2:
+            raise InputError("a group of the synonym table needs two names", got=repr(group)[:60], path=path)
+    return read
