@@ -9,16 +9,16 @@ from time import perf_counter
 
 import numpy as np
 
+from pipeline.answering.asked_names import detections
+from pipeline.answering.evidence import SceneEvidence
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of, same_object
 from pipeline.answering.ranking import Candidates, RankConfig, Ranking, RelationLookup, rank
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.answering.asked_names import detections
-from pipeline.answering.evidence import SceneEvidence
 from pipeline.language.expression import parse
-from pipeline.language.tree import Attachment, Node, Query
 from pipeline.language.naming import Synonyms
+from pipeline.language.tree import Attachment, Node, Query
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.proposals.selection import top_k
@@ -109,8 +109,8 @@ class Trace:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Class names that were not found."""
-        return tuple(name for name in self.query.labels if not len(self.candidates[name].index))
+        """Class names that were not found, of what there has to be."""
+        return tuple(name for name in self.query.needed if not len(self.candidates[name].index))
 
     @property
     def root(self) -> Node:
@@ -214,7 +214,7 @@ def ranked(
         alike = same(trace.objects)
         lookup = edited(relation_lookup(trace.scores, trace.objects, alike))
         sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
-        evidence = SceneEvidence(trace.objects, trace.frame, trace.viewer, trace.named)
+        evidence = SceneEvidence(trace.objects, trace.frame, trace.viewer)
         ranking = rank(trace.query.readings, trace.candidates, lookup, alike, sizes, config, evidence)
     return replace(trace, ranking=ranking)
 

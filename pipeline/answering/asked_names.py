@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from pipeline.geometry.frame import Frame
-from pipeline.language.naming import Synonyms, match
+from pipeline.language.naming import Synonyms, is_named, match
 from pipeline.language.tree import Node, Query, Reading, Span, described
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.system.errors import UnknownClass
@@ -22,9 +22,8 @@ def name_for(node: Node, detector: Detector, synonyms: Synonyms | None = None) -
         return node.label
     if node.anything and not match(node.name, detector.vocabulary, synonyms):
         return None
-    if node.label == node.name or match(node.label, detector.vocabulary, synonyms):
-        return node.label
-    return node.name
+    whole = node.label == node.name or any(is_named(node.label, name, synonyms) for name in detector.vocabulary)
+    return node.label if whole else node.name
 
 
 def detections(
@@ -40,6 +39,7 @@ def detections(
     UnknownClass
         A name that the detector cannot know, and without it the thing meant is not told.
     """
+    query = whole_names(query, detector, synonyms)
     found: dict[str, Proposals] = {}
     unknown: dict[str, UnknownClass] = {}
     for node in query.nodes:
@@ -59,6 +59,24 @@ def detections(
     if not (root.attachments or root.choices or root.attributes) and len(found[query.target]) > 1:
         raise next(iter(unknown.values()))
     return {label: found[label] for label in told.labels}, told
+
+
+def whole_names(query: Query, detector: Detector, synonyms: Synonyms | None = None) -> Query:
+    """The question, in which a phrase that a detector of limited vocabulary knows whole has no attributes."""
+
+    def whole(node: Node) -> bool:
+        return bool(node.attributes) and name_for(node, detector, synonyms) == node.label
+
+    if detector.vocabulary is None or not any(whole(n) for n in query.nodes):
+        return query
+    labels = {n.label for n in query.nodes if whole(n)}
+
+    def read(node: Node) -> Node:
+        attachments = tuple(replace(a, nodes=tuple(map(read, a.nodes))) for a in node.attachments)
+        node = replace(node, attachments=attachments, excluded=tuple(map(read, node.excluded)))
+        return replace(node, head="", attributes=()) if node.label in labels else node
+
+    return replace(query, readings=tuple(replace(r, root=read(r.root)) for r in query.readings))
 
 
 def without(query: Query, reasons: dict[str, str]) -> Query:

@@ -6,7 +6,7 @@ the probability that a thing is the k-th in some order is that it fits, times th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -17,7 +17,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.attributes import Attribute
-from pipeline.language.tree import Choice, Node
+from pipeline.language.tree import Choice
 from pipeline.relations.attributes import SIZES, attribute_probabilities, size_keys
 
 Kind = Literal["attribute", "choice", "negation", "viewer"]
@@ -62,18 +62,10 @@ class SceneEvidence:
     objects : sequence of SceneObject
     frame : Frame
     viewer : ViewerAxes
-    named : callable
-        Whether the detector was asked for the attributes too, as a part of the name.
     """
 
-    def __init__(
-        self,
-        objects: Sequence[SceneObject],
-        frame: Frame,
-        viewer: ViewerAxes,
-        named: Callable[[Node], bool] = lambda node: False,
-    ) -> None:
-        self.objects, self.frame, self.viewer, self.named = objects, frame, viewer, named
+    def __init__(self, objects: Sequence[SceneObject], frame: Frame, viewer: ViewerAxes) -> None:
+        self.objects, self.frame, self.viewer = objects, frame, viewer
 
     def attribute(self, attribute: Attribute, index: np.ndarray) -> np.ndarray | None:
         """(K,) float64: P(attribute | x) of some objects, compared with each other; None where it is not judged."""

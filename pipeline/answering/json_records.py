@@ -15,9 +15,9 @@ from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
 from pipeline.answering.ranking import Ranking
 from pipeline.datasets.survey import FrameReport
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.language.expression import Query
 from pipeline.language.lexicon import wording
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.tree import Node, Query
 from pipeline.relations.relations import letter
 
 Record = dict[str, Any]
@@ -68,18 +68,45 @@ def viewer_record(viewer: ViewerAxes) -> Record:
 
 
 def expression_record(query: Query) -> Record:
-    """target, relation, reference and, where there are several, the readings.
+    """target, relation, reference (null without a relation), the tree, and, where there are several, the readings.
 
     With "inverse" the relation holds from the reference to the target: "table holding a lamp" is lamp on table.
+    "unused" lists the words that say something and could not be used, each with the reason.
     """
     e = query.expression
-    record: Record = {"text": query.text, "target": e.target, "relation": e.relation, "reference": e.reference}
+    record: Record = {
+        "text": query.text,
+        "target": query.target,
+        "relation": None if e is None else e.relation,
+        "reference": None if e is None else e.reference,
+    }
     return record | present(
-        inverse=e.inverse or None,
-        second_reference=e.second_reference,
-        mapped_from=e.mapped_from,
+        inverse=None if e is None else e.inverse or None,
+        second_reference=None if e is None else e.second_reference,
+        mapped_from=None if e is None else e.mapped_from,
         readings=[r.description for r in query.readings] if len(query.readings) > 1 else None,
+        tree=noun_record(query.default.root),
+        unused=[{"text": query.text[s.start : s.end], "why": s.note} for s in query.unused] or None,
     )
+
+
+def noun_record(node: Node) -> Record:
+    """A noun phrase with all that is said of it; only what is said stands there."""
+    return {"label": node.label} | present(
+        head=node.head or None,
+        viewer=node.viewer or None,
+        count=node.count,
+        attributes=[present(kind=a.kind, value=a.value, shade=a.shade) for a in node.attributes] or None,
+        choices=[present(order=c.order, rank=c.rank, text=c.text) for c in node.choices] or None,
+        relations=[
+            present(
+                relation=a.relation, phrase=a.phrase, inverse=a.inverse or None, negated=a.negated or None,
+                of=[noun_record(n) for n in a.nodes],
+            )
+            for a in node.attachments
+        ] or None,
+        excluded=[noun_record(n) for n in node.excluded] or None,
+    )  # fmt: skip
 
 
 def pair_record(pair: ScoredPair) -> Record:
@@ -98,7 +125,11 @@ def pair_record(pair: ScoredPair) -> Record:
     } | present(
         second_reference=pair.second_reference,
         links=[_link_record(x) for x in pair.links] if len(pair.links) > 1 else None,
-    )
+        factors=[
+            {"kind": f.kind, "text": f.text, "object": f.object, "probability": _probability(f.probability)}
+            for f in pair.factors
+        ] or None,
+    )  # fmt: skip
 
 
 def _link_record(link: Link) -> Record:
@@ -147,9 +178,9 @@ def _best_record(trace: Trace) -> Record | None:
     best = best_pair(trace)
     if best is None:
         return None
-    nodes, second = trace.asked.nodes, best.second_reference
+    nodes, second = () if trace.asked is None else trace.asked.nodes, best.second_reference
     return {
-        "target": _role_record(trace, trace.query.expression.target, best.target),
+        "target": _role_record(trace, trace.root.label, best.target),
         "reference": None if best.reference is None else _role_record(trace, nodes[0].label, best.reference),
         "holds": best.holds,
         "relation_probability": _probability(best.relation_probability),

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.answering.evidence import Factor, Kind, SceneEvidence
 from pipeline.answering.pair_table import (
     MIN_SCORE,
     Link,
@@ -24,7 +25,6 @@ from pipeline.answering.pair_table import (
     pair_table,
     side,
 )
-from pipeline.answering.evidence import Factor, Kind, SceneEvidence
 from pipeline.language.tree import Attachment, Node, Reading
 
 NON_DEFAULT_PENALTY = 0.1
@@ -170,6 +170,8 @@ class _Branch:
     @property
     def belief(self) -> np.ndarray:
         """(K,) float64: how surely each head stands in the relation to something that is what its end says."""
+        if not self.probability.size:
+            return np.zeros(len(self.probability))
         found = np.where(self.forbidden, 0.0, self.probability)
         for axis, end in enumerate(self.ends, start=1):
             found = found * np.expand_dims(end.belief, tuple(a for a in range(found.ndim) if a != axis))
@@ -217,7 +219,7 @@ class _Scene:
         return _Branch(attachment, ends, probability, forbidden, total)
 
     def _attributes(self, node: Node, index: np.ndarray) -> list[tuple[Kind, str, np.ndarray]]:
-        if self.evidence is None or self.evidence.named(node):
+        if self.evidence is None:
             return []
         told = [(a, self.evidence.attribute(a, index)) for a in node.attributes]
         return [("attribute", str(a), p) for a, p in told if p is not None]
@@ -235,9 +237,7 @@ class _Scene:
             found.append(("negation", f"not {other.label}", 1 - alike.max(axis=1, initial=0.0)))
         return found
 
-    def _choices(
-        self, node: Node, index: np.ndarray, belief: np.ndarray
-    ) -> list[tuple[Kind, str, np.ndarray]]:
+    def _choices(self, node: Node, index: np.ndarray, belief: np.ndarray) -> list[tuple[Kind, str, np.ndarray]]:
         if self.evidence is None:
             return []
         found: list[tuple[Kind, str, np.ndarray]] = []
@@ -293,9 +293,7 @@ def _links(
         probability = float(branch.probability[(at, *ends)])
         product *= probability
         second = objects[1] if len(objects) > 1 else None
-        links.append(
-            Link(branch.attachment.relation, here, objects[0], probability, second, branch.attachment.inverse)
-        )
+        links.append(Link(branch.attachment.relation, here, objects[0], probability, second, branch.attachment.inverse))
         for end, k in zip(branch.ends, ends, strict=True):
             below, told, factor = _links(end, k, None)
             links += below

@@ -23,7 +23,8 @@ class Attribute:
     ----------
     kind : {"color", "size", "shape", "material", "other"}
     value : str
-        The plain form: "red" of "reddish", "gray" of "grey", "big" of "large". "light" and "dark" alone are colours too.
+        The plain form: "red" of "reddish", "gray" of "grey", "big" of "large"; "light" and "dark" alone are
+        colours too.
     shade : {"light", "dark"} or None
         Of a colour: "light blue".
     """
@@ -161,52 +162,12 @@ _TABLE: dict[str, Attribute] = {
     **{word: Attribute("color", value) for word, value in _COLORS.items()},
 }
 
-_SHADES: dict[str, Shade] = {
-    **dict.fromkeys(
-        ["light", "lighter", "pale", "pastel", "soft", "faded", "sky", "baby", "powder", "ice", "lemon"], "light"
-    ),
-    **dict.fromkeys(
-        ["dark", "darker", "deep", "forest", "hunter", "army", "bottle", "midnight", "blood", "brick", "chocolate"],
-        "dark",
-    ),
-}
+_LIGHT = _words("light: lighter pale pastel soft faded sky baby powder ice lemon")
+_DARK = _words("dark: darker deep forest hunter army bottle midnight blood brick chocolate")
+_SHADES: dict[str, Shade] = {**dict.fromkeys(_LIGHT, "light"), **dict.fromkeys(_DARK, "dark")}
 """Words that before a colour say how light it is: "sky blue", "forest green"."""
-_INTENSIFIERS = frozenset(
-    [
-        "very",
-        "really",
-        "quite",
-        "rather",
-        "pretty",
-        "somewhat",
-        "fairly",
-        "extremely",
-        "super",
-        "so",
-        "too",
-        "kind",
-        "of",
-        "sort",
-    ]
-)
-_VIVID = frozenset(
-    [
-        "bright",
-        "vivid",
-        "neon",
-        "hot",
-        "electric",
-        "royal",
-        "solid",
-        "plain",
-        "mostly",
-        "all",
-        "metallic",
-        "jet",
-        "snow",
-        "off",
-    ]
-)
+_INTENSIFIERS = frozenset(_words("very: really quite rather somewhat fairly extremely super so too kind of sort"))
+_VIVID = frozenset(_words("bright: vivid neon hot electric royal solid plain mostly all metallic jet snow off"))
 """Words before a colour that leave its name and its shade as they are."""
 _SUFFIX = re.compile(r"(?:colou?red|colou?r|tinted|toned|painted|shaped|sized?)$")
 _JOINED = re.compile(r"(light|dark|pale|deep|bright|sky|navy)([a-z]{3,}?)")
@@ -232,9 +193,10 @@ def attribute(words: str) -> Attribute | None:
     if len(tokens) == 1:
         return _single(tokens[0])
     last = _single(tokens[-1])
-    if last is None or last.kind != "color":
-        return None
-    return _qualified(tokens[:-1], last)
+    if last is not None and last.kind == "color":
+        return _qualified(tokens[:-1], last)
+    # "stainless steel": the same said twice.
+    return last if last is not None and all(_single(t) == last for t in tokens) else None
 
 
 def _single(token: str) -> Attribute | None:

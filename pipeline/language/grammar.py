@@ -147,6 +147,8 @@ class _Reader(NounReader):
             return at + 1
         if word in lexicon.AND or word in ("or", "nor", "plus"):
             self.joined = True
+            clauses = self.chain.clauses
+            self.negated = self.negated or (word in ("or", "nor") and bool(clauses) and clauses[-1].negated)
             return at + 1
         if (side := self._side(at)) is not None:
             return side
@@ -329,6 +331,11 @@ class _Reader(NounReader):
             self.problems.append(self._names_nothing("reference", phrase))
             self._note(at, end, self.problems[-1].what, self.opened.pop().token)
             self._forget()
+            return end
+        if phrase.head_word in lexicon.STACKS and not phrase.named and self.opened[-1].token.relation == "on":
+            # Of a stack the thing on top of it is the highest.
+            token = self.opened[-1].token
+            self._choice(Choice("high", 1, f"{token.text} {self.words(at, end)}"), at, end)
             return end
         phrase = self._resolved(phrase)
         first = self._add_noun(phrase, "reference", phrase.where)

@@ -225,11 +225,3 @@ def suggest(query: str, names: Iterable[str], n: int = 3) -> tuple[str, ...]:
         if score >= 0.6:
             scored.append((-score, name))
     return tuple(name for _, name in sorted(scored)[:n])
-
-
-def is_compound(words):
-    return " ".join(words) in {"tv stand", "white board", "front door", "wine glass"}
-
-
-def known_words():
-    return frozenset()

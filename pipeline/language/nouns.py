@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pipeline.language import choices, lexicon
 from pipeline.language.attributes import Attribute, attribute
-from pipeline.language.naming import DETERMINERS, is_compound, singular
+from pipeline.language.naming import DETERMINERS, is_compound, known_words, singular
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token, label_of
 from pipeline.language.tree import Choice, Role
@@ -317,7 +317,7 @@ class NounReader:
         """`orange`, `glass` and `light` name things too, where nothing follows that could be one."""
         word = self.tokens[at].text
         follows = at + 1 < len(self.tokens) and not self._ends(at + 1)
-        return not follows and is_compound([word]) and not draft.attributes
+        return not follows and word in known_words() and not draft.attributes
 
     def _of_several(self, at: int, draft: _Draft) -> int:
         """`the taller of the two boxes`: past `of the two`."""

@@ -283,6 +283,20 @@ class Query:
         return tuple(dict.fromkeys(n.label for n in self.nodes))
 
     @property
+    def needed(self) -> tuple[str, ...]:
+        """The names of what there has to be: of `labels` not what is excluded or negated."""
+
+        def names(node: Node) -> Iterator[str]:
+            yield node.label
+            for attachment in node.attachments:
+                if not attachment.negated:
+                    for end in attachment.nodes:
+                        yield from () if end.viewer else names(end)
+
+        there = set(names(self.default.root))
+        return tuple(label for label in self.labels if label in there)
+
+    @property
     def unused(self) -> tuple[Span, ...]:
         """The words that say something and could not be used, with the reason."""
         return tuple(s for s in self.spans if s.role == "unused")
