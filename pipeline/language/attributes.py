@@ -162,18 +162,11 @@ _TABLE: dict[str, Attribute] = {
     **{word: Attribute("color", value) for word, value in _COLORS.items()},
 }
 
-_SHADES: dict[str, Shade] = {
-    word: shade
-    for shade, words in (
-        ("light", "light lighter pale pastel soft faded sky baby powder ice lemon"),
-        ("dark", "dark darker deep forest hunter army bottle midnight blood brick chocolate"),
-    )
-    for word in words.split()
-}
+_LIGHT = _words("light: lighter pale pastel soft faded sky baby powder ice lemon")
+_DARK = _words("dark: darker deep forest hunter army bottle midnight blood brick chocolate")
+_SHADES: dict[str, Shade] = {**dict.fromkeys(_LIGHT, "light"), **dict.fromkeys(_DARK, "dark")}
 """Words that before a colour say how light it is: "sky blue", "forest green"."""
-_INTENSIFIERS = frozenset(
-    _words("very: really quite rather pretty somewhat fairly extremely super so too kind of sort")
-)
+_INTENSIFIERS = frozenset(_words("very: really quite rather somewhat fairly extremely super so too kind of sort"))
 _VIVID = frozenset(_words("bright: vivid neon hot electric royal solid plain mostly all metallic jet snow off"))
 """Words before a colour that leave its name and its shade as they are."""
 _SUFFIX = re.compile(r"(?:colou?red|colou?r|tinted|toned|painted|shaped|sized?)$")
