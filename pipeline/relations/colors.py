@@ -90,7 +90,7 @@ def neutral_gains(rgb: np.ndarray) -> np.ndarray:
 
 
 def color_shares(lab: np.ndarray) -> np.ndarray:
-    """(N, 15): the share of people who call colours ((N, 3) CIELAB) so; of further terms relative to the best example."""
+    """(N, 15): the share of people who call colours ((N, 3) CIELAB) so; of further terms relative to the best."""
     L, a, b = (lab / (100.0, 60.0, 60.0)).T
     forms = np.stack([np.ones_like(L), L, a, b, L * L, a * a, b * b, L * a, L * b, a * b], axis=1)
     logits = forms @ _WEIGHTS
