@@ -1,0 +1,174 @@
+"""Colour names of things: a perceptual model of the eleven basic colours, fitted on a survey of how people name them.
+
+The model is log-linear: the share of people who call a colour by each basic term is a softmax over quadratic forms of
+its CIELAB coordinates (one soft cell of colour space for each term). It was fitted on the xkcd colour survey
+(222,500 people, 3.4 million answers; public domain, CC0) in the form that J. Heer and M. Stone counted it in (Color
+naming models for color selection, image editing and palette design, CHI 2012): 153 terms in bins of 5 CIELAB units.
+Answers with a basic term in them count for it ("light blue" for blue, "blue green" for both by halves); others for the
+terms they lie between ("cream" for white and yellow, "olive" for green and brown). No picture took part in the fit.
+
+Pictures are not patches on a screen: `object_colors` says what is done about light and shade.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pipeline.language.attributes import BASIC_COLORS, FURTHER_COLORS, Attribute
+
+_TERMS: dict[str, tuple[float, ...]] = {
+    "black": (6.5, -12.6, -5.7, -2.0, -8.4, 3.1, 1.1, 0.1, -1.2, 2.0),
+    "blue": (3.2, -2.0, -9.3, -15.1, 2.1, 1.4, -1.9, -6.9, 1.7, -5.5),
+    "brown": (3.1, -2.9, 2.5, 6.5, 1.1, 0.8, -1.9, -1.3, 1.4, -1.4),
+    "gray": (2.2, 10.7, -6.0, -5.1, -9.4, -6.5, -1.9, -0.5, 2.2, -2.4),
+    "green": (3.8, -3.6, -12.1, 0.3, 1.1, 0.1, 5.8, -6.2, -3.9, 4.6),
+    "orange": (-8.0, 4.4, 10.6, 9.2, 4.2, -1.9, 0.8, 4.3, -1.9, -3.5),
+    "pink": (-5.0, 6.9, 10.9, -0.8, 1.7, 0.3, -2.0, 2.4, 4.8, -2.6),
+    "purple": (1.9, 2.6, 4.3, -6.5, -2.1, 3.4, -0.4, -1.1, -0.2, 2.5),
+    "red": (0.1, -5.3, 11.5, 1.2, -1.3, -2.4, -2.5, 4.8, 0.8, 4.3),
+    "white": (-4.5, 4.9, -1.5, 4.6, 4.2, -0.6, 0.9, 1.0, -3.2, 1.0),
+    "yellow": (-3.2, -3.1, -5.2, 7.6, 6.8, 2.1, 2.1, 3.5, -0.4, 0.9),
+    "turquoise": (-5.2, 4.1, -11.2, -9.5, -3.7, -7.2, -6.8, -1.4, 6.2, -5.2, 0.72),
+    "beige": (-10.9, 16.6, 4.2, 11.3, -7.7, -12.6, -8.8, -1.7, -1.2, -2.2, 0.7),
+    "gold": (-13.5, 8.3, 2.8, 16.0, -8.1, -10.4, -6.4, -2.7, 1.5, -0.7, 0.4),
+    "magenta": (-9.1, 10.0, 8.7, 3.1, -9.8, -1.6, -3.8, -3.0, -4.3, -2.0, 0.69),
+}
+"""Log weight of each term as a quadratic form: of 1, L, a, b, L², a², b², La, Lb, ab with L/100, a/60, b/60 (CIELAB,
+D65). Further terms are logistic on their own, with their highest share in the survey last."""
+
+_LIGHTNESS: dict[str, tuple[float, float]] = {
+    "black": (35, 0), "blue": (59, 34), "brown": (51, 31), "gray": (71, 45), "green": (75, 54), "orange": (68, 59),
+    "pink": (69, 55), "purple": (50, 33), "red": (50, 39), "white": (97, 85), "yellow": (89, 80),
+    "turquoise": (72, 48), "beige": (85, 68), "gold": (72, 58), "magenta": (60, 45),
+}  # fmt: skip
+"""L above which people say light, and below which dark: halfway between the means of the plain and the shaded term in
+the survey."""
+
+MOST_PIXELS = 1500
+"""Of an object; spread evenly over its mask."""
+EXPOSURE = 0.5
+TINT = 0.5
+PERCENTILE = 97.0
+MOST_GAIN = 2.0
+LIT = 80.0
+UNSHADE_GRAY = 0.0
+UNSHADE = 0.0
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_LINEAR = (np.arange(256) / 255.0) ** 2.2
+
+
+@dataclass(frozen=True)
+class ObjectColors:
+    """What colours objects have.
+
+    Attributes
+    ----------
+    shares : (N, 15) float64
+        Of each object's pixels, by BASIC_COLORS and FURTHER_COLORS; the basic ones sum to 1. NaN for an empty mask.
+    lightness : (N, 15) float64
+        Mean CIELAB L of the pixels of that colour, in the light of the frame.
+    """
+
+    shares: np.ndarray
+    lightness: np.ndarray
+
+
+def neutral_gains(rgb: np.ndarray) -> np.ndarray:
+    """(3,) factors of linear RGB that bring the frame's light about halfway to neutral and its whites up to white.
+
+    rgb is (H, W, 3) uint8. The light's colour and strength are taken from the brightest pixels of each channel that
+    are not clipped (von Kries with a percentile of the maximum); halfway, as a frame need not show anything white.
+    """
+    linear = _LINEAR[rgb[::4, ::4].reshape(-1, 3)]
+    bright = np.maximum(np.percentile(linear, PERCENTILE, axis=0), 1e-3)
+    level = bright @ _LUMINANCE
+    return np.clip(level**-EXPOSURE, 1 / MOST_GAIN, MOST_GAIN) * np.clip(level / bright, 0.5, 2.0) ** TINT
+
+
+def color_shares(lab: np.ndarray) -> np.ndarray:
+    """(N, 15): the share of people who call colours ((N, 3) CIELAB) so; of further terms relative to the best."""
+    L, a, b = (lab / (100.0, 60.0, 60.0)).T
+    forms = np.stack([np.ones_like(L), L, a, b, L * L, a * a, b * b, L * a, L * b, a * b], axis=1)
+    logits = forms @ _WEIGHTS
+    basic = logits[:, : len(BASIC_COLORS)]
+    basic = np.exp(basic - basic.max(axis=1, keepdims=True))
+    further = 1 / (1 + np.exp(-logits[:, len(BASIC_COLORS) :])) / _PEAKS
+    return np.concatenate([basic / basic.sum(axis=1, keepdims=True), np.minimum(further, 1)], axis=1)
+
+
+_WEIGHTS = np.array([_TERMS[name][:10] for name in (*BASIC_COLORS, *FURTHER_COLORS)]).T
+_PEAKS = np.array([_TERMS[name][10] for name in FURTHER_COLORS])
+
+
+def _interior(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(P, 3) uint8 pixels of a mask without its border, where it bleeds into what lies behind."""
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    inside = mask[y : y + h, x : x + w].view(np.uint8)
+    area = cv2.countNonZero(inside)
+    width = 2 * min(int(np.sqrt(area) / 12), 4) + 1
+    core = cv2.erode(inside, np.ones((width, width), np.uint8), borderValue=0)
+    chosen = core if cv2.countNonZero(core) > 0.3 * area else inside
+    pixels = rgb[y : y + h, x : x + w][chosen.view(np.bool_)]
+    return pixels[:: max(1, -(-len(pixels) // MOST_PIXELS))]
+
+
+def object_colors(rgb: np.ndarray, masks: Sequence[np.ndarray]) -> ObjectColors:
+    count = len(BASIC_COLORS) + len(FURTHER_COLORS)
+    shares, lightness = np.full((2, len(masks), count), np.nan)
+    gains = neutral_gains(rgb)
+    for n, mask in enumerate(masks):
+        if not mask.any():
+            continue
+        linear = _LINEAR[_interior(rgb, mask)] * gains
+        lab = _lab(_unshaded(linear))
+        of = color_shares(lab)
+        shares[n] = of.mean(axis=0)
+        lightness[n] = (of * lab[:, :1]).sum(axis=0) / np.maximum(of.sum(axis=0), 1e-9)
+    return ObjectColors(shares, lightness)
+
+
+def _unshaded(linear):
+    Y = np.maximum(linear @ _LUMINANCE, 1e-3)
+    ref = np.percentile(Y, LIT)
+    sat = np.clip((linear.max(1) - linear.min(1)) / np.maximum(linear.max(1), 1e-3), 0, 1)
+    power = UNSHADE_GRAY + (UNSHADE - UNSHADE_GRAY) * sat
+    return linear * (np.maximum(ref / Y, 1) ** power)[:, None]
+
+
+def _lab(linear: np.ndarray) -> np.ndarray:
+    """(P, 3) CIELAB of linear RGB; beyond white is white of that hue."""
+    top = np.maximum(linear.max(axis=1, keepdims=True), 1)
+    srgb = (linear / top) ** (1 / 2.2)
+    return cv2.cvtColor(srgb.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0].astype(np.float64)
+
+
+LEAST = 0.02
+"""A model of names is never surer than this that people do not use one."""
+_SOFT = 6.0
+"""CIELAB units of lightness in which light and dark go over into the plain colour."""
+
+
+def color_probabilities(attribute: Attribute, colors: ObjectColors) -> np.ndarray:
+    """(N,) 0..1: the share of each object that has the colour, relative to that of its largest colour.
+
+    So a thing of two colours has both, and a thing between two names answers to both. A shade is asked of the pixels
+    of that colour alone. A half where there are no pixels.
+    """
+    names = (*BASIC_COLORS, *FURTHER_COLORS)
+    basic = colors.shares[:, : len(BASIC_COLORS)]
+    if attribute.value in names:
+        k = names.index(attribute.value)
+        found = np.clip(colors.shares[:, k] / np.maximum(basic.max(axis=1), 0.5 if k >= basic.shape[1] else 0), 0, 1)
+        lightness, (light, dark) = colors.lightness[:, k], _LIGHTNESS[attribute.value]
+        shade = attribute.shade
+    else:
+        found, shade = 1.0, attribute.value
+        lightness, light, dark = (basic * colors.lightness[:, : basic.shape[1]]).sum(axis=1), 65, 45
+    if shade is not None:
+        over = lightness - light if shade == "light" else dark - lightness
+        found = found / (1 + np.exp(-over / _SOFT))
+    return np.where(np.isnan(found), 0.5, LEAST + (1 - LEAST) * found)
