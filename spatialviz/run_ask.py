@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.asked_names import unused_words
 from pipeline.answering.json_records import frame_record, probability, relation_records, told, why_no_answer
 from pipeline.answering.opening import FrameRelations, open_pipeline, relate_frames
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.suggestions import MissedNames, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.given_up import told_up
@@ -20,7 +22,6 @@ from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
-from pipeline.language.lexicon import wording
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, require
@@ -136,7 +137,7 @@ def print_ranking(trace: Trace) -> None:
         return trace.name(index)
 
     assert trace.ranking is not None
-    phrase = wording(trace.asked.relation, inverse=trace.asked.inverse)
+    phrase = trace.phrase
     pairs = trace.ranking.pairs
     best = pairs[0]
     second = "" if best.second_reference is None else f" and {name(best.second_reference)}"
@@ -144,30 +145,31 @@ def print_ranking(trace: Trace) -> None:
     say(
         (answer.lead, "yellow"),
         (name(best.target), "bold dark_orange"),
-        f" {phrase} ",
-        (name(best.reference) + second, "bold dodger_blue2"),
+        f" {phrase} " if phrase else "",
+        ("" if best.reference is None else name(best.reference) + second, "bold dodger_blue2"),
         (f"   {answer.numbers}", "bold" if answer.holds else "yellow"),
     )
     for failing in answer.fails:
         say(f"does not hold: {failing}", style="yellow")
     say(answer.below, style="dim")
-    if len(trace.query.readings) > 1:
+    for words, why in unused_words(trace.query):
+        say(f"not used: '{words}': {why}", style="yellow")
+    if len(trace.query.readings) > 1 or trace.query.default.root.triple is None:
         say(f"read as: {trace.ranking.reading.description}", style="dim")
+    columns: dict[str, Callable[[ScoredPair], str]] = {"target": lambda p: name(p.target)}
+    if phrase:
+        columns["reference"] = lambda p: ", ".join(name(k) for k in (p.reference, p.second_reference) if k is not None)
+    columns[">P(target)"] = lambda p: f"{p.p_target:.2f}"
+    if any(p.factors for p in pairs):
+        columns[">P(attributes)"] = lambda p: f"{p.p_attributes:.2f}"
+    if phrase:
+        columns[">P(reference)"] = lambda p: f"{p.p_reference:.2f}"
+        columns[f">P({phrase})"] = lambda p: f"{p.p_relation:.2f}"
+    columns[">product"] = lambda p: probability(p.product)
+    columns[">posterior"] = lambda p: f"{p.probability:.3f}"
     print_rows(
-        ("#", "target", "reference", ">P(target)", ">P(reference)", f">P({phrase})", ">product", ">posterior"),
-        (
-            (
-                str(rank),
-                name(pair.target),
-                name(pair.reference) + ("" if pair.second_reference is None else f", {name(pair.second_reference)}"),
-                f"{pair.p_target:.2f}",
-                f"{pair.p_reference:.2f}",
-                f"{pair.p_relation:.2f}",
-                probability(pair.product),
-                f"{pair.probability:.3f}",
-            )
-            for rank, pair in enumerate(pairs[:SHOWN_PAIRS], start=1)
-        ),
+        ("#", *columns),
+        ((str(rank), *(of(p) for of in columns.values())) for rank, p in enumerate(pairs[:SHOWN_PAIRS], start=1)),
     )
     if len(pairs) > SHOWN_PAIRS:
         say(f"and {len(pairs) - SHOWN_PAIRS} more pairs", style="dim")

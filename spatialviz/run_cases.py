@@ -153,11 +153,11 @@ def whatif_record(
         "timings_ms": {stage: round(seconds * 1000, 3) for stage, seconds in trace.timings.items()},
         "pairs_scored": after.pairs_scored,
     }
-    relation = trace.asked.relation
+    relation = trace.relation
     if trace.ranking is not None and trace.ranking.pairs[0].reference is not None and relation in PAIRWISE:
         pair = trace.ranking.pairs[0]
         ends = [trace.objects[k].lifted for k in (pair.target, pair.reference) if k is not None]
-        first, second = ends[::-1] if trace.asked.inverse else ends
+        first, second = ends[::-1] if trace.inverse else ends
         placed = place_in_region(first, second, relation, trace.viewer, Profile(**edits.profile))
         record["placement"] = {
             "relation": relation,

@@ -12,11 +12,13 @@ import numpy as np
 from pipeline.answering.asked_names import detections
 from pipeline.answering.evidence import SceneEvidence
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of, same_object
+from pipeline.answering.pair_table import TIE
 from pipeline.answering.ranking import Candidates, RankConfig, Ranking, RelationLookup, rank
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import parse
+from pipeline.language.lexicon import wording
 from pipeline.language.naming import Synonyms
 from pipeline.language.tree import Attachment, Node, Query
 from pipeline.proposals.base import Detector, Proposals
@@ -122,6 +124,29 @@ class Trace:
         """The target's first relation to another object: that of the ranked pairs; None without one."""
         return self.root.pairwise
 
+    @property
+    def relation(self) -> str:
+        """The canonical name of that relation; empty without one."""
+        return "" if self.asked is None else self.asked.relation
+
+    @property
+    def inverse(self) -> bool:
+        """Whether that relation holds from the reference to the target."""
+        return self.asked is not None and self.asked.inverse
+
+    @property
+    def phrase(self) -> str:
+        """How that relation is said between two nouns; empty without one."""
+        return "" if self.asked is None else wording(self.asked.relation, inverse=self.asked.inverse)
+
+    @property
+    def tied(self) -> tuple[int, ...]:
+        """Places of the objects that fit a question without a relation equally well, where several do."""
+        if self.ranking is None or self.asked is not None:
+            return ()
+        pairs = self.ranking.pairs
+        return tuple(p.target for p in pairs if pairs[0].log_score - p.log_score < TIE) if len(pairs) > 1 else ()
+
 
 def ask(
     frame: Frame | PreparedFrame,
@@ -214,9 +239,13 @@ def ranked(
         alike = same(trace.objects)
         lookup = edited(relation_lookup(trace.scores, trace.objects, alike))
         sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
-        evidence = SceneEvidence(trace.objects, trace.frame, trace.viewer)
-        ranking = rank(trace.query.readings, trace.candidates, lookup, alike, sizes, config, evidence)
+        ranking = rank(trace.query.readings, trace.candidates, lookup, alike, sizes, config, scene_evidence(trace))
     return replace(trace, ranking=ranking)
+
+
+def scene_evidence(trace: Trace) -> SceneEvidence:
+    """What the noun phrases of a question may say of its objects."""
+    return SceneEvidence(trace.objects, trace.frame, trace.viewer)
 
 
 @contextmanager

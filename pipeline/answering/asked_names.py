@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms, is_named, match
-from pipeline.language.tree import Node, Query, Reading, Span, described
+from pipeline.language.tree import Node, Query, Reading, described
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.system.errors import UnknownClass
 
@@ -104,6 +104,6 @@ def _pruned(node: Node, gone: Collection[str]) -> Node:
     return replace(node, attachments=attachments, excluded=tuple(n for n in node.excluded if n.label not in gone))
 
 
-def unused_words(query: Query) -> tuple[tuple[Span, str], ...]:
-    """The stretches of a question that were not used, each with its words."""
-    return tuple((s, query.text[s.start : s.end]) for s in query.unused)
+def unused_words(query: Query) -> tuple[tuple[str, str], ...]:
+    """The words of a question that were not used, each with the reason."""
+    return tuple((query.text[s.start : s.end], s.note) for s in query.unused)

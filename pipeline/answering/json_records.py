@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.asked_names import unused_words
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import FrameRelations
 from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
@@ -86,7 +87,7 @@ def expression_record(query: Query) -> Record:
         mapped_from=None if e is None else e.mapped_from,
         readings=[r.description for r in query.readings] if len(query.readings) > 1 else None,
         tree=noun_record(query.default.root),
-        unused=[{"text": query.text[s.start : s.end], "why": s.note} for s in query.unused] or None,
+        unused=[{"text": text, "why": why} for text, why in unused_words(query)] or None,
     )
 
 
@@ -178,7 +179,8 @@ def _best_record(trace: Trace) -> Record | None:
     best = best_pair(trace)
     if best is None:
         return None
-    nodes, second = () if trace.asked is None else trace.asked.nodes, best.second_reference
+    second = best.second_reference
+    nodes: tuple[Node, ...] = () if trace.asked is None else trace.asked.nodes
     return {
         "target": _role_record(trace, trace.root.label, best.target),
         "reference": None if best.reference is None else _role_record(trace, nodes[0].label, best.reference),
@@ -209,6 +211,11 @@ def why_no_answer(trace: Trace) -> str | None:
     if trace.missing:
         names = " and no ".join(repr(n) for n in trace.missing)
         return f"no {names} found in frame {trace.frame.id}"
+    if len(trace.tied) > 1:
+        several = ", ".join(trace.name(k) for k in trace.tied[:SEVERAL]) + (", …" if len(trace.tied) > SEVERAL else "")
+        unused = " and ".join(f"'{words}' ({why})" for words, why in unused_words(trace.query))
+        told = f"; not used: {unused}" if unused else ""
+        return f"{len(trace.tied)} things fit '{trace.query.text}' equally well: {several}{told}"
     if trace.ranking is None or trace.ranking.degenerate:
         return f"in frame {trace.frame.id} there are not enough different objects for all names of the expression"
     return None
@@ -271,6 +278,8 @@ def frame_record(report: FrameReport) -> Record:
     } | present(moves=None if report.moves is None else dict(report.moves))
 
 
+SEVERAL = 5
+NO_SUCH_THING = "nothing is all of that; nearest is "
 NO_SUCH_PAIR = "no such pair; nearest is "
 SUPERLATIVES = ("closest", "farthest")
 TIED = 5e-4
@@ -309,7 +318,8 @@ class ToldAnswer:
 def best_pair(trace: Trace) -> ScoredPair | None:
     """The answer; None where there is none: a name was not found, or all candidates are one thing."""
     ranking = trace.ranking
-    return None if ranking is None or ranking.degenerate or not ranking.pairs else ranking.pairs[0]
+    none = ranking is None or ranking.degenerate or not ranking.pairs or len(trace.tied) > 1
+    return None if none or ranking is None else ranking.pairs[0]
 
 
 def holds(trace: Trace) -> bool:
@@ -339,15 +349,30 @@ def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = Non
     assert ranking is not None
     pair = pair or ranking.pairs[0]
     several = len(pair.links) > 1
-    what = "weakest relation" if several else "relation"
-    fails = tuple(f"{link_words(link, name)} {probability(link.probability)}" for link in failing_links(pair))
+    fails = [f"{link_words(link, name)} {probability(link.probability)}" for link in failing_links(pair) if several]
+    fails += [f"{name(f.object)} {f.text} {probability(f.probability)}" for f in pair.factors if f.probability < HOLDS]
+    factors = {what: probability(p) for what, p in headline(pair)}
     return ToldAnswer(
         holds=pair.holds,
         lead=_lead(ranking, pair),
-        numbers=f"{what} {probability(pair.relation_probability)}, product {probability(pair.product)}",
+        numbers=", ".join(f"{what} {p}" for what, p in factors.items()),
         below=_below(ranking, pair),
-        fails=fails if several else (),
+        fails=tuple(fails),
     )
+
+
+def headline(pair: ScoredPair) -> tuple[tuple[str, float], ...]:
+    """The numbers at the top of an answer: of its relation, of its attributes and choices, and the product."""
+    relation = "weakest relation" if len(pair.links) > 1 else "relation"
+    asked = ((relation, pair.relation_probability),) if pair.reference is not None else ()
+    attributes = (("attributes", pair.p_attributes),) if pair.factors else ()
+    return (*asked, *attributes, ("product", pair.product))
+
+
+def pair_words(trace: Trace, pair: ScoredPair, name: Callable[[int], str]) -> str:
+    """A pair as a sentence: "mug·4 left of laptop·2"; without a relation the thing alone."""
+    ends = " and ".join(name(k) for k in (pair.reference, pair.second_reference) if k is not None)
+    return f"{name(pair.target)} {trace.phrase} {ends}" if ends else name(pair.target)
 
 
 def _lead(ranking: Ranking, pair: ScoredPair) -> str:
@@ -360,7 +385,7 @@ def _lead(ranking: Ranking, pair: ScoredPair) -> str:
     standing = next((rank for rank, p in enumerate(ranking.pairs, start=1) if p.holds), None)
     if standing is not None:
         return f"pair {standing} stands in it with a smaller product; best by all scores is "
-    return NO_SUCH_PAIR
+    return NO_SUCH_PAIR if pair.reference is not None else NO_SUCH_THING
 
 
 def _below(ranking: Ranking, pair: ScoredPair) -> str:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.asked_names import name_for
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import Pipeline
 from pipeline.geometry.viewer import ViewerAxes
@@ -74,6 +75,8 @@ def _worded(target: str, relation: str, reference: str, class_names: tuple[str, 
             read = parse(text, class_names=class_names).expression
         except InputError:
             continue
+        if read is None:
+            continue
         meant = normal_form(target), normal_form(reference)
         if (normal_form(read.target), normal_form(read.reference or "")) == meant:
             return text
@@ -111,10 +114,12 @@ def missed_names(source: Pipeline, trace: Trace) -> MissedNames:
     if isinstance(detector, Segmented):
         # Counting needs no masks.
         detector = detector.detector
-    for name in trace.missing if not detector.exact else ():
-        scores = source.unfiltered_detector().detect(trace.frame, [name]).scores
+    missing = {n.label: n for n in trace.query.nodes if n.label in trace.missing}
+    for label, node in missing.items() if not detector.exact else ():
+        name = name_for(node, detector, source.synonyms)
+        scores = source.unfiltered_detector().detect(trace.frame, None if name is None else [name]).scores
         if len(scores):
-            below[name] = float(scores.max())
+            below[label] = float(scores.max())
     try:
         found = None if detector.vocabulary is None else detector.detect(trace.frame, None)
     except InputError:

@@ -9,12 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import holds, present, told, trace_record, why_no_answer
+from pipeline.answering.json_records import holds, pair_words, present, told, trace_record, why_no_answer
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.substitution import names_of
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError
 
 Edited = Mapping[str, Any]
@@ -103,10 +102,7 @@ class Answer:
             return self.problem or "no answer"
         if not self.pairs:
             return why_no_answer(trace) or "no answer"
-        best, asked = self.pairs[0], trace.asked
-        ends = " and ".join(trace.name(k) for k in (best.reference, best.second_reference) if k is not None)
-        phrase = wording(asked.relation, inverse=asked.inverse)
-        return told(trace, trace.name).sentence(f"{trace.name(best.target)} {phrase} {ends}")
+        return told(trace, trace.name).sentence(pair_words(trace, self.pairs[0], trace.name))
 
     @property
     def verdict(self) -> str | None:

@@ -25,8 +25,8 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.profiles import open_second_opinion
 from pipeline.labels.reading import Labels
-from pipeline.language.expression import Query
 from pipeline.language.naming import match
+from pipeline.language.tree import Query
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
@@ -249,8 +249,8 @@ def case_of(truth: FrameCases, trace: Trace, source: Pipeline) -> tuple[FrameCas
     """
     query = trace.query
     e = query.expression
-    if len(query.readings) > 1 or len(query.labels) > 2 or e.second_reference is not None or e.inverse:
-        return "the truth of expressions with several relations, or of “holding”, is not worked out"
+    if len(query.readings) > 1 or e is None or query.default.root.triple is None or e.second_reference or e.inverse:
+        return "the truth of what is no single relation, of attributes, or of “holding”, is not worked out"
     if e.relation not in truth.states:
         return f"the truth of {e.relation!r} is not known"
     known = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))

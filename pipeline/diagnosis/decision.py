@@ -46,7 +46,7 @@ from pipeline.diagnosis.verdict import Diagnosis, Missed, explain
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import HIT, Case
-from pipeline.language.expression import Query
+from pipeline.language.tree import Query
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.selection import suppress
 from pipeline.system.errors import InputError

@@ -15,8 +15,8 @@ from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.substitution import Needed, substitute
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
-from pipeline.language.expression import Query
 from pipeline.language.relation_names import PHRASE
+from pipeline.language.tree import Query
 from pipeline.system.errors import InputError, require
 
 _KEYS = ("frame", "id", "mark")
@@ -212,6 +212,8 @@ def _parse(case: Case, query: Query | None, problem: str | None) -> str:
     e = query.expression
     if len(query.readings) > 1:
         return f"The expression has {len(query.readings)} readings; {meant}."
+    if e is None:
+        return f"Read as {query.default.description}, without a relation; {meant}."
     return f"Read as ({e.target}, {PHRASE.get(e.relation, e.relation)}, {e.reference}); {meant}."
 
 

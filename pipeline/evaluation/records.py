@@ -15,7 +15,7 @@ from pipeline.diagnosis.frame_evidence import matched
 from pipeline.diagnosis.substitution import CONF, LIFT, SRM
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
-from pipeline.language.expression import Query
+from pipeline.language.tree import Query
 from pipeline.system.arrow import pa
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, FrameCases, read_cases, read_query
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.tables import read_table
-from pipeline.language.expression import Query
+from pipeline.language.tree import Query
 from pipeline.proposals.base import reads_annotations
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require

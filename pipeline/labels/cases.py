@@ -11,9 +11,10 @@ import numpy as np
 
 from pipeline.geometry.frame import Frame
 from pipeline.labels.reading import Labels
-from pipeline.language.expression import Query, parse
+from pipeline.language.expression import parse
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.tree import Query
 from pipeline.relations.relations import U
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
@@ -244,7 +245,9 @@ def is_gold(query: Query, case: Case) -> bool:
     """Whether the parser read the gold triple and nothing else."""
     e = query.expression
     return (
-        len(query.readings) == 1
+        e is not None
+        and len(query.readings) == 1
+        and query.default.root.triple is not None
         and len(query.labels) == len({case.target, case.reference})
         and (e.target, e.relation, e.reference) == (case.target, case.relation, case.reference)
         and not e.inverse

@@ -324,5 +324,7 @@ def _reads_back(text: str, target: str, relation: str, reference: str, known: _K
         return False
     found = query.expression
     single = sum(len(n.attachments) for n in query.default.root.walk()) == 1
+    if found is None or query.default.root.triple is None:
+        return False
     right = single and found.relation == relation and not found.inverse
     return right and is_named(found.target, target) and is_named(found.reference, reference)

@@ -196,6 +196,18 @@ class Node:
         """The first relation to other objects: that of the table of candidate pairs."""
         return next((a for a in self.attachments if a.of_pairs), None)
 
+    @property
+    def triple(self) -> Attachment | None:
+        """Its relation, where that one relation between bare things is all that is said; else None."""
+        top = self.pairwise
+        bare = top is not None and self.is_bare and len(self.attachments) == 1
+        return top if bare and top is not None and all(n.is_bare and not n.attachments for n in top.nodes) else None
+
+    @property
+    def is_bare(self) -> bool:
+        """Whether nothing is said of it alone."""
+        return not (self.attributes or self.choices or self.excluded)
+
     def walk(self) -> Iterator[Node]:
         """This node and all below it, depth first; what it is not stands last."""
         yield self

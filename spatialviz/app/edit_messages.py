@@ -66,7 +66,7 @@ def _chosen(state: State, keys: tuple[str, ...]) -> tuple[str, str]:
     if state.trace is None or pair is None or pair.reference is None or pair.second_reference is not None:
         raise InputError("no pair of two objects is chosen")
     ends = keys[pair.target], keys[pair.reference]
-    return (ends[1], ends[0]) if state.trace.asked.inverse else ends
+    return (ends[1], ends[0]) if state.trace.inverse else ends
 
 
 def _box_of(state: State, keys: tuple[str, ...]) -> tuple[str, Box3D]:
@@ -115,12 +115,12 @@ def _relation(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[
     assert state.trace is not None
     *ends, value = rest
     if not ends:
-        return state.edits.with_relation(state.trace.asked.relation, *_chosen(state, keys), _number(value))
+        return state.edits.with_relation(state.trace.relation, *_chosen(state, keys), _number(value))
     at = {shown: keys[t] for t, shown in state.shown.place.items()}
     places = [int(_number(end)) for end in ends]
     if len(places) != 2 or not all(place in at for place in places):
         raise InputError("the pair is no longer among the candidates")
-    return state.edits.with_relation(state.trace.asked.relation, at[places[0]], at[places[1]], _number(value))
+    return state.edits.with_relation(state.trace.relation, at[places[0]], at[places[1]], _number(value))
 
 
 def _mask(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:

@@ -143,8 +143,8 @@ def _pair(state: State) -> str:
     pair, trace = state.chosen, state.trace
     if pair is None or trace is None or pair.reference is None or pair.second_reference is not None:
         return ""
-    relation = trace.asked.relation
-    ends = (pair.reference, pair.target) if trace.asked.inverse else (pair.target, pair.reference)
+    relation = trace.relation
+    ends = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
     a, b = (state.shown.place[k] for k in ends)
     names = [safe(state.shown.names[k]) for k in (a, b)]
     return heading("Chosen pair", f"{names[0]} {PHRASE[relation]} {names[1]}") + _slider(

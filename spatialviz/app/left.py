@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.asked_names import unused_words
 from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.pair_table import HOLDS
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
@@ -92,9 +93,10 @@ def parse_html(state: State, suggestions: Sequence[str]) -> str:
                     f'<div style="padding-top:3px;{style}" title="best score {score:.2f}">'
                     f'<span class="dim">{"read as" if taken else "or"}</span> {safe(reading.description)}</div>'
                 )
-        mapped = state.trace.query.expression.note
-        if mapped:
-            parts.append(f'<div class="dim" style="padding-top:3px">{safe(mapped)}</div>')
+        expression = state.trace.query.expression
+        notes = [expression.note] if expression is not None and expression.note else []
+        notes += [f"not used: “{words}”: {why}" for words, why in unused_words(state.trace.query)]
+        parts += [f'<div class="dim" style="padding-top:3px">{safe(note)}</div>' for note in notes]
     if state.loaded is not None and state.labels is None and state.loaded.context.viewer.up_source == "assumed":
         parts.append('<div class="dim" style="padding-top:4px">No example: it would rest on an assumed up.</div>')
     if suggestions:
@@ -111,8 +113,12 @@ def _chips(state: State, trace: Trace) -> str:
     parts = []
     for span in trace.query.spans:
         said = safe(trace.query.text[span.start : span.end])
-        if span.role == "relation":
-            parts.append(f'<span class="chip rel">{said}</span>')
+        if span.role in ("relation", "attribute", "choice"):
+            parts.append(f'<span class="chip rel" title="{span.role}">{said}</span>')
+        elif span.role == "unused":
+            parts.append(
+                f'<span class="chip rel" style="opacity:.55" title="not used: {safe(span.note)}"><s>{said}</s></span>'
+            )
         elif span.role in ("target", "reference"):
             color = hex_color(colors["target" if span.role == "target" else "reference"])
             click = f"sv('chip:{span.role}')"

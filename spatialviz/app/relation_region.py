@@ -65,11 +65,11 @@ class AskedPair:
 def asked_pair(state: State) -> AskedPair | None:
     """The chosen pair under the asked relation; None where the relation is not of two objects."""
     trace, pair = state.trace, state.chosen
-    if trace is None or pair is None or pair.reference is None or trace.asked.relation not in PAIRWISE:
+    if trace is None or pair is None or pair.reference is None or trace.relation not in PAIRWISE:
         return None
-    a, b = (pair.reference, pair.target) if trace.asked.inverse else (pair.target, pair.reference)
+    a, b = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
     return AskedPair(
-        trace.asked.relation,
+        trace.relation,
         trace.objects[a].lifted,
         trace.objects[b].lifted,
         (state.shown.place[a], state.shown.place[b]),

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pipeline.answering.json_records import probability, told, why_no_answer
+from pipeline.answering.json_records import headline, probability, told, why_no_answer
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette, second_color
-from pipeline.language.lexicon import wording
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
@@ -65,7 +64,7 @@ def _alone(state: State) -> str:
     trace = state.trace
     if trace is None or trace.missing or not isinstance(state.judged, Diagnosis):
         return ""
-    name = trace.query.expression.target
+    name = trace.query.target
     candidates = trace.candidates.get(name)
     found = None if candidates is None else alone(candidates)
     if found is None:
@@ -77,28 +76,27 @@ def _alone(state: State) -> str:
 def _sentence(state: State, pair: ScoredPair) -> str:
     assert state.trace is not None
     colors = palette(state.dark)
-    target, reference, *second_reference = state.at(pair)
-    phrase = safe(wording(state.trace.asked.relation, inverse=state.trace.asked.inverse))
-    second = ""
-    for i in second_reference:
-        second = f' <span class="dim">and</span> {_name(colors["reference"], state.shown.names[i])}'
+    target, *references = state.at(pair)
+    ends = ' <span class="dim">and</span> '.join(_name(colors["reference"], state.shown.names[i]) for i in references)
+    relation = f' <span class="dim">{safe(state.trace.phrase)}</span> {ends}' if references else ""
     return (
-        f'<div class="big" style="flex-wrap:wrap">{_name(colors["target"], state.shown.names[target])}'
-        f' <span class="dim">{phrase}</span> {_name(colors["reference"], state.shown.names[reference])}{second}'
-        "</div>"
+        f'<div class="big" style="flex-wrap:wrap">{_name(colors["target"], state.shown.names[target])}{relation}</div>'
     )
 
 
 def _headline(pair: ScoredPair) -> str:
     """The two numbers at the top: that the pair stands in the relation, and the product of all factors."""
-    weakest = "weakest relation" if len(pair.links) > 1 else "relation"
+    titles = {
+        "attributes": ("P(attributes)", "how surely the attributes and choices that were said fit the objects"),
+        "product": ("product", "P(target) · P(reference) · P(relation), and P(attributes) where some were said"),
+    }
     doubt = "" if pair.holds else f' style="color:{DOUBT}"'
-    return (
-        f'<div class="heads"><span title="the probability of the {weakest}">P({weakest}) '
-        f"<b{doubt}>{probability(pair.relation_probability)}</b></span>"
-        '<span title="P(target) · P(reference) · P(relation)">product '
-        f"<b>{probability(pair.product)}</b></span></div>"
-    )
+    cells = []
+    for what, value in headline(pair):
+        name, title = titles.get(what, (f"P({what})", f"the probability of the {what}"))
+        strong = "" if what == "product" else doubt
+        cells.append(f'<span title="{title}">{name} <b{strong}>{probability(value)}</b></span>')
+    return f'<div class="heads">{"".join(cells)}</div>'
 
 
 def _capital(text: str) -> str:
@@ -132,14 +130,19 @@ def pairs_html(state: State) -> str:
         return ""
     colors = palette(state.dark)
     rows = []
+    attributes = any(p.factors for p in state.ranked)
+    fit = '<th class="n" title="P(attributes and choices)">fit</th>' if attributes else ""
     for i, pair in enumerate(state.ranked[:SHOWN_PAIRS]):
         target, *references = state.at(pair)
-        factors = (pair.p_target, pair.p_reference, pair.p_relation)
+        factors = [pair.p_target, pair.p_reference, pair.p_relation, *([pair.p_attributes] if attributes else [])]
         weakest = min(factors)
         was = None if state.edited is None else state.edited.pair_before(pair)
         rank = None if state.edited is None else state.edited.rank_before(pair)
-        old = (None,) * 4 if was is None else (was.p_target, was.p_reference, was.p_relation, was.probability)
-        marks = [changed(f, o) for f, o in zip((*factors, pair.probability), old, strict=True)]
+        old = [None] * 5
+        if was is not None:
+            told = [was.p_attributes] if attributes else []
+            old = [was.p_target, was.p_reference, was.p_relation, *told, was.probability]
+        marks = [changed(f, o) for f, o in zip((*factors, pair.probability), old, strict=False)]
         cells = "".join(
             f'<td class="n{" low" if f == weakest and f < 0.5 else ""}{mark}"{hint}>{f:.2f}</td>'
             for f, (mark, hint) in zip(factors, marks, strict=False)
@@ -150,12 +153,13 @@ def pairs_html(state: State) -> str:
             f'<td class="n dim{moved}">{i + 1}</td>'
             f"{_cell(colors['target'], state.shown.names[target])}"
             f"{_cell(colors['reference'], ', '.join(state.shown.names[i] for i in references))}"
-            f'{cells}<td class="n{marks[3][0]}"{marks[3][1]}><b>{pair.probability:.2f}</b></td></tr>'
+            f'{cells}<td class="n{marks[-1][0]}"{marks[-1][1]}><b>{pair.probability:.2f}</b></td></tr>'
         )
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"
     head = (
         '<tr><th class="n">#</th><th>target</th><th>reference</th><th class="n" title="P(target | name)">tgt</th>'
         '<th class="n" title="P(reference | name)">ref</th><th class="n" title="P(relation)">rel</th>'
+        f"{fit}"
         '<th class="n" title="posterior over all pairs">P</th></tr>'
     )
     return panel(
@@ -170,22 +174,21 @@ def relations_html(state: State) -> str:
     if trace is None or pair is None or pair.reference is None:
         return ""
     colors = palette(state.dark)
-    asked = trace.asked
     # "the table holding the lamp" asks for the lamp on the table.
-    a, b = (pair.reference, pair.target) if asked.inverse else (pair.target, pair.reference)
+    a, b = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
     rows = [
         _bar(
             PHRASE[relation],
             float(trace.scores.probabilities[a, b, n]),
             letter(trace.scores.states[a, b, n]),
-            colors["target"] if relation == asked.relation else None,
+            colors["target"] if relation == trace.relation else None,
             f"sv('relation:{n}')",
             None if state.edited is None else state.edited.relation_before(a, b, relation),
         )
         for n, relation in enumerate(trace.scores.relations)
     ]
-    if asked.relation not in trace.scores.relations:
-        rows.append(_bar(PHRASE[asked.relation], pair.p_relation, "", colors["target"], ""))
+    if trace.relation and trace.relation not in trace.scores.relations:
+        rows.append(_bar(PHRASE[trace.relation], pair.p_relation, "", colors["target"], ""))
     names = (safe(state.shown.names[state.shown.place[i]]) for i in (a, b))
     by = safe(_scored_by(trace.scores, trace.scorer))
     return panel(heading("Relations", f"{' → '.join(names)} · by {by}"), *rows)

@@ -357,10 +357,10 @@ class Session:
     def _ask_relation(self, number: int) -> None:
         """Ask the same two names with another relation."""
         trace = self.state.trace
-        if trace is None or not 0 <= number < len(trace.scores.relations):
+        if trace is None or trace.asked is None or not 0 <= number < len(trace.scores.relations):
             return
-        first, second = trace.query.expression.target, trace.asked.nodes[0].label
-        if trace.asked.inverse:
+        first, second = trace.query.target, trace.asked.nodes[0].label
+        if trace.inverse:
             first, second = second, first
         self._ask(f"{first} {PHRASE[trace.scores.relations[number]]} the {second}")
 

@@ -209,11 +209,11 @@ def _oracles(d: Diagnosis) -> str:
 def _matrix(state: State) -> str:
     """All candidate pairs as a heat map, targets down and references across; a click chooses the pair."""
     trace = state.trace
-    if trace is None or not state.ranked or trace.asked.relation == "between" or len(trace.query.labels) > 2:
+    if trace is None or not state.ranked or trace.root.triple is None or trace.relation == "between":
         return ""
     colors = palette(state.dark)
-    targets = trace.candidates[trace.query.expression.target]
-    references = trace.candidates[trace.asked.nodes[0].label]
+    targets = trace.candidates[trace.query.target]
+    references = trace.candidates[trace.root.triple.nodes[0].label]
     rows, columns = _best(targets), _best(references)
     place = {(p.target, p.reference): k for k, p in enumerate(state.ranked)}
     accepted = _accepted(state)

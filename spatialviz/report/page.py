@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
-from pipeline.answering.json_records import best_pair, told, why_no_answer
+from pipeline.answering.json_records import best_pair, pair_words, told, why_no_answer
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.answer import Answer
@@ -125,21 +125,19 @@ def _answer(answered: Answer, cast: AnswerRoles) -> str:
     """The answer in words, with the numbers at its top."""
     trace = answered.trace
     best = None if trace is None else best_pair(trace)
-    if trace is None or best is None or best.reference is None:
+    if trace is None or best is None:
         return ""
-    second = "" if best.second_reference is None else f" and {cast.name(best.second_reference)}"
-    phrase = wording(trace.asked.relation, inverse=trace.asked.inverse)
     answer = told(trace, cast.name)
-    text = answer.sentence(f"{cast.name(best.target)} {phrase} {cast.name(best.reference)}{second}")
+    text = answer.sentence(pair_words(trace, best, cast.name))
     return f'<p class="lead">Answer: {escape(text)}. <span class="quiet">{escape(answer.below)}</span></p>'
 
 
 def _expression(answered: Answer) -> str:
     """The expression with its two roles in their colours, where it is one of two names."""
     trace = answered.trace
-    if trace is None or len(trace.query.readings) > 1 or len(trace.query.labels) > 2:
+    e = None if trace is None else trace.query.expression
+    if trace is None or e is None or len(trace.query.readings) > 1 or trace.query.default.root.triple is None:
         return f"“{escape(answered.text)}”"
-    e = trace.query.expression
     phrase = wording(e.relation, inverse=e.inverse)
     return (
         f'“<span class="target">{escape(e.target)}</span> {escape(phrase)} '

@@ -133,7 +133,7 @@ def _tag(image: np.ndarray, text: str, at: np.ndarray, color: Sequence[int], sca
 
 
 def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
-    text = str(trace.query.expression)
+    text = str(trace.query.expression or trace.query.default.description)
     if best_pair(trace) is None:
         text += ": no answer"
     else:

@@ -7,7 +7,6 @@ from math import log
 
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
-from pipeline.language.lexicon import wording
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from spatialviz.report.picture import AnswerRoles
@@ -136,7 +135,7 @@ def pairs_html(answered: Answer, cast: AnswerRoles) -> str:
             f"<td>{p.p_target:.3f}</td><td>{p.p_reference:.3f}</td><td>{p.p_relation:.3f}</td>"
             f"<td>{log(max(p.product, 1e-12)):.2f}</td><td>{_meter(p.probability)}</td></tr>"
         )
-    asked = wording(trace.asked.relation, inverse=trace.asked.inverse)
+    asked = trace.phrase or "relation"
     head = "".join(
         f'<th scope="col"{" class=name" if k in (1, 2) else ""}>{title}</th>'
         for k, title in enumerate(
@@ -170,7 +169,7 @@ def relations_html(answered: Answer, cast: AnswerRoles) -> str:
                     text = letter(judged.truth.states[relation][i, j])
             p = float(trace.scores.probabilities[a, b, n])
             cells.append(f'<td>{_meter(p)}</td><td class="state">{text or "–"}</td>')
-        mark = ' class="asked"' if relation == trace.asked.relation else ""
+        mark = ' class="asked"' if relation == trace.relation else ""
         rows.append(f'<tr{mark}><th scope="row">{escape(PHRASE[relation])}</th>{"".join(cells)}</tr>')
     head = "".join(
         f'<th scope="col">{title}<small>{_pair(cast, *ends)}</small></th><th scope="col" class="state">label</th>'

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from pipeline.answering.pair_table import MIN_RELATION, RankConfig, ScoredPair
 from pipeline.answering.ranking import NON_DEFAULT_PENALTY, Candidates, Ranking, rank
-from pipeline.language.expression import Attachment, Node, Reading
+from pipeline.language.tree import Attachment, Node, Reading
 
 SEEDS = st.integers(0, 2**32 - 1)
 N = 7

@@ -126,9 +126,7 @@ def test_coco_is_found_by_other_words(query: str, coco: str) -> None:
     assert match(query, COCO) == (coco,)
 
 
-@pytest.mark.parametrize(
-    "query", ["glasses", "can", "lamp", "top", "stop", "dining", "zzz", "", "the"]
-)
+@pytest.mark.parametrize("query", ["glasses", "can", "lamp", "top", "stop", "dining", "zzz", "", "the"])
 def test_coco_has_no_such_class(query: str) -> None:
     assert match(query, COCO) == ()
 

@@ -6,8 +6,8 @@ import pytest
 from expression_checks import refused, triple
 
 from pipeline.language.expression import parse
-from pipeline.language.tree import Expression
 from pipeline.language.relation_names import RELATIONS
+from pipeline.language.tree import Expression
 from pipeline.system.errors import InputError
 
 # ---- vocabularies of relations -----------------------------------------------------------------------------------
@@ -53,20 +53,13 @@ def test_a_relation_that_is_not_on_offer_is_refused(text: str, relations: list[s
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "empty"), (" \t\n", "empty"), ("mug", "no relation"), ("the mug", "TARGET RELATION REFERENCE"),
-        ("zzz abov qqq", "'above'"), ("mug lefft of laptop", "'left of'"), ("mug behnd the laptop", "'behind'"),
-        ("mug left laptop", "'left of'"), ("mug nxt to the laptop", "'next to'"), ("mug infrunt of x", "in front of"),
-        ("mug on the table besid the lamp", "'beside'"), ("the mug against the wall", "known relations: left of"),
+        ("", "empty"), (" \t\n", "empty"), ("the mug against the wall", "known relations: left of"),
         ("left of the laptop", "target is missing"), ("find the mug left of", "reference is missing"),
-        ("mug left of the", "reference is missing"), ("left of", "target is missing"), ("mug on on laptop", "missing"),
-        ("the mug on the left", "side"), ("the mug on the right", "side"), ("mug to the left side", "'left"),
-        ("the chair between the tables", "two references"),
-        ("the chair between the table and", "reference is missing"), ("mug not on the table", "negation"),
-        ("mug without a handle left of x1", "negation"), ("it on the table", "names no object"),
-        ("mug left of it", "names no object"), ("what is on the table?", "target is missing"),
-        ("the mug and the cup left of the laptop", "second target"),
-        ("mug left of a laptop and the lamp", "second reference"),
-        ("put the mug on the table", "not a known relation"), ("x" * 301 + " on y", "too long"),
+        ("mug left of the", "reference is missing"), ("left of", "target is missing"),
+        ("the chair between the table", "two references"), ("the chair between the table and", "reference is missing"),
+        ("mug left of it", "names no object"), ("the mug and the cup left of the laptop", "second target"),
+        ("put the mug on the table", "asks to do something"), ("x" * 301 + " on y", "too long"),
+        ("the cat is touching the dog", "'touching'"), ("the mug that has a handle", "parts"),
         ("mug\x00left of laptop", "control character"), ("mug left of \x1b[31mlaptop", "control character"),
         ("mug left of <b>laptop</b>", "cannot be read"), ("mug \u202eleft of laptop", "control character"),
         ("mug left of laptop \ud800", "control character"), ("mug on its top table", "cannot be read"),

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.answering.ask import relation_lookup
+from pipeline.answering.ask import relation_lookup, scene_evidence
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import PairTable, RankConfig, one_object_twice, pair_table, side
 from pipeline.answering.ranking import rank
@@ -21,8 +21,8 @@ from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.pair_tables import combined, describe
 from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, rerun, with_superlatives
 from pipeline.geometry.palette import instance_colors
-from pipeline.language.expression import Node
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.tree import Node
 from pipeline.relations.contact import Measured, enclosed_share, surface_heights
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.predicates import pair_states, predicates_of
@@ -151,10 +151,10 @@ def decision_map(baseline: Baseline, edits: Edits, key: str, cells: int = CELLS,
 
 def _simple(readings: tuple) -> bool:
     """One reading with one relation of two objects, which is what can be ranked for all cells at once."""
-    if len(readings) != 1 or len(readings[0].root.attachments) != 1:
+    if len(readings) != 1 or readings[0].root.triple is None:
         return False
-    (attachment,) = readings[0].root.attachments
-    return attachment.relation in PAIRWISE and len(attachment.nodes) == 1 and not attachment.nodes[0].attachments
+    attachment = readings[0].root.triple
+    return attachment.relation in PAIRWISE and len(attachment.nodes) == 1
 
 
 def _asked(node: Node) -> set[str]:
@@ -244,7 +244,8 @@ def _vectorised(
     """The ranking of every cell at once, with its rules for ties."""
     trace = outcome.trace
     root = trace.query.readings[0].root
-    (attachment,) = root.attachments
+    attachment = root.triple
+    assert attachment is not None
     column = PAIRWISE.index(attachment.relation)
     targets, references = trace.candidates[root.label], trace.candidates[attachment.nodes[0].label]
     table = trace.scores.of(attachment.relation)
@@ -311,10 +312,11 @@ def _one_by_one(
         objects = tuple(slid if k == moved else o for k, o in enumerate(trace.objects))
         scores = replace(trace.scores, probabilities=probabilities)
         lookup = with_superlatives(relation_lookup(scores, objects, same), outcome.keys, edits)
-        ranking = rank(trace.query.readings, trace.candidates, lookup, same, sizes, config)
+        scene = scene_evidence(replace(trace, objects=objects))
+        ranking = rank(trace.query.readings, trace.candidates, lookup, same, sizes, config, scene)
         pair = ranking.pairs[0]
-        if pair.reference is not None:
-            found[c] = pair.target, pair.reference, ranking.margin
+        if not ranking.degenerate:
+            found[c] = pair.target, -1 if pair.reference is None else pair.reference, ranking.margin
     return found[:, 0].astype(np.int64), found[:, 1].astype(np.int64), np.maximum(found[:, 2], 0.0)
 
 

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.answering.ask import Trace, joined, ranked, timed
+from pipeline.answering.asked_names import detections
 from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import Candidates, RelationLookup
@@ -25,9 +26,9 @@ from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
 from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import MaskCrop
-from pipeline.language.expression import Attachment, parse
+from pipeline.language.expression import parse
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.proposals.base import Proposals
+from pipeline.language.tree import Attachment
 from pipeline.proposals.selection import top_k_places
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
@@ -95,7 +96,7 @@ class Baseline:
             synonyms=source.synonyms,
         )
         read = perf_counter()
-        self.found: dict[str, Proposals] = {n: self.detector.detect(context.frame, [n]) for n in self.query.labels}
+        self.found, self.query = detections(context.frame, self.detector, self.query, source.synonyms)
         self.seconds = {"parse": read - start, "opm": perf_counter() - read}
         self.keys = {name: detection_keys(name, found) for name, found in self.found.items()}
         self._lock = RLock()

@@ -50,11 +50,9 @@ class Reader:
             query = parse(text, class_names=self.class_names)
         except InputError as error:
             return str(error)
-        if len(query.default.root.attachments) != 1 or any(
-            node.attachments for node in query.default.root.attachments[0].nodes
-        ):
-            return "it has more than one relation"
         found = query.expression
+        if found is None or query.default.root.triple is None:
+            return "it is not one relation of two things"
         if found.inverse:
             return "its relation is the other way round"
         return normal_form(found.target), found.relation, normal_form(found.reference)
