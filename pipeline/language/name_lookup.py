@@ -14,7 +14,7 @@ from pipeline.language.normal import HEAD_ENDS, base_of, forms_of, key_of, singu
 
 How = Literal["exact", "synonym", "kind", "spelling", "vectors"]
 
-PACKAGING, PACKED = "packaging", "packed goods"
+PACKAGING, PACKED = "packaging", "packed good"
 """Names of the table under which stand the things that others are sold in, and what is sold in them."""
 
 _STEPS = 6

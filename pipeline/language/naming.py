@@ -79,7 +79,8 @@ def is_named(query: str, name: str, synonyms: Synonyms | None = None) -> bool:
 
 
 def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) -> tuple[str, ...]:
-    """The names, out of those a dataset or a detector knows, that a query means: the best tier of `meanings`.
+    """The names, out of those a dataset or a detector knows, that a query means: the best tier of `meanings`, save
+    that a misspelt query (`chiar`) means none.
 
     Parameters
     ----------
@@ -97,11 +98,9 @@ def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) ->
         order among those of one kind; empty where the query is unknown.
     """
     found = _tiers(query, tuple(names), synonyms or default_synonyms())
-    if not found:
-        return ()
-    # The very name stands before its synonyms; kinds keep the order of the names.
-    best = sorted(found[0], key=lambda m: m.how != "exact")
-    return tuple(m.name for m in best)
+    # A misspelt query is unknown, so that whoever asks is told. The very name stands before its synonyms.
+    best = next((tier for tier in found if tier[0].how != "spelling"), ())
+    return tuple(m.name for m in sorted(best, key=lambda m: m.how != "exact"))
 
 
 def meanings(
