@@ -14,7 +14,7 @@ from pipeline.language.normal import HEAD_ENDS, base_of, forms_of, key_of, singu
 
 How = Literal["exact", "synonym", "kind", "spelling", "vectors"]
 
-PACKAGING, PACKED = "packaging", "packed goods"
+PACKAGING, PACKED = "packaging", "packed good"
 """Names of the table under which stand the things that others are sold in, and what is sold in them."""
 
 _STEPS = 6
@@ -62,6 +62,9 @@ class KnownNames:
 
     Attributes
     ----------
+    names : tuple of str
+        Each once.
+    table : Synonyms
     found : mapping of (where, key) to tuple of (int, int)
         Places of names, and the steps from the key to each.
     shares : tuple of frozenset of str
@@ -71,6 +74,7 @@ class KnownNames:
     """
 
     names: tuple[str, ...]
+    table: Synonyms
     found: Mapping[tuple[str, str], tuple[tuple[int, int], ...]]
     shares: tuple[frozenset[str], ...]
     words: frozenset[str]
@@ -88,7 +92,7 @@ def known_as(names: tuple[str, ...], table: Synonyms) -> KnownNames:
             found.setdefault(entry, []).append((i, steps))
         shares.append(shared)
     words = frozenset(word for name in names for form in forms_of(name) for word in form.split())
-    return KnownNames(names, {k: tuple(v) for k, v in found.items()}, tuple(shares), words)
+    return KnownNames(names, table, {k: tuple(v) for k, v in found.items()}, tuple(shares), words)
 
 
 @lru_cache(maxsize=65536)
@@ -241,11 +245,11 @@ def _variants(query: str, table: Synonyms) -> Iterator[str]:
                     yield f"{a} {b}"
 
 
-def respelled(query: str, known: KnownNames, table: Synonyms) -> str | None:
+def respelled(query: str, known: KnownNames) -> str | None:
     """The query with its misspelt words mended, None where there are none: words of five letters and more that
     neither the known names nor the table have, and of which one word that they have is one letter away."""
     words = query.split()
-    mended = [_mended(word, known.words, table) for word in words]
+    mended = [_mended(word, known.words, known.table) for word in words]
     return " ".join(mended) if mended != words else None
 
 

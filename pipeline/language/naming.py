@@ -79,7 +79,8 @@ def is_named(query: str, name: str, synonyms: Synonyms | None = None) -> bool:
 
 
 def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) -> tuple[str, ...]:
-    """The names, out of those a dataset or a detector knows, that a query means: the best tier of `meanings`.
+    """The names, out of those a dataset or a detector knows, that a query means: the best tier of `meanings`, save
+    that a misspelt query (`chiar`) means none.
 
     Parameters
     ----------
@@ -96,12 +97,9 @@ def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) ->
         Names out of `names` as they are spelled there, without repeats, the very name before synonyms, and in their
         order among those of one kind; empty where the query is unknown.
     """
-    found = _tiers(query, tuple(names), synonyms or default_synonyms())
-    if not found:
-        return ()
-    # The very name stands before its synonyms; kinds keep the order of the names.
-    best = sorted(found[0], key=lambda m: m.how != "exact")
-    return tuple(m.name for m in best)
+    # A misspelt query is unknown, so that whoever asks is told. The very name stands before its synonyms.
+    found = _walk(normal_form(query), known_as(tuple(names), synonyms or default_synonyms()))
+    return tuple(m.name for m in sorted(found[0], key=lambda m: m.how != "exact")) if found else ()
 
 
 def meanings(
@@ -139,40 +137,39 @@ def meanings(
     tuple of Meaning
         Best first; empty where the query is unknown.
     """
-    known = tuple(names)
-    found = _tiers(query, known, synonyms or default_synonyms())
+    known = known_as(tuple(names), synonyms or default_synonyms())
+    found = _tiers(normal_form(query), known)
     if not found and vectors is not None:
-        return _by_vectors(query, known, vectors)
+        return _by_vectors(query, known.names, vectors)
     return tuple(sorted((m for tier in found for m in tier), key=lambda m: -m.score))
 
 
-@lru_cache(maxsize=4096)
-def _tiers(query: str, names: tuple[str, ...], table: Synonyms) -> tuple[tuple[Meaning, ...], ...]:
-    """The tiers that have names, best first; within one the names stand in their order."""
-    wanted = normal_form(query)
-    if not wanted or not names:
-        return ()
-    known = known_as(names, table)
-    found = _walk(wanted, known, table)
-    if found and found[0][0].score >= _SURE:
+def _tiers(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
+    """`_walk`, and where it finds nothing sure, that of the query with its misspelt words mended before it."""
+    found = _walk(wanted, known)
+    if not wanted or (found and found[0][0].score >= _SURE):
         return found
-    mended = respelled(wanted, known, table)
-    for tier in () if mended is None else _walk(mended, known, table)[:1]:
-        if tier[0].score >= _SURE:
-            better = tuple(Meaning(m.name, round(m.score * _MENDED, 3), "spelling", str(mended)) for m in tier)
-            taken = {m.name for m in better}
-            return (better, *filter(None, (tuple(m for m in t if m.name not in taken) for t in found)))
-    return found
+    mended = respelled(wanted, known)
+    again = _walk(mended, known)[:1] if mended else ()
+    if not again or again[0][0].score < _SURE:
+        return found
+    better = tuple(Meaning(m.name, round(m.score * _MENDED, 3), "spelling", mended or "") for m in again[0])
+    taken = {m.name for m in better}
+    rest = (tuple(m for m in tier if m.name not in taken) for tier in found)
+    return (better, *(tier for tier in rest if tier))
 
 
-def _walk(wanted: str, known: KnownNames, table: Synonyms) -> tuple[tuple[Meaning, ...], ...]:
-    """`_tiers` of a query in normal form as it is spelled."""
+@lru_cache(maxsize=65536)
+def _walk(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
+    """The tiers that have names for a query in normal form, best first; within one the names stand in their order."""
+    plan = lookups(wanted, known.table) if wanted else ()
+    here = [look for look in plan if (look.where, look.key) in known.found]
     tiers: list[tuple[Meaning, ...]] = []
     taken: set[int] = set()
-    for _, looks in groupby(lookups(wanted, table), lambda look: look.tier):
+    for _, looks in groupby(here, lambda look: look.tier):
         best: dict[int, Meaning] = {}
         for look in looks:
-            for i, steps in known.found.get((look.where, look.key), ()):
+            for i, steps in known.found[look.where, look.key]:
                 # Nothing below the tier of kinds may come near it.
                 score = max(round(look.score - 0.05 * max(steps - 1, 0), 3), min(look.score, 0.71))
                 shares = all(not words.isdisjoint(known.shares[i]) for words in look.sharing)

@@ -155,10 +155,9 @@ def test_a_general_name_matches_its_kinds_only() -> None:
     assert match("can", names) == ("master chef can",)
     assert match("table", names) == ("dining table", "coffee_table")
     assert match("chef can", names) == ("master chef can",)
-    assert match("cracker", names) == ()
+    assert match("lamp", names) == ("table lamp",)
     assert match("dog", ["hot dog", "teddy bear"]) == match("bear", ["hot dog", "teddy bear"]) == ()
     assert match("box", ["box of tissues", "boxing glove"]) == ("box of tissues",)
-    assert match("tissues", ["box of tissues"]) == ()
 
 
 def test_exact_and_synonym_win_over_kinds() -> None:
