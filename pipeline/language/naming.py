@@ -163,7 +163,9 @@ def _tiers(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
 def _walk(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
     """The tiers that have names for a query in normal form, best first; within one the names stand in their order."""
     plan = lookups(wanted, known.table) if wanted else ()
-    here = [look for look in plan if (look.where, look.key) in known.found]
+    # A whole sentence is no name, whatever its last word is.
+    long = len(wanted.split()) > LONGEST_NAME
+    here = [look for look in plan if (look.where, look.key) in known.found and not (long and look.score < _SURE)]
     tiers: list[tuple[Meaning, ...]] = []
     taken: set[int] = set()
     for _, looks in groupby(here, lambda look: look.tier):

@@ -353,7 +353,9 @@ class NounReader:
         if word in _MODALS:
             return end + 1 < len(self.tokens) and self.tokens[end + 1].plain in ("be", "is", "see", "been")
         if word in lexicon.POSTURES:
-            return self._ends(end + 1) and not is_compound([self.tokens[end - 1].text, singular(word)])
+            # `tv stands` are things; `the tv stands` is one that does.
+            verb = any(self.tokens[k].plain in DETERMINERS for k in range(max(at - 3, 0), at))
+            return verb and self._ends(end + 1) and not is_compound([self.tokens[end - 1].text, singular(word)])
         if word in ("it", "this") or self.match(choices.EXTREME_AT_SIDE, end) or self._filler(end):
             return True
         if word in ("left", "right"):

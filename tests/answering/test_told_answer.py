@@ -85,7 +85,7 @@ def links(*probabilities: float, relation: str = "left") -> ScoredPair:
 @pytest.mark.parametrize(
     ("found", "stands", "weakest"),
     [(links(0.7), True, 0.7), (links(0.7, 0.6), True, 0.6), (links(0.9, 0.2), False, 0.2), (links(0.5), True, 0.5),
-     (links(0.4999), False, 0.4999), (replace(PAIR, reference=None), False, 0.7)],
+     (links(0.4999), False, 0.4999), (replace(PAIR, reference=None, p_relation=0.0), False, 0.0)],
 )  # fmt: skip
 def test_every_relation_of_an_answer_has_to_hold(found: ScoredPair, stands: bool, weakest: float) -> None:
     assert found.holds == stands
