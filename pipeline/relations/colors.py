@@ -48,17 +48,30 @@ _LIGHTNESS: dict[str, tuple[float, float]] = {
 """L above which people say light, and below which dark: halfway between the means of the plain and the shaded term in
 the survey."""
 
-MOST_PIXELS = 1500
+MOST_PIXELS = 400
 """Of an object; spread evenly over its mask."""
-EXPOSURE = 0.5
-TINT = 0.5
-PERCENTILE = 97.0
-MOST_GAIN = 2.0
-LIT = 80.0
-UNSHADE_GRAY = 0.0
-UNSHADE = 0.0
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-_LINEAR = (np.arange(256) / 255.0) ** 2.2
+PERCENTILE = 98.0
+EXPOSURE = 0.7
+TINT = 0.65
+"""Of the frame's light, in each channel the value that all but 2 % of its pixels stay below: how much of its strength
+and of its colour is taken out. Not all, as a frame need not show anything white."""
+LIT = 75.0
+UNSHADE = 0.3
+UNSHADE_GRAY = 0.1
+"""Pixels darker than this percentile of their object are taken for shaded and brightened by that power of what they
+lack; gray ones less, for black print on white is no shade."""
+CHROMA = 2.0
+"""A vivid pixel counts three times as much as a gray one: a box with gray print on yellow is called yellow."""
+TEMPER = 1.5
+"""Names reach further in a scene, where few things compete, than for single patches on a screen."""
+GRADE = 0.5
+"""Likewise for things: one that has a quarter as much of a colour as of its main one is called so half as readily."""
+LEAST = 0.02
+"""No colour is held for more surely absent."""
+_SOFT = 6.0
+"""CIELAB units of lightness in which light and dark go over into the plain colour."""
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+_LINEAR = ((np.arange(256) / 255.0) ** 2.2).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -78,97 +91,106 @@ class ObjectColors:
 
 
 def neutral_gains(rgb: np.ndarray) -> np.ndarray:
-    """(3,) factors of linear RGB that bring the frame's light about halfway to neutral and its whites up to white.
+    """(3,) factors of linear RGB that bring the light of a frame ((H, W, 3) uint8) most of the way to white.
 
-    rgb is (H, W, 3) uint8. The light's colour and strength are taken from the brightest pixels of each channel that
-    are not clipped (von Kries with a percentile of the maximum); halfway, as a frame need not show anything white.
+    Von Kries' scaling by a high percentile of each channel, which stands for a white surface in full light.
     """
-    linear = _LINEAR[rgb[::4, ::4].reshape(-1, 3)]
-    bright = np.maximum(np.percentile(linear, PERCENTILE, axis=0), 1e-3)
+    bright = np.maximum(np.percentile(_LINEAR[rgb[::4, ::4].reshape(-1, 3)], PERCENTILE, axis=0), 1e-3)
     level = bright @ _LUMINANCE
-    return np.clip(level**-EXPOSURE, 1 / MOST_GAIN, MOST_GAIN) * np.clip(level / bright, 0.5, 2.0) ** TINT
+    return np.clip(level**-EXPOSURE, 0.5, 2.0) * np.clip(level / bright, 0.5, 2.0) ** TINT
 
 
 def color_shares(lab: np.ndarray) -> np.ndarray:
     """(N, 15): the share of people who call colours ((N, 3) CIELAB) so; of further terms relative to the best."""
-    L, a, b = (lab / (100.0, 60.0, 60.0)).T
+    L, a, b = (lab / np.array((100, 60, 60), np.float32)).T
     forms = np.stack([np.ones_like(L), L, a, b, L * L, a * a, b * b, L * a, L * b, a * b], axis=1)
     logits = forms @ _WEIGHTS
-    basic = logits[:, : len(BASIC_COLORS)]
+    basic = logits[:, : len(BASIC_COLORS)] / TEMPER
     basic = np.exp(basic - basic.max(axis=1, keepdims=True))
     further = 1 / (1 + np.exp(-logits[:, len(BASIC_COLORS) :])) / _PEAKS
     return np.concatenate([basic / basic.sum(axis=1, keepdims=True), np.minimum(further, 1)], axis=1)
 
 
-_WEIGHTS = np.array([_TERMS[name][:10] for name in (*BASIC_COLORS, *FURTHER_COLORS)]).T
-_PEAKS = np.array([_TERMS[name][10] for name in FURTHER_COLORS])
+_NAMES = (*BASIC_COLORS, *FURTHER_COLORS)
+_WEIGHTS = np.array([_TERMS[name][:10] for name in _NAMES], np.float32).T
+_PEAKS = np.array([_TERMS[name][10] for name in FURTHER_COLORS], np.float32)
 
 
 def _interior(rgb: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(P, 3) uint8 pixels of a mask without its border, where it bleeds into what lies behind."""
+    """(P, 3) uint8 pixels of a mask without its border, where it bleeds into what lies behind; none of an empty one."""
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     inside = mask[y : y + h, x : x + w].view(np.uint8)
     area = cv2.countNonZero(inside)
+    if not area:
+        return np.zeros((0, 3), np.uint8)
     width = 2 * min(int(np.sqrt(area) / 12), 4) + 1
     core = cv2.erode(inside, np.ones((width, width), np.uint8), borderValue=0)
     chosen = core if cv2.countNonZero(core) > 0.3 * area else inside
-    pixels = rgb[y : y + h, x : x + w][chosen.view(np.bool_)]
+    pixels = cv2.blur(rgb[y : y + h, x : x + w], (3, 3))[chosen.view(np.bool_)]
     return pixels[:: max(1, -(-len(pixels) // MOST_PIXELS))]
 
 
 def object_colors(rgb: np.ndarray, masks: Sequence[np.ndarray]) -> ObjectColors:
-    count = len(BASIC_COLORS) + len(FURTHER_COLORS)
-    shares, lightness = np.full((2, len(masks), count), np.nan)
+    """What colours the objects of a frame have.
+
+    The frame's light is made nearly neutral, borders of masks are left out, noise is averaged over 3 by 3 pixels,
+    shaded parts are brightened towards the lit ones; then every pixel is named and the names are averaged.
+
+    Parameters
+    ----------
+    rgb : (H, W, 3) uint8
+    masks : sequence of N (H, W) bool
+    """
+    shares, lightness = np.full((2, len(masks), len(_NAMES)), np.nan)
     gains = neutral_gains(rgb)
-    for n, mask in enumerate(masks):
-        if not mask.any():
-            continue
-        linear = _LINEAR[_interior(rgb, mask)] * gains
-        lab = _lab(_unshaded(linear))
-        of = color_shares(lab)
-        shares[n] = of.mean(axis=0)
-        lightness[n] = (of * lab[:, :1]).sum(axis=0) / np.maximum(of.sum(axis=0), 1e-9)
+    pixels = [_interior(rgb, mask) for mask in masks]
+    count = [len(p) for p in pixels]
+    seen = np.flatnonzero(count)
+    if not len(seen):
+        return ObjectColors(shares, lightness)
+    lab = _lab(np.concatenate([_unshaded(_LINEAR[pixels[n]] * gains) for n in seen]).astype(np.float32))
+    weight = 1 + CHROMA * np.minimum(np.hypot(lab[:, 1], lab[:, 2]) / 40, 1)
+    parts = color_shares(lab) * weight[:, None]
+    start = np.concatenate([[0], np.cumsum([count[n] for n in seen])[:-1]])
+    total = np.add.reduceat(parts, start)
+    shares[seen] = total / np.add.reduceat(weight, start)[:, None]
+    lightness[seen] = np.add.reduceat(parts * lab[:, :1], start) / np.maximum(total, 1e-9)
     return ObjectColors(shares, lightness)
 
 
-def _unshaded(linear):
-    Y = np.maximum(linear @ _LUMINANCE, 1e-3)
-    ref = np.percentile(Y, LIT)
-    sat = np.clip((linear.max(1) - linear.min(1)) / np.maximum(linear.max(1), 1e-3), 0, 1)
-    power = UNSHADE_GRAY + (UNSHADE - UNSHADE_GRAY) * sat
-    return linear * (np.maximum(ref / Y, 1) ** power)[:, None]
+def _unshaded(linear: np.ndarray) -> np.ndarray:
+    """Linear RGB ((P, 3), of one object) with its shaded pixels brightened towards its lit ones."""
+    luminance = np.maximum(linear @ _LUMINANCE, 1e-3)
+    top = np.maximum(linear.max(axis=1), 1e-3)
+    power = UNSHADE_GRAY + (UNSHADE - UNSHADE_GRAY) * (1 - linear.min(axis=1) / top)
+    return linear * (np.maximum(np.percentile(luminance, LIT) / luminance, 1) ** power)[:, None]
 
 
 def _lab(linear: np.ndarray) -> np.ndarray:
     """(P, 3) CIELAB of linear RGB; beyond white is white of that hue."""
     top = np.maximum(linear.max(axis=1, keepdims=True), 1)
     srgb = (linear / top) ** (1 / 2.2)
-    return cv2.cvtColor(srgb.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0].astype(np.float64)
-
-
-LEAST = 0.02
-"""A model of names is never surer than this that people do not use one."""
-_SOFT = 6.0
-"""CIELAB units of lightness in which light and dark go over into the plain colour."""
+    return cv2.cvtColor(srgb.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0]
 
 
 def color_probabilities(attribute: Attribute, colors: ObjectColors) -> np.ndarray:
-    """(N,) 0..1: the share of each object that has the colour, relative to that of its largest colour.
+    """(N,) 0..1: how readily each object is called by a colour.
 
-    So a thing of two colours has both, and a thing between two names answers to both. A shade is asked of the pixels
-    of that colour alone. A half where there are no pixels.
+    It goes by the share of the object that has the colour, relative to the share of its main one, so that a thing of
+    two colours has both, and a thing between two names answers to both. A shade is asked of the pixels of that colour
+    alone, and "dark" or "light" without a colour of all. A half where there are no pixels.
     """
-    names = (*BASIC_COLORS, *FURTHER_COLORS)
     basic = colors.shares[:, : len(BASIC_COLORS)]
-    if attribute.value in names:
-        k = names.index(attribute.value)
-        found = np.clip(colors.shares[:, k] / np.maximum(basic.max(axis=1), 0.5 if k >= basic.shape[1] else 0), 0, 1)
-        lightness, (light, dark) = colors.lightness[:, k], _LIGHTNESS[attribute.value]
-        shade = attribute.shade
+    if attribute.value in _NAMES:
+        k = _NAMES.index(attribute.value)
+        # A further term is measured by its best example and not against the basic ones.
+        main = np.maximum(basic.max(axis=1), 0 if k < len(BASIC_COLORS) else 0.5)
+        found = np.minimum(colors.shares[:, k] / main, 1) ** GRADE
+        lightness, (light, dark), shade = colors.lightness[:, k], _LIGHTNESS[attribute.value], attribute.shade
     else:
-        found, shade = 1.0, attribute.value
-        lightness, light, dark = (basic * colors.lightness[:, : basic.shape[1]]).sum(axis=1), 65, 45
+        found, shade = np.ones(len(basic)), attribute.value
+        lightness, light, dark = (basic * colors.lightness[:, : len(BASIC_COLORS)]).sum(axis=1), 65, 45
     if shade is not None:
         over = lightness - light if shade == "light" else dark - lightness
         found = found / (1 + np.exp(-over / _SOFT))
-    return np.where(np.isnan(found), 0.5, LEAST + (1 - LEAST) * found)
+    return np.where(np.isnan(basic[:, 0]), 0.5, LEAST + (1 - LEAST) * found)
