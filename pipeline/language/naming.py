@@ -38,6 +38,8 @@ GENERIC = frozenset({"thing", "object", "item", "one", "stuff", "piece", "someth
 LEAST_SIMILAR = 0.5
 """Names whose text vectors are less similar to the query's (cosine) are not taken for it."""
 
+LONGEST_NAME = 6
+"""Words; a longer query means only what it names in full."""
 _SURE, _MENDED = 0.7, 0.85
 """Below the first score a misspelt word is looked for; the second is the factor of what is found by mending it."""
 
