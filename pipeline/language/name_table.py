@@ -15,7 +15,7 @@ from pipeline.language.normal import key_of, normal_form
 from pipeline.system.errors import InputError
 
 NAMES = Path(__file__).with_name("names")
-"""The project's own table: every JSON file in here. `names/README.md` says what its keys mean."""
+"""The project's own table: every JSON file in here. `docs/names.md` says what its keys mean."""
 
 _FORM = '{"groups": [["bin", "trash can"], ...], "kinds": {"cup": ["mug", ...]}, "exceptions": ["hot dog", ...]}'
 _TOLD = {"about", "source", "licence"}
