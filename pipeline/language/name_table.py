@@ -15,7 +15,7 @@ from pipeline.language.normal import key_of, normal_form
 from pipeline.system.errors import InputError
 
 NAMES = Path(__file__).with_name("names")
-"""The project's own table: every JSON file in here. `names/README.md` says what its keys mean."""
+"""The project's own table: every JSON file in here. `docs/names.md` says what its keys mean."""
 
 _FORM = '{"groups": [["bin", "trash can"], ...], "kinds": {"cup": ["mug", ...]}, "exceptions": ["hot dog", ...]}'
 _TOLD = {"about", "source", "licence"}
@@ -36,12 +36,15 @@ class Synonyms:
         Of a general name, in normal form, names of its kinds: `cup` -> `mug`, `teacup`.
     near : tuple of frozenset of str
         Names of different things that people and detectors call by one another's: `desk` and `table`.
+    plain : frozenset of str
+        Further names of things, in normal form, of which the table only says that there are such.
     """
 
     groups: tuple[frozenset[str], ...]
     exceptions: frozenset[str] = frozenset()
     kinds: Mapping[str, frozenset[str]] = field(default_factory=dict)
     near: tuple[frozenset[str], ...] = ()
+    plain: frozenset[str] = frozenset()
     _indices: dict[str, frozenset[int]] = field(init=False, repr=False)
     _excepted: frozenset[str] = field(init=False, repr=False)
 
@@ -83,7 +86,7 @@ class Synonyms:
             general = normal_form(general)
             kinds[general] = kinds.get(general, frozenset()) | frozenset(map(normal_form, names))
         near = (*ours.near, *(frozenset(map(normal_form, g)) for g in read["near"]))
-        return cls(ours.groups, ours.exceptions, kinds, near)
+        return cls(ours.groups, ours.exceptions, kinds, near, ours.plain | frozenset(map(normal_form, read["names"])))
 
     def extended(self, groups: Iterable[Iterable[str]], exceptions: Iterable[str] = ()) -> Synonyms:
         """A new table with more groups and exceptions, added as `load` describes."""
@@ -97,7 +100,7 @@ class Synonyms:
             if not shares:
                 merged.append(group)
         more = self.exceptions | frozenset(normal_form(n) for n in exceptions)
-        return Synonyms(tuple(merged), more, self.kinds, self.near)
+        return Synonyms(tuple(merged), more, self.kinds, self.near, self.plain)
 
     def of(self, name: str) -> frozenset[str]:
         """All names in the table that mean the same as `name`, in normal form, itself included."""
@@ -141,7 +144,7 @@ class Synonyms:
     def names(self) -> frozenset[str]:
         """Every name of the table, in normal form."""
         kinds = frozenset(self.kinds).union(*self.kinds.values())
-        return kinds.union(self.exceptions, *self.groups, *self.near)
+        return kinds.union(self.plain, self.exceptions, *self.groups, *self.near)
 
     @cached_property
     def keys(self) -> frozenset[str]:
@@ -160,6 +163,7 @@ class Synonyms:
             "exceptions": sorted(self.exceptions),
             "kinds": {general: sorted(names) for general, names in sorted(self.kinds.items())},
             "near": sorted(sorted(g) for g in self.near),
+            "plain": sorted(self.plain),
         }
 
     @cached_property
@@ -175,16 +179,18 @@ def default_synonyms() -> Synonyms:
     exceptions: set[str] = set()
     kinds: dict[str, set[str]] = {}
     near: list[frozenset[str]] = []
+    plain: set[str] = set()
     for path in sorted(NAMES.glob("*.json")):
         # These files hold names in normal form, which a test of them sees to.
         read = _json_of(path)
         groups += map(frozenset, read.get("groups", ()))
         exceptions |= set(read.get("exceptions", ()))
         near += map(frozenset, read.get("near", ()))
+        plain |= set(read.get("names", ()))
         for general, names in read.get("kinds", {}).items():
             kinds.setdefault(general, set()).update(names)
     frozen = {general: frozenset(names) for general, names in kinds.items()}
-    return Synonyms(tuple(groups), frozenset(exceptions), frozen, tuple(near))
+    return Synonyms(tuple(groups), frozenset(exceptions), frozen, tuple(near), frozenset(plain))
 
 
 def _json_of(path: Path) -> Any:
@@ -200,7 +206,7 @@ def checked_table(table: Any, path: Path) -> dict[str, Any]:
     """The groups, exceptions, kinds and near names of a file, each there, or InputError where it has another shape."""
     if not isinstance(table, dict):
         raise InputError("the synonym table has the wrong shape", got=type(table).__name__, expected=_FORM, path=path)
-    read: dict[str, Any] = {"groups": [], "exceptions": [], "kinds": {}, "near": []}
+    read: dict[str, Any] = {"groups": [], "exceptions": [], "kinds": {}, "near": [], "names": []}
     unknown = sorted(set(table) - set(read) - _TOLD)
     if unknown:
         raise InputError("unknown key in the synonym table", got=repr(unknown[0]), expected=_FORM, path=path)
@@ -210,7 +216,14 @@ def checked_table(table: Any, path: Path) -> dict[str, Any]:
             raise InputError(
                 f"{key} of the synonym table are no {called}", got=repr(read[key])[:60], expected=_FORM, path=path
             )
-    for names in [*read["groups"], *read["near"], read["exceptions"], [*read["kinds"]], *read["kinds"].values()]:
+    for names in [
+        *read["groups"],
+        *read["near"],
+        read["exceptions"],
+        read["names"],
+        [*read["kinds"]],
+        *read["kinds"].values(),
+    ]:
         good = isinstance(names, list) and all(isinstance(n, str) and normal_form(n) for n in names)
         if not good:
             raise InputError("a group of the synonym table is no list of names", got=repr(names)[:60], path=path)

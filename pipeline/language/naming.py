@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CAMEL_CASE", "DETERMINERS", "GENERIC", "HEAD_ENDS", "QUALIFIER", "Meaning", "Synonyms", "default_synonyms",
-    "is_compound", "is_named", "known_words", "match", "meanings", "normal_form", "same_class", "singular", "suggest",
+    "is_compound", "is_named", "known_words", "match", "meanings", "normal_form", "same_class", "same_or_kind",
+    "singular", "suggest",
 ]  # fmt: skip
 
 GENERIC = frozenset({"thing", "object", "item", "one", "stuff", "piece", "something", "anything"})
@@ -78,6 +79,15 @@ def is_named(query: str, name: str, synonyms: Synonyms | None = None) -> bool:
     """Whether a query names this very class, by one of its spellings (`Monitor` for `Monitor/TV`, `bus` for
     `bus (vehicle)`) or by a synonym, and not by a more general word."""
     return key_of(normal_form(query)) in spellings(name) or same_class(query, name, synonyms)
+
+
+def same_or_kind(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
+    """Whether two names may be said of one thing: one class, or one is surely a kind of the other (`cracker box` and
+    `box`, `mug` and `cup`), and not merely near it (`monitor` and `tv`)."""
+    if same_class(a, b, synonyms):
+        return True
+    found = [meanings(*pair, synonyms) for pair in ((a, (b,)), (b, (a,)))]
+    return any(one[0].score >= _SURE and one[0].how != "spelling" for one in found if one)
 
 
 def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) -> tuple[str, ...]:

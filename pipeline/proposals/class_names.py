@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from pipeline.language.naming import Synonyms, default_synonyms, match, same_class
+from pipeline.language.naming import Synonyms, default_synonyms, match, same_or_kind
 from pipeline.proposals.base import Detector, unknown_class
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import metadata
@@ -137,7 +137,7 @@ def knows(names: Sequence[str] | None, label: str, synonyms: Synonyms | None = N
 def same_name(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
     """Whether two detectors that say `a` and `b` of one thing say the same: one class, or a kind of it ("cracker box"
     and "box")."""
-    return a == b or same_class(a, b, synonyms) or bool(match(a, [b], synonyms) or match(b, [a], synonyms))
+    return a == b or same_or_kind(a, b, synonyms)
 
 
 def same_names(a: Sequence[str], b: Sequence[str], synonyms: Synonyms | None = None) -> np.ndarray:

@@ -165,8 +165,8 @@ def plain(rows: list[tuple[str, float, list[float]]], names: tuple[str, ...] | N
 
 def test_every_kind_of_disagreement_is_told_apart() -> None:
     a = plain([("mug", 0.9, BOX), ("trash can", 0.8, FAR), ("lamp", 0.4, THIRD), ("zebra", 0.3, [200, 0, 220, 20])])
-    known = ("bin", "cup", "plate", "lamp")
-    b = plain([("bin", 0.7, FAR), ("cup", 0.6, BOX), ("plate", 0.5, [120, 0, 130, 20])], known)
+    known = ("bin", "bowl", "plate", "lamp")
+    b = plain([("bin", 0.7, FAR), ("bowl", 0.6, BOX), ("plate", 0.5, [120, 0, 130, 20])], known)
     found = agree(a, b)
     assert sorted(map(tuple, found.pairs.tolist())) == [(0, 1), (1, 0)]
     assert found.labels_a[int(found.pairs[found.named_otherwise[0], 0])] == "mug"
@@ -183,8 +183,8 @@ def test_every_kind_of_disagreement_is_told_apart() -> None:
     assert (rows["trash can"].a, rows["trash can"].b, rows["trash can"].both) == (1, 1, 1)
     assert "bin" not in rows
     assert "zebra" not in rows
-    assert rows["mug"].otherwise == rows["cup"].otherwise == 1
-    assert sums.renamed == (("mug", "cup", 1),)
+    assert rows["mug"].otherwise == rows["bowl"].otherwise == 1
+    assert sums.renamed == (("mug", "bowl", 1),)
     record = agreement_record("f", found)
     assert [p["same_name"] for p in record["pairs"]].count(True) == 1
     assert record["alone_a"] == [{"index": 2, "label": "lamp", "score": 0.4, "nearest_iou": 0.0}]

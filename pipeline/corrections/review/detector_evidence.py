@@ -20,7 +20,7 @@ from pipeline.corrections.review.items import ItemKey, missing_object
 from pipeline.datasets import Dataset
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.reading import Labels
-from pipeline.language.naming import Synonyms, match, same_class
+from pipeline.language.naming import Synonyms, match, same_or_kind
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.registry import DetectorSetup, made_by
 from pipeline.system.errors import InputError
@@ -130,9 +130,7 @@ def compared(
     @lru_cache
     def same(label: str, detected: str) -> bool:
         # A more general name is no other name: the detector's "box" is the labels' "cracker box".
-        return same_class(label, detected, synonyms) or bool(
-            match(label, (detected,), synonyms) or match(detected, (label,), synonyms)
-        )
+        return same_or_kind(label, detected, synonyms)
 
     @lru_cache
     def knows(label: str) -> bool:
