@@ -39,8 +39,9 @@ GENERIC = frozenset({"thing", "object", "item", "one", "stuff", "piece", "someth
 LEAST_SIMILAR = 0.5
 """Names whose text vectors are less similar to the query's (cosine) are not taken for it."""
 
+RELATING = frozenset({"left", "right", "behind", "above", "below", "under", "near", "between", "front", "that", "is"})
 LONGEST_NAME = 6
-"""Words; a longer query means only what it names in full."""
+"""Words; a longer query, or one with a word that relates two things, means only what it names in full."""
 _SURE, _MENDED = 0.7, 0.85
 """Below the first score a misspelt word is looked for; the second is the factor of what is found by mending it."""
 
@@ -176,7 +177,8 @@ def _walk(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
     """The tiers that have names for a query in normal form, best first; within one the names stand in their order."""
     plan = lookups(wanted, known.table) if wanted else ()
     # A whole sentence is no name, whatever its last word is.
-    long = len(wanted.split()) > LONGEST_NAME
+    words = wanted.split()
+    long = len(words) > LONGEST_NAME or any(w in RELATING for w in words[1:])
     here = [look for look in plan if (look.where, look.key) in known.found and not (long and look.score < _SURE)]
     tiers: list[tuple[Meaning, ...]] = []
     taken: set[int] = set()
