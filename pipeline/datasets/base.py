@@ -15,7 +15,7 @@ from typing import Any, Protocol, overload
 
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 class Dataset(Protocol):
@@ -310,10 +310,11 @@ class InMemoryDataset:
     def __init__(self, frames: Iterable[Frame]) -> None:
         frames = tuple(frames)
         self._frames = {frame.id: frame for frame in frames}
-        if not frames or len(self._frames) < len(frames):
-            raise InputError(
-                "frames of a dataset have ids of their own", got=", ".join(f.id for f in frames[:6]) or "no frame"
-            )
+        require(
+            frames and len(self._frames) >= len(frames),
+            "frames of a dataset have ids of their own",
+            got=", ".join(f.id for f in frames[:6]) or "no frame",
+        )
         self.frame_ids = tuple(self._frames)
         self.class_names = tuple(sorted({a.label for f in frames for a in f.annotations}))
 

@@ -61,7 +61,6 @@ class FolderDataset(Recording):
     """
 
     format = "folder"
-    class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
@@ -71,7 +70,6 @@ class FolderDataset(Recording):
         naming = choose_naming(colors, depths)
         self._pairs = {pair.stem: pair for pair in pair_files(naming, colors, depths)}
         self.frame_ids = tuple(self._pairs)
-        self.notes: tuple[str, ...] = ()
         if settings.depth_scale is None:
             self.notes = ("floating-point depth is taken for metres: --depth-scale UNITS_PER_METRE tells another unit",)
         self._poses, self._pose_problem = _poses(root, naming, [pair.key for pair in self._pairs.values()])

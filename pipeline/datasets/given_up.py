@@ -15,7 +15,7 @@ from pipeline.datasets.settings import SOURCES, GivenUp, Settings, Vector, parse
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.level_plane import far_from_level, level_normal_at
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 FAR_FROM_DECLARED_DEG = 5.0
 """An up that was told is worth a note where it is so far off the one that the dataset declares."""
@@ -169,9 +169,13 @@ def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = N
     if settings.up is None and settings.world_up is None and not frame_up:
         return dataset
     told = UpGiven(dataset, settings, frame_up)
-    if settings.up is not None and settings.up.frame == "world" and told.posed is False:
-        raise InputError("up is told of the world, and no frame has a pose in it", got=settings.up,
-                         expected="camera:X,Y,Z, or --level-at U,V", path=dataset.root)  # fmt: skip
+    require(
+        settings.up is None or settings.up.frame != "world" or told.posed is not False,
+        "up is told of the world, and no frame has a pose in it",
+        got=settings.up,
+        expected="camera:X,Y,Z, or --level-at U,V",
+        path=dataset.root,
+    )
     return told
 
 

@@ -20,7 +20,7 @@ from pipeline.datasets import Dataset
 from pipeline.geometry.camera import project
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import depth_edges, flying_pixels
-from pipeline.system.errors import FrameUnusable, InputError, MissingExtra, require
+from pipeline.system.errors import FrameUnusable, InputError, MissingExtra, needed, require
 from pipeline.system.paths import cache_folder
 from pipeline.system.whole_files import keep_whole, write_whole
 
@@ -101,9 +101,8 @@ def fuse_context(
         Where Open3D is not installed.
     """
     config = config or ContextConfig()
-    pose = frame.camera.T_world_camera
-    if pose is None:
-        raise FrameUnusable(f"frame {frame.id} has no pose, so that no other frame can be placed around it")
+    no_pose = f"frame {frame.id} has no pose, so that no other frame can be placed around it"
+    pose = needed(frame.camera.T_world_camera, no_pose, error=FrameUnusable)
     posed = []
     for other in neighbours(dataset, frame.id, config.frames):
         try:
@@ -112,8 +111,7 @@ def fuse_context(
             continue
         if loaded.camera.T_world_camera is not None:
             posed.append(replace(loaded, annotations=()))
-    if not posed:
-        raise FrameUnusable(f"no other frame of the sequence of frame {frame.id} has a pose")
+    require(posed, f"no other frame of the sequence of frame {frame.id} has a pose", error=FrameUnusable)
     path = (folder or cache_folder()) / "context" / f"{_key(frame, posed, config)}.npz"
     mesh = _load(path)
     if mesh is None:

@@ -59,19 +59,19 @@ class Proposals:
             raise InputError(
                 "proposal masks must be bool (N, H, W)", got=f"{self.masks.dtype} {self.masks.shape} for {n} proposals"
             )
-        if n and not (np.isfinite(self.scores).all() and (self.scores >= 0).all() and (self.scores <= 1).all()):
-            raise InputError(
-                "proposal scores must lie in 0..1",
-                got=f"{float(np.nanmin(self.scores)):.3g} to {float(np.nanmax(self.scores)):.3g}",
-                cause="are these logits?",
-            )
+        require(
+            not n or (np.isfinite(self.scores).all() and (self.scores >= 0).all() and (self.scores <= 1).all()),
+            "proposal scores must lie in 0..1",
+            got=lambda: f"{float(np.nanmin(self.scores)):.3g} to {float(np.nanmax(self.scores)):.3g}",
+            cause="are these logits?",
+        )
         require(not (n and not np.isfinite(self.boxes).all()), "proposal boxes must be finite")
-        if n and (self.boxes[:, 2:] < self.boxes[:, :2]).any():
-            raise InputError(
-                "proposal boxes must be x0, y0, x1, y1 with x1 >= x0 and y1 >= y0",
-                got=self.boxes[(self.boxes[:, 2:] < self.boxes[:, :2]).any(axis=1)][0].tolist(),
-                cause="are they x, y, width, height?",
-            )
+        require(
+            not n or not (self.boxes[:, 2:] < self.boxes[:, :2]).any(),
+            "proposal boxes must be x0, y0, x1, y1 with x1 >= x0 and y1 >= y0",
+            got=lambda: self.boxes[(self.boxes[:, 2:] < self.boxes[:, :2]).any(axis=1)][0].tolist(),
+            cause="are they x, y, width, height?",
+        )
 
     def __repr__(self) -> str:
         found = ", ".join(f"{self.label(i)} {self.scores[i]:.2f}" for i in range(min(len(self), 5)))

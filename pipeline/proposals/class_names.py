@@ -13,7 +13,7 @@ import xxhash
 
 from pipeline.language.naming import Synonyms, default_synonyms, match, same_class
 from pipeline.proposals.base import Detector, unknown_class
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import metadata
 
 ADVICE = 'all: `spatialviz models FILE`; another name for one: --synonyms FILE with {{"groups": [[{}, NAME]]}}'
@@ -98,12 +98,12 @@ def read_class_names(path: Path) -> tuple[str, ...]:
         names = [n.strip() for n in names]
         while names and not names[-1]:
             names.pop()
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) and n.strip() for n in names):
-        raise InputError(
-            "the file holds no list of class names",
-            expected="one name a line, a JSON list, or the categories of a COCO or LVIS file",
-            path=path,
-        )
+    require(
+        isinstance(names, list) and names and all(isinstance(n, str) and n.strip() for n in names),
+        "the file holds no list of class names",
+        expected="one name a line, a JSON list, or the categories of a COCO or LVIS file",
+        path=path,
+    )
     return tuple(names)
 
 

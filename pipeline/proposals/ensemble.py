@@ -199,15 +199,6 @@ def _identity(box: np.ndarray, mask: np.ndarray | None) -> int:
     return digest.intdigest() >> (64 - _ID_BITS)
 
 
-def fused_detector(
-    first: Detector | None, others: Sequence[Detector], fusion: str, synonyms: Synonyms | None
-) -> Detector | None:
-    """The first detector alone, or with others fused into it."""
-    if not others or first is None:
-        return first
-    return EnsembleDetector((first, *others), fusion, synonyms)
-
-
 FUSION_IOU = 0.55
 """The paper's threshold."""
 

@@ -60,12 +60,12 @@ class PairModel:
         self._encoder, self._decoder = open_session(self.encoder_path), open_session(self.decoder_path)
         encoder, decoder = _follows(self._encoder, self.encoders), _follows(self._decoder, self.decoders)
         turned = _follows(self._encoder, self.decoders), _follows(self._decoder, self.encoders)
-        if encoder is None and decoder is None and all(turned):
-            raise InputError(
-                "encoder and decoder are the wrong way round",
-                got=f"{paths[0].name} is the decoder, {paths[1].name} the encoder",
-                expected=f"--segmenter-model {paths[1].name} {paths[0].name}",
-            )
+        require(
+            encoder is not None or decoder is not None or not all(turned),
+            "encoder and decoder are the wrong way round",
+            got=f"{paths[0].name} is the decoder, {paths[1].name} the encoder",
+            expected=f"--segmenter-model {paths[1].name} {paths[0].name}",
+        )
         if encoder is None:
             raise _not_fitting(option, "encoder", self._encoder, paths[0], self.encoders, turned[0])
         if decoder is None:
@@ -81,14 +81,14 @@ class PairModel:
         for source, target in self.features.items():
             spec = self.decoder_inputs.get(target)
             # As far as both declare them.
-            if spec is None or not _fits(given[source], spec):
-                raise InputError(
-                    "encoder and decoder do not belong together",
-                    got=f"the encoder {self.encoder_path.name} gives {given[source].name} {list(given[source].shape)}",
-                    expected=shapes((spec,)) if spec else ", ".join(self.decoder_inputs),
-                    cause="are they of the same export?",
-                    path=self.decoder_path,
-                )
+            require(
+                spec is not None and _fits(given[source], spec),
+                "encoder and decoder do not belong together",
+                got=f"the encoder {self.encoder_path.name} gives {given[source].name} {list(given[source].shape)}",
+                expected=shapes((spec,)) if spec else ", ".join(self.decoder_inputs),
+                cause="are they of the same export?",
+                path=self.decoder_path,
+            )
 
     @cached_property
     def _hash(self) -> str:

@@ -15,8 +15,9 @@ from pipeline.proposals.base import Proposals
 from pipeline.proposals.captions import TOKENIZER, find_tokenizer, load_tokenizer
 from pipeline.proposals.class_names import synonyms_hash, wanted_names
 from pipeline.proposals.selection import class_wise
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.onnx_session import file_hash, model_hash, open_session
+from pipeline.system.recent import Recent
 
 MAX_PER_NAME = 100
 Made = TypeVar("Made")
@@ -50,7 +51,7 @@ class NetworkDetector:
         self.path, self.synonyms = Path(path), synonyms
         self.min_score = self.default_score if min_score is None else min_score
         self._session = open_session(self.path)
-        self._last: tuple[str, Any] | None = None
+        self._last: Recent[str, Any] = Recent(1)
 
     @cached_property
     def _hash(self) -> str:
@@ -62,10 +63,7 @@ class NetworkDetector:
 
     def _once(self, frame: Frame, make: Callable[[Frame], Made]) -> Made:
         """What is made once for a picture, however many names are asked for in turn."""
-        last = self._last  # Once: another thread may put another picture there.
-        if last is None or last[0] != frame.content_hash:
-            self._last = last = frame.content_hash, make(frame)
-        return last[1]
+        return self._last.get(frame.content_hash, lambda: make(frame))
 
     def _wanted(self, labels: Sequence[str] | None) -> list[str]:
         """The names of the vocabulary that a query means; raises as `wanted_names`."""
@@ -118,10 +116,12 @@ class TextDetector(NetworkDetector):
     def _asked(self, labels: Sequence[str] | None, also_none: bool = False) -> tuple[str, ...] | None:
         """The names to look for; InputError where there are none, unless that will do."""
         names = self.default_labels if labels is None else tuple(labels)
-        if names is None and not also_none:
-            raise InputError(
-                f"{self.name} finds what it is asked for by name", expected="class names", cause="none were given"
-            )
+        require(
+            names is not None or also_none,
+            f"{self.name} finds what it is asked for by name",
+            expected="class names",
+            cause="none were given",
+        )
         return names
 
     def _chosen(

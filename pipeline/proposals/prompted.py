@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
-from threading import Lock
 from typing import Protocol
 
 import cv2
@@ -13,6 +11,7 @@ import numpy as np
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.resampling import pillow_resized
 from pipeline.system.errors import InputError, require
+from pipeline.system.recent import Recent
 
 _KEPT = 4
 """Pictures whose features are kept in memory; those of one are 4 to 20 MB."""
@@ -60,9 +59,8 @@ class PromptedSegmenter:
     def __init__(self, model: PromptModel) -> None:
         self.model = model
         self.encoder_runs = 0
-        self._features: OrderedDict[str, dict[str, np.ndarray]] = OrderedDict()
+        self._features: Recent[str, dict[str, np.ndarray]] = Recent(_KEPT)
         self._batches: bool | None = None
-        self._lock = Lock()
 
     @property
     def name(self) -> str:
@@ -138,17 +136,13 @@ class PromptedSegmenter:
 
     def _encoded(self, frame: Frame) -> dict[str, np.ndarray]:
         """The features of the picture; the encoder, the slow part, is run once for each."""
-        key = frame.content_hash
-        found = self._features.get(key)
-        if found is None:
+
+        def run() -> dict[str, np.ndarray]:
             found = self.model.encode(frame.rgb)
             self.encoder_runs += 1
-        with self._lock:
-            self._features[key] = found
-            self._features.move_to_end(key)
-            while len(self._features) > _KEPT:
-                self._features.popitem(last=False)
-        return found
+            return found
+
+        return self._features.get(frame.content_hash, run)
 
 
 def resampled(rgb: np.ndarray, height: int, width: int) -> np.ndarray:

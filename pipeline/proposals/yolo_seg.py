@@ -26,7 +26,7 @@ from pipeline.proposals.contracts import MASK_COEFFICIENTS, YOLO_SEG_CONTRACTS, 
 from pipeline.proposals.mismatch import fitting
 from pipeline.proposals.network import NetworkDetector
 from pipeline.proposals.selection import suppress
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 from pipeline.system.onnx_session import run_session
 
 MAX_CANDIDATES = 1000
@@ -191,15 +191,20 @@ def _masks(raw: _Raw, order: np.ndarray, boxes: np.ndarray, height: int, width: 
 
 
 def _checked_names(names: tuple[str, ...] | None, classes: int | None, path: Path) -> tuple[str, ...]:
-    if names is None:
-        raise InputError(
-            "the model's metadata hold no class names",
-            expected=f"`names` with {classes if classes is not None else 'all'} entries, or --model-config FILE",
-            cause="was the file exported without metadata?",
-            path=path,
-        )
-    if classes is not None and len(names) != classes:
-        raise InputError("the class names are not those of the model", got=len(names), expected=classes, path=path)
+    names = needed(
+        names,
+        "the model's metadata hold no class names",
+        expected=f"`names` with {classes if classes is not None else 'all'} entries, or --model-config FILE",
+        cause="was the file exported without metadata?",
+        path=path,
+    )
+    require(
+        classes is None or len(names) == classes,
+        "the class names are not those of the model",
+        got=len(names),
+        expected=classes,
+        path=path,
+    )
     return names
 
 

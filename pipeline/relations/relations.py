@@ -52,11 +52,7 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     (N, N, 6) int8
         In the order of DIRECTIONAL; the diagonal is F.
     """
-    profile = profile or Profile()
-    lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
-    known = known_extents(lo, hi)
-    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
-    return pair_states(Measured(pairs, profile), known, DIRECTIONAL)
+    return pairwise_states(lo, hi, profile=profile, relations=DIRECTIONAL)
 
 
 def _horizontal_states(measured: Measured) -> tuple[np.ndarray, ...]:

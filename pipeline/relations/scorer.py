@@ -13,7 +13,7 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.arrangement import between_states, superlative_states
 from pipeline.relations.features import Appearance
-from pipeline.relations.relations import PROFILE, Indices, directional_states, judged_relations, pairwise_states
+from pipeline.relations.relations import PROFILE, Indices, judged_relations, pairwise_states
 
 RULE_PROBABILITY = {1: 0.95, 0: 0.50, -1: 0.05}
 """T, U and F as probabilities."""
@@ -83,12 +83,9 @@ class RuleScorer:
         relations: Collection[str] = PAIRWISE,
     ) -> RelationScores:
         lo, hi = stacked_extents(objects)
-        if set(relations) <= set(DIRECTIONAL):
-            states, names = directional_states(lo, hi), DIRECTIONAL
-        else:
-            axes = viewer.matrix.T.astype(np.float32)
-            clouds = [o.points @ axes for o in objects]
-            states, names = pairwise_states(lo, hi, clouds, relations=relations), judged_relations(relations)
+        axes, names = viewer.matrix.T.astype(np.float32), judged_relations(relations)
+        clouds = None if names == DIRECTIONAL else [o.points @ axes for o in objects]
+        states = pairwise_states(lo, hi, clouds, relations=relations)
         return RelationScores(names, states, rule_probabilities(states), dict.fromkeys(names, self.name))
 
 

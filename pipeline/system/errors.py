@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
+
+Value = TypeVar("Value")
 
 
 class InputError(ValueError):
@@ -56,10 +59,31 @@ def require(
     expected: object = None,
     cause: str | None = None,
     path: str | Path | None = None,
+    error: type[InputError] = InputError,
 ) -> None:
-    """Raise InputError with these words where something does not hold."""
+    """Raise InputError (or another `error`) with these words where something does not hold.
+
+    `got` and `expected` may be functions that give them, where they cost time or only exist then.
+    """
     if not sound:
-        raise InputError(what, got=got, expected=expected, cause=cause, path=path)
+        got, expected = (words() if callable(words) else words for words in (got, expected))
+        raise error(what, got=got, expected=expected, cause=cause, path=path)
+
+
+def needed(
+    value: Value | None,
+    what: str,
+    *,
+    got: object = None,
+    expected: object = None,
+    cause: str | None = None,
+    path: str | Path | None = None,
+    error: type[InputError] = InputError,
+) -> Value:
+    """A value that must not be None; InputError (or another `error`) with these words where it is."""
+    if value is None:
+        raise error(what, got=got, expected=expected, cause=cause, path=path)
+    return value
 
 
 class UnknownFormat(InputError):

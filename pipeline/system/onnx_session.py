@@ -151,14 +151,14 @@ def as_declared(session: Any, feed: Mapping[str, np.ndarray], path: Path) -> dic
             raise InputError(f"the model's input {name!r} cannot be given", got=got, expected="numbers", path=path)
         with np.errstate(invalid="ignore", over="ignore"):
             cast[name] = np.ascontiguousarray(value, dtype=wanted)
-        if value.dtype.kind == "f" and cast[name].dtype.kind != "f" and not np.array_equal(cast[name], value):
-            raise InputError(
-                f"the model's input {name!r} takes whole numbers, and what belongs there are none",
-                got=types[name],
-                expected="tensor(float)",
-                cause="was the file quantised together with its inputs?",
-                path=path,
-            )
+        require(
+            value.dtype.kind != "f" or cast[name].dtype.kind == "f" or np.array_equal(cast[name], value),
+            f"the model's input {name!r} takes whole numbers, and what belongs there are none",
+            got=types[name],
+            expected="tensor(float)",
+            cause="was the file quantised together with its inputs?",
+            path=path,
+        )
     return cast
 
 
