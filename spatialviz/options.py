@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from pipeline.system.errors import InputError, require
-from pipeline.system.execution import Provider, ProviderWarning, use_execution
+from pipeline.system.onnx_session import Provider, ProviderWarning, use_execution
 
 if TYPE_CHECKING:
     from pipeline.answering.opening import Pipeline

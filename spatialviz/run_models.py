@@ -27,8 +27,8 @@ from pipeline.proposals.contracts import Contract
 from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.proposals.score_calibration import ScoreCalibration, save_calibration
 from pipeline.system.errors import require
-from pipeline.system.execution import ACCELERATORS
 from pipeline.system.model_files import KnownModel
+from pipeline.system.onnx_session import ACCELERATORS
 from spatialviz.cli_models import Agree, Calibrate, Detect, Models
 from spatialviz.options import ALL_FRAMES, FINE, NO, warn_skipped
 from spatialviz.printing import figure, print_rows, rate_bar, say

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from pipeline.system.threads import THREAD_VARIABLES
+from pipeline.system.worker_pool import THREAD_VARIABLES
 
 if TYPE_CHECKING:
     from chat_server import ChatServer, Clock, Make

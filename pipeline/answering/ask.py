@@ -16,9 +16,8 @@ from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import Attachment, Query, parse
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.base import Detector, Proposals, top_k
 from pipeline.proposals.score_calibration import ScoreCalibration
-from pipeline.proposals.selection import top_k
 from pipeline.relations.scorer import (
     RelationScorer,
     RelationScores,

@@ -47,8 +47,7 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import HIT, Case
 from pipeline.language.expression import Query
-from pipeline.proposals.base import Detector, Proposals
-from pipeline.proposals.selection import suppress
+from pipeline.proposals.base import Detector, Proposals, suppress
 from pipeline.system.errors import InputError
 
 _FLIPS = (LIFT, SRM, CONF)

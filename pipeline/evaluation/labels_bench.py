@@ -29,7 +29,7 @@ from pipeline.labels.profiles import judge_viewer_cone
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.relations.relations import directional_states
 from pipeline.system.errors import MissingExtra, require
-from pipeline.system.threads import one_thread
+from pipeline.system.worker_pool import one_thread
 from pipeline.training.training_data import MIN_PIXELS, degraded
 
 WIDTH, HEIGHT, VIEWS_A_ROOM = 640, 480, 3

@@ -31,8 +31,7 @@ from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, MissingExtra
-from pipeline.system.threads import one_thread
-from pipeline.system.worker_pool import results_of
+from pipeline.system.worker_pool import one_thread, results_of
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,10 @@ import numpy as np
 
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.base import Proposals
+from pipeline.proposals.base import Proposals, class_wise
 from pipeline.proposals.box_config import BoxInput, Candidates, decode, find_box_model, output_names, read_box_model
 from pipeline.proposals.class_names import metadata_names, names_hash
 from pipeline.proposals.network import MAX_PER_NAME, NetworkDetector, proposals_of
-from pipeline.proposals.selection import class_wise
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.onnx_session import run_session, signature
 

@@ -23,8 +23,7 @@ from pipeline.proposals.class_names import (
 )
 from pipeline.proposals.contracts import DETIC_CONTRACTS, detic_tensors
 from pipeline.proposals.mismatch import fitting
-from pipeline.proposals.network import NetworkDetector
-from pipeline.proposals.resampling import pillow_resized
+from pipeline.proposals.network import NetworkDetector, pillow_resized
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.onnx_session import run_session
 

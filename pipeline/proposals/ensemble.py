@@ -20,15 +20,16 @@ from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import (
+    NMS_IOU,
     Detector,
     Proposals,
     detect_expression,
     no_proposals,
     reads_annotations,
+    suppress,
     unknown_class,
 )
 from pipeline.proposals.class_names import known_names, knows, name_groups, same_name
-from pipeline.proposals.selection import NMS_IOU, suppress
 from pipeline.system.errors import require
 
 Fusion = Literal["wbf", "nms"]

@@ -16,7 +16,7 @@ import numpy as np
 import xxhash
 
 from pipeline.geometry.frame import Frame
-from pipeline.proposals.base import Proposals
+from pipeline.proposals.base import NMS_IOU, Proposals
 from pipeline.proposals.captions import (
     MAX_TOKENS,
     TOKENIZER,
@@ -29,9 +29,17 @@ from pipeline.proposals.captions import (
 )
 from pipeline.proposals.contracts import GROUNDING_DINO_CONTRACTS, grounding_dino_tensors
 from pipeline.proposals.mismatch import fitting
-from pipeline.proposals.network import MAX_PER_NAME, TextDetector, proposals_of, to_pixels
-from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
-from pipeline.proposals.selection import NMS_IOU
+from pipeline.proposals.network import (
+    IMAGENET_MEAN,
+    IMAGENET_STD,
+    MAX_PER_NAME,
+    TextDetector,
+    normalised,
+    pillow_resized,
+    proposals_of,
+    shortest_edge,
+    to_pixels,
+)
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import run_session
 

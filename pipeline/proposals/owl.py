@@ -14,13 +14,22 @@ from typing import Any
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.proposals.base import Proposals
+from pipeline.proposals.base import NMS_IOU, Proposals
 from pipeline.proposals.captions import plain_name, sigmoid
 from pipeline.proposals.contracts import OWL_CONTRACTS, SIDES, TOKENS, Kind, owl_tensors
 from pipeline.proposals.mismatch import fitting
-from pipeline.proposals.network import MAX_PER_NAME, TextDetector, inside, proposals_of, to_pixels
-from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
-from pipeline.proposals.selection import NMS_IOU
+from pipeline.proposals.network import (
+    CLIP_MEAN,
+    CLIP_STD,
+    MAX_PER_NAME,
+    TextDetector,
+    inside,
+    normalised,
+    padded_square,
+    pillow_resized,
+    proposals_of,
+    to_pixels,
+)
 from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import run_session
 

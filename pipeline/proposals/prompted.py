@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.proposals.resampling import pillow_resized
+from pipeline.proposals.network import pillow_resized
 from pipeline.system.errors import InputError, require
 from pipeline.system.recent import Recent
 

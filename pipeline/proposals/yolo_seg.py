@@ -20,12 +20,11 @@ import numpy as np
 
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.base import Proposals, no_proposals
+from pipeline.proposals.base import Proposals, no_proposals, suppress
 from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names
 from pipeline.proposals.contracts import MASK_COEFFICIENTS, YOLO_SEG_CONTRACTS, yolo_seg_tensors
 from pipeline.proposals.mismatch import fitting
 from pipeline.proposals.network import NetworkDetector
-from pipeline.proposals.selection import suppress
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.onnx_session import run_session
 

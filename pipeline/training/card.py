@@ -20,7 +20,7 @@ from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import file_hash
 from pipeline.system.plugins import versions_of
-from pipeline.system.threads import one_thread
+from pipeline.system.worker_pool import one_thread
 from pipeline.training.evaluation import clear_cut_report, evaluate
 from pipeline.training.onnx_file import save_onnx
 from pipeline.training.train import TrainConfig, check_room_config, require_training, train_srm

@@ -23,7 +23,7 @@ from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geo
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash
-from pipeline.system.threads import one_thread
+from pipeline.system.worker_pool import one_thread
 from pipeline.training.card import network_path, rounded, versions
 from pipeline.training.evaluation import evaluate, evaluate_classes
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set, read_label_data, trained_on

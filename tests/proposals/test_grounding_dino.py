@@ -18,7 +18,7 @@ from pipeline.proposals import make_detector
 from pipeline.proposals.captions import build_captions, load_tokenizer, sigmoid, span_scores, token_blocks
 from pipeline.proposals.contracts import GROUNDING_DINO_CONTRACTS
 from pipeline.proposals.grounding_dino import GroundingDinoDetector
-from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
+from pipeline.proposals.network import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
 from pipeline.system.errors import InputError, MissingExtra
 
 if TYPE_CHECKING:
@@ -86,9 +86,7 @@ def processor_of(tokenizer: Any, size: dict[str, int]) -> Any:
 
 
 @pytest.mark.parametrize("contract", ["transformers", "original"])
-def test_detections_are_those_of_the_reference(
-    request: pytest.FixtureRequest, contract: str, frame: Frame
-) -> None:
+def test_detections_are_those_of_the_reference(request: pytest.FixtureRequest, contract: str, frame: Frame) -> None:
     import torch
     from open_vocabulary_models import HEIGHT, WIDTH
 

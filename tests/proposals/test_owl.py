@@ -15,8 +15,8 @@ from pipeline.evaluation.whole_expression import Referring
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.contracts import OWL_CONTRACTS
+from pipeline.proposals.network import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.proposals.owl import OwlDetector
-from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -239,9 +239,7 @@ def test_a_broken_file_is_one_clear_line(
 
 
 @pytest.mark.parametrize("kind", [TensorProto.FLOAT16, TensorProto.FLOAT])
-def test_half_precision_and_open_sizes(
-    tmp_path: Path, exported: dict[str, Export], frame: Frame, kind: int
-) -> None:
+def test_half_precision_and_open_sizes(tmp_path: Path, exported: dict[str, Export], frame: Frame, kind: int) -> None:
     dtype = np.float16 if kind == TensorProto.FLOAT16 else np.float32
     inputs: dict[str, Any] = dict(OWL)
     inputs |= {"pixel_values": (kind, ("B", 3, "H", "W")), "input_ids": (TensorProto.INT32, ("L", "S"))}

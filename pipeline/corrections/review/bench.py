@@ -27,7 +27,7 @@ from pipeline.metrics.relation_metrics import cell_outcomes
 from pipeline.metrics.splits import FrameKey
 from pipeline.relations.relations import U
 from pipeline.system.errors import require
-from pipeline.system.threads import one_thread
+from pipeline.system.worker_pool import one_thread
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set
 from pipeline.training.train import TrainConfig, require_training, train_pairs
 from pipeline.training.training_data import FIRST_ROOM, ROOMS_A_SEED, FrameSamples, make_samples

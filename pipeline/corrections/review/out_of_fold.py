@@ -28,7 +28,7 @@ from pipeline.metrics.splits import FEWEST_SCENES, FRAME_GAP, GAP_M, FrameKey, a
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import require
-from pipeline.system.threads import one_thread
+from pipeline.system.worker_pool import one_thread
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set
 from pipeline.training.train import OUTPUTS, TrainConfig, TrainedModel, train_pairs
 

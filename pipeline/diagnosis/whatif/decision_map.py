@@ -23,8 +23,8 @@ from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, rerun, with_super
 from pipeline.geometry.palette import instance_colors
 from pipeline.language.expression import Node
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.contact import Measured, enclosed_share, surface_heights
 from pipeline.relations.model import OnnxScorer
+from pipeline.relations.pair_measures import Measured, enclosed_share, surface_heights
 from pipeline.relations.predicates import pair_states, predicates_of
 from pipeline.relations.relations import Profile, measure_pairs
 from pipeline.relations.scorer import RuleScorer, stacked_extents

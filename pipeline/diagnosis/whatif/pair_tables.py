@@ -19,8 +19,8 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.base import Proposals
-from pipeline.relations.contact import Measured, enclosed_share, points_decide, surface_heights
 from pipeline.relations.model import OnnxScorer
+from pipeline.relations.pair_measures import Measured, enclosed_share, points_decide, surface_heights
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, measure_pairs, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
-from pipeline.relations.contact import Measured, in_measures, near_measures, on_measures
+from pipeline.relations.pair_measures import Measured, in_measures, near_measures, on_measures
 from pipeline.relations.predicates import pair_margins, pair_states
 from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
 from pipeline.relations.scorer import stacked_extents

@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import HORIZONTAL, PAIRWISE, RELATIONS
-from pipeline.relations.contact import Measured
+from pipeline.relations.pair_measures import Measured
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
 from pipeline.system.errors import InputError, require

@@ -27,8 +27,7 @@ from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import MaskCrop
 from pipeline.language.expression import Attachment, parse
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.proposals.base import Proposals
-from pipeline.proposals.selection import top_k_places
+from pipeline.proposals.base import Proposals, top_k_places
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores

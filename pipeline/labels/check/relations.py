@@ -38,8 +38,7 @@ from pipeline.labels.check.findings import Finding, Severity
 from pipeline.labels.check.view import FrameView, pairs_where, state_letter
 from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
 from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
-from pipeline.relations.contact import Measured
-from pipeline.relations.pair_measures import NOT_JUDGED
+from pipeline.relations.pair_measures import NOT_JUDGED, Measured
 from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
 from pipeline.relations.relations import F, PairMeasures, Profile, T, U, known_extents, letter, measure_pairs
 
