@@ -372,7 +372,7 @@ class SourceOptions(ProposalOptions):
     def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Pipeline:
         """The dataset with its models; `frame` is the one that is asked, `labels` judge what is answered."""
         from pipeline.answering.opening import open_pipeline
-        from pipeline.datasets.given_up import told_doubts
+        from pipeline.datasets.up import told_doubts
         from pipeline.labels.reading import labelled_up
 
         options = self.arguments(frame)

@@ -11,10 +11,10 @@ from pipeline.answering.json_records import frame_record, probability, relation_
 from pipeline.answering.opening import FrameRelations, open_pipeline, relate_frames
 from pipeline.answering.suggestions import MissedNames, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
-from pipeline.datasets.given_up import told_up
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.synthetic import render_dataset
+from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.geometry.viewer import ViewerAxes

@@ -26,7 +26,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.store import Store
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
-from pipeline.system.staging import check_target
+from pipeline.system.whole_files import check_target
 from spatialviz.cli_labels import Export, Import
 from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, warn
 from spatialviz.printing import rate_bar, say

@@ -31,7 +31,7 @@ from pipeline.datasets.base import MOVES, DatasetFormat
 from pipeline.datasets.cameras import Recording, one_file, or_note, read_pair
 from pipeline.datasets.files import listing, readable
 from pipeline.datasets.settings import Settings, unit_notes
-from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError, require
 from pipeline.system.recent import Recent
 
@@ -141,7 +141,10 @@ class AvdDataset(Recording):
             elif pose is not None:
                 up = pose[:3, :3].T @ tables.poses.up
         K = None if own is None else own.resized(width, height)
-        annotations = self._annotations(scan, stem, tables, annotated, (width, height), notes)
+        entry = tables.annotations.get(stem)
+        if entry is None and tables.annotations:
+            notes.append("no entry in annotations.json")
+        annotations = () if entry is None else read_boxes(entry, scan.names, annotated, (width, height), notes)
         return self._frame(frame_id, (rgb, metres), K, pose, path, depth, annotations, notes, up)
 
     def moves(self, frame_id: str) -> dict[str, str]:
@@ -180,22 +183,6 @@ class AvdDataset(Recording):
             if self._settings.intrinsics is None:
                 raise
             return None, path
-
-    @staticmethod
-    def _annotations(
-        scan: _Scan,
-        stem: str,
-        tables: _Tables,
-        annotated: tuple[int, int],
-        size: tuple[int, int],
-        notes: list[str],
-    ) -> tuple[Annotation, ...]:
-        entry = tables.annotations.get(stem)
-        if entry is None:
-            if tables.annotations:
-                notes.append("no entry in annotations.json")
-            return ()
-        return read_boxes(entry, scan.names, annotated, size, notes)
 
 
 def _remarks(scan: _Scan, own: AvdCamera | None, annotated: tuple[int, int], size: tuple[int, int]) -> list[str]:

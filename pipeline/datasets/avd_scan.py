@@ -17,7 +17,7 @@ from pipeline.datasets.cameras import inverse, rigid
 from pipeline.datasets.files import as_floats, numbered_lines, read_json, read_mat
 from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Annotation
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 DEFAULT_SIZE = (1920, 1080)
 """Width and height of the dataset's own images: the pixels that its boxes speak of where no camera file says more."""
@@ -239,10 +239,9 @@ def read_poses(path: Path) -> AvdPoses:
         Missing, cut off, no MATLAB file, or of other content.
     """
     table = read_mat(path, "image_structs", "scale")
-    structs, scale = table.get("image_structs"), np.asarray(table.get("scale", ()))
-    fields = structs.dtype.names or () if isinstance(structs, np.ndarray) else ()
-    if not isinstance(structs, np.ndarray) or not {"image_name", "R", "t"} <= set(fields):
-        raise InputError("no image_structs with image_name, R and t", path=path)
+    structs, scale = np.asarray(table.get("image_structs")), np.asarray(table.get("scale", ()))
+    fields = set(structs.dtype.names or ())
+    require({"image_name", "R", "t"} <= fields, "no image_structs with image_name, R and t", path=path)
     require(
         scale.size == 1 and scale.dtype.kind in "fiu" and 0 < scale.item() < np.inf,
         "scale must be one positive number",

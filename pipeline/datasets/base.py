@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, overload
@@ -255,6 +256,13 @@ def load_picture(dataset: Dataset, frame_id: str) -> Frame:
     """
     method: Any = getattr(dataset, "load_picture", None)
     return dataset.load(frame_id) if method is None else method(frame_id)
+
+
+def readable_frames(load: Callable[[str], Frame], ids: Iterable[str]) -> Iterator[Frame]:
+    """The frames of these ids that can be loaded; a broken one only means less to go by."""
+    for frame_id in ids:
+        with suppress(InputError):
+            yield load(frame_id)
 
 
 def _ask(dataset: Dataset, capability: str, nothing: Any, *arguments: str) -> Any:

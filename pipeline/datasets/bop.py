@@ -136,7 +136,7 @@ class BopDataset(Recording):
         """The exact box in the camera frame: center = R (min + size / 2) + t."""
         if model is None or model.center is None or model.size is None:
             return None
-        T = or_note(remarks, "no 3D box, ", object_pose, entry, path)
+        T = or_note(remarks, "no 3D box, ", _rigid_mm, entry, "cam_R_m2c", "cam_t_m2c", path)
         return None if T is None else Box3D(T[:3, :3] @ model.center + T[:3, 3], T[:3, :3], model.size)
 
 
@@ -323,17 +323,6 @@ def read_pose(entry: Mapping[str, Any], path: Path) -> np.ndarray | None:
     if "cam_R_w2c" not in entry and "cam_t_w2c" not in entry:
         return None
     return inverse(_rigid_mm(entry, "cam_R_w2c", "cam_t_w2c", path))
-
-
-def object_pose(entry: Mapping[str, Any], path: Path) -> np.ndarray:
-    """T_camera_object (4, 4) in metres of one entry of `scene_gt.json`.
-
-    Raises
-    ------
-    InputError
-        A missing key, or no rigid motion.
-    """
-    return _rigid_mm(entry, "cam_R_m2c", "cam_t_m2c", path)
 
 
 def _rigid_mm(entry: Mapping[str, Any], R_key: str, t_key: str, path: Path) -> np.ndarray:

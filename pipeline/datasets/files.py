@@ -59,11 +59,6 @@ def read_json(path: Path) -> dict[str, Any]:
     return table
 
 
-def read_lines(path: Path) -> list[str]:
-    """The lines of a text file that say something: no blanks, no # comments."""
-    return [line for _, line in numbered_lines(path)]
-
-
 def numbered_lines(path: Path) -> list[tuple[int, str]]:
     """The lines of a text file that say something, each with its number in the file, from 1.
 
@@ -102,7 +97,7 @@ def path_inside(root: Path, name: str, source: Path, line: int) -> Path:
 
 def read_matrix(path: Path, rows: int, columns: int) -> np.ndarray:
     """A text file of rows x columns numbers, as float64. inf and NaN may be among them."""
-    words = " ".join(read_lines(path)).replace(",", " ").split()
+    words = " ".join(line for _, line in numbered_lines(path)).replace(",", " ").split()
     return as_floats(words, rows * columns, path).reshape(rows, columns)
 
 

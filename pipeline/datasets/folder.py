@@ -24,8 +24,8 @@ from pipeline.datasets.files import (
     choose_naming,
     image_files,
     listing,
+    numbered_lines,
     pair_files,
-    read_lines,
     read_matrix,
     twice,
 )
@@ -113,7 +113,7 @@ def _poses(root: Path, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _Pose
     if not path.is_file():
         return {}, None
     try:
-        lines = read_lines(path)
+        lines = [line for _, line in numbered_lines(path)]
     except InputError as error:
         return {}, f"pose.txt: {error.what}"
     if len(lines) == len(keys):

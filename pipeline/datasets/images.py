@@ -60,9 +60,7 @@ def read_mask(path: Path) -> np.ndarray:
     data, kind = _checked(path, "png")
     require(kind not in ("exr", "npy"), "a mask must be a png", got=kind, path=path)
     pixels = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
-    if pixels.ndim == 3:
-        return np.any(pixels[..., :3] > 0, axis=2)
-    return pixels > 0
+    return np.any(pixels[..., :3] > 0, axis=2) if pixels.ndim == 3 else pixels > 0
 
 
 def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0) -> np.ndarray:

@@ -17,8 +17,8 @@ from pipeline.datasets import (
     tum,
 )
 from pipeline.datasets.base import Dataset, DatasetFormat
-from pipeline.datasets.given_up import with_given_up
 from pipeline.datasets.settings import GivenUp, read_settings
+from pipeline.datasets.up import with_given_up
 from pipeline.system.errors import UnknownFormat, require
 from pipeline.system.plugins import load_plugins
 

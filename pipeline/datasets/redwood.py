@@ -201,11 +201,7 @@ def _recognises(root: Path) -> bool:
     # A folder of several datasets may hold one recording; only its own files make it the recording's.
     if not marks or (layout.frames != root and all(path.parent != root for path in marks)):
         return False
-    try:
-        image_files(layout.frames, DEPTH_FOLDERS, (".png",), "depth")
-    except InputError:
-        return False
-    return True
+    return or_note([], "", image_files, layout.frames, DEPTH_FOLDERS, (".png",), "depth") is not None
 
 
 FORMAT = DatasetFormat(

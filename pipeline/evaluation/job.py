@@ -49,8 +49,8 @@ from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
 from pipeline.system.arrow import pq
 from pipeline.system.errors import InputError, MissingExtra
-from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
+from pipeline.system.whole_files import staged_folder, write_json
 
 
 @dataclass(frozen=True)

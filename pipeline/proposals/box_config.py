@@ -363,10 +363,10 @@ def _foreground(scores: np.ndarray, config: BoxOutput) -> np.ndarray:
 
 def _corners(boxes: np.ndarray, form: str) -> np.ndarray:
     first, second = boxes[:, :2], boxes[:, 2:]
-    if form == "yxyx":
-        return boxes[:, [1, 0, 3, 2]]
-    if form == "cxcywh":
-        return np.concatenate([first - second / 2, first + second / 2], axis=1)
-    if form == "xywh":
-        return np.concatenate([first, first + second], axis=1)
-    return boxes
+    low, high = {
+        "xyxy": (first, second),
+        "yxyx": (first[:, ::-1], second[:, ::-1]),
+        "cxcywh": (first - second / 2, first + second / 2),
+        "xywh": (first, first + second),
+    }[form]
+    return np.concatenate([low, high], axis=1)

@@ -31,24 +31,10 @@ class CachedDetector:
 
     def __init__(self, detector: Detector, folder: Path | None = None) -> None:
         self.detector = detector
+        self.name, self.exact, self.vocabulary = detector.name, detector.exact, detector.vocabulary
+        self.reads_annotations = reads_annotations(detector)
         self.folder = (folder or cache_folder()) / "proposals"
         self._recent: Recent[str, Proposals] = Recent(_IN_MEMORY)
-
-    @property
-    def name(self) -> str:
-        return self.detector.name
-
-    @property
-    def vocabulary(self) -> tuple[str, ...] | None:
-        return self.detector.vocabulary
-
-    @property
-    def exact(self) -> bool:
-        return self.detector.exact
-
-    @property
-    def reads_annotations(self) -> bool:
-        return reads_annotations(self.detector)
 
     def fingerprint(self) -> str:
         return self.detector.fingerprint()
@@ -141,12 +127,8 @@ class CachedSegmenter:
     independent = True
 
     def __init__(self, segmenter: Segmenter, folder: Path | None = None) -> None:
-        self.segmenter = segmenter
+        self.segmenter, self.name = segmenter, segmenter.name
         self.folder = (folder or cache_folder()) / "masks"
-
-    @property
-    def name(self) -> str:
-        return self.segmenter.name
 
     def fingerprint(self) -> str:
         return self.segmenter.fingerprint()

@@ -69,12 +69,9 @@ class EnsembleDetector:
         require(len(members) >= 2, "at least two detectors are needed to fuse them", got=len(members))
         require(fusion in FUSIONS, f"there is no fusion {fusion!r}", expected=" or ".join(FUSIONS))
         self.members = tuple(members)
+        self.name = "&".join(member.name for member in members)
         self.fusion = fusion
         self.synonyms = synonyms
-
-    @property
-    def name(self) -> str:
-        return "&".join(member.name for member in self.members)
 
     @property
     def vocabulary(self) -> tuple[str, ...] | None:

@@ -194,9 +194,7 @@ def shortest_edge(height: int, width: int, shortest: int = 800, longest: int = 1
     that they round to nothing is 1.
     """
     low, high = min(height, width), max(height, width)
-    exact = float(shortest)
-    if high / low * shortest > longest:
-        exact = longest * low / high
+    exact = longest * low / high if high / low * shortest > longest else float(shortest)
     short = round(exact)
     if low == short:
         return height, width

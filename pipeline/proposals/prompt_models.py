@@ -37,9 +37,8 @@ from pipeline.proposals.contracts import (
     SAM_ENCODERS,
     SAM_SIDE,
 )
-from pipeline.proposals.model_pair import PairModel
 from pipeline.proposals.network import IMAGENET_MEAN, IMAGENET_STD
-from pipeline.proposals.prompted import best_mask, corners, resampled, stretched
+from pipeline.proposals.prompted import PairModel, best_mask, corners, resampled, stretched
 from pipeline.system.errors import require
 
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)

@@ -246,8 +246,7 @@ def letterbox(rgb: np.ndarray, height: int, width: int, pad: int = 114) -> tuple
     inner_w, inner_h = min(max(round(w * scale), 1), width), min(max(round(h * scale), 1), height)
     left, top = round((width - inner_w) / 2 - 0.1), round((height - inner_h) / 2 - 0.1)
     image = np.full((height, width, 3), pad, np.uint8)
-    resized = rgb
-    if (inner_h, inner_w) != (h, w):
-        resized = cv2.resize(rgb, (inner_w, inner_h), interpolation=cv2.INTER_LINEAR)
+    same = (inner_h, inner_w) == (h, w)
+    resized = rgb if same else cv2.resize(rgb, (inner_w, inner_h), interpolation=cv2.INTER_LINEAR)
     image[top : top + inner_h, left : left + inner_w] = resized
     return image, Letterbox(scale, left, top, inner_w, inner_h)

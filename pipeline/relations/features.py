@@ -129,9 +129,7 @@ def describe_extents(
     objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
 ) -> np.ndarray:
     """(N, 6): lo and hi along (right, up, forward), metres."""
-    if not objects:
-        return np.zeros((0, 6))
-    return np.stack([np.concatenate([o.lo, o.hi]) for o in objects])
+    return np.array([np.concatenate([o.lo, o.hi]) for o in objects]).reshape(-1, 6)
 
 
 def describe_raw_boxes(

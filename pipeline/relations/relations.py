@@ -9,7 +9,7 @@ relation is judged in the viewer's level axes (right, up, forward) of
 The profile: left, right, front (nearer) and behind (farther) are cones of 45
 degrees with a doubtful band to 67.5 degrees around the axis, on signed gaps
 between extents; above and below ask for overlap in plan. on, in and near are
-extras of the same profile; `pipeline.relations.arrangement` has between, closest and farthest.
+extras of the same profile; `pipeline.relations.scorer` has between, closest and farthest.
 
 Margins say how far each decision stands from its thresholds, in metres. Every gate of the rules is written as a
 slack: at least 0 where the gate is passed, and as many metres as the measures would have to change for it to turn.

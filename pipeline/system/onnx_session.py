@@ -82,27 +82,31 @@ def metadata(session: Any) -> dict[str, str]:
         return {}
 
 
+_NO_MODEL = (
+    ((b"version https://git-lfs",), "it is a pointer of Git LFS, not the file itself: `git lfs pull` fetches it"),
+    ((b"<!doctype", b"<html", b"<?xml"), "it is a web page, not the file itself: download it again"),
+)
+_CAUSES = (
+    (
+        ("external data", "external initializer", "_data", "model_path must not"),
+        "its weights are in a file of their own: keep it beside the model, under the name it was exported with",
+    ),
+    (("opset",), "the file is newer than this ONNX Runtime: update onnxruntime, or export with an older opset"),
+    (("protobuf", "parse"), "the file is damaged, incomplete, or no ONNX file"),
+)
+
+
 def _no_model(path: Path) -> str | None:
     """What stands where a download failed, where the file is that."""
     with path.open("rb") as file:
         begin = file.read(64).lstrip().lower()
-    if begin.startswith(b"version https://git-lfs"):
-        return "it is a pointer of Git LFS, not the file itself: `git lfs pull` fetches it"
-    if begin.startswith((b"<!doctype", b"<html", b"<?xml")):
-        return "it is a web page, not the file itself: download it again"
-    return None
+    return next((cause for begins, cause in _NO_MODEL if begin.startswith(begins)), None)
 
 
 def _likely_cause(message: str) -> str | None:
     """What ONNX Runtime's words for a file that it cannot load come from."""
     words = message.lower()
-    if any(part in words for part in ("external data", "external initializer", "_data", "model_path must not")):
-        return "its weights are in a file of their own: keep it beside the model, under the name it was exported with"
-    if "opset" in words:
-        return "the file is newer than this ONNX Runtime: update onnxruntime, or export with an older opset"
-    if "protobuf" in words or "parse" in words:
-        return "the file is damaged, incomplete, or no ONNX file"
-    return None
+    return next((cause for parts, cause in _CAUSES if any(part in words for part in parts)), None)
 
 
 def first_line(error: object) -> str:

@@ -18,7 +18,7 @@ from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.datasets import Dataset
-from pipeline.datasets.given_up import with_frame_up
+from pipeline.datasets.up import with_frame_up
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES

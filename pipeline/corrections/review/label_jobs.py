@@ -41,7 +41,7 @@ from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.background import SharedJob
 from pipeline.system.errors import InputError, require
-from pipeline.system.staging import staged_folder
+from pipeline.system.whole_files import staged_folder
 from pipeline.training.label_data import read_label_data
 
 Step = tuple[str, int, int]

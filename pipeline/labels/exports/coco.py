@@ -44,7 +44,7 @@ from pipeline.labels.exports.provenance import JsonList, Provenance, json_line, 
 from pipeline.labels.tables import arrow_schema, build_table
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
-from pipeline.system.staging import text_file
+from pipeline.system.whole_files import text_file
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
 

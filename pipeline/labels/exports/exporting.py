@@ -18,8 +18,8 @@ from pipeline.labels.tables import content_hash
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.plugins import load_plugins
-from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
+from pipeline.system.whole_files import staged_folder, write_json
 
 FORMATS: dict[str, ExportFormat] = {
     "jsonl": jsonl.FORMAT,

@@ -19,8 +19,7 @@ from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, require
-from pipeline.system.staging import text_file, write_json
-from pipeline.system.whole_files import sha256_of
+from pipeline.system.whole_files import sha256_of, text_file, write_json
 
 ROWS_A_FILE = 1_000_000
 GROUP_BYTES = 1 << 25

@@ -17,7 +17,7 @@ from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.labels.tables import arrow_schema
 from pipeline.system.arrow import pa, pj
 from pipeline.system.errors import InputError, require
-from pipeline.system.staging import text_file
+from pipeline.system.whole_files import text_file
 
 BLOCK = 1 << 24
 """Bytes that are parsed at a time; no line may be longer."""

@@ -71,7 +71,7 @@ from pipeline.labels.exports.provenance import json_line, load_json
 from pipeline.labels.tables import arrow_schema
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
-from pipeline.system.staging import text_file, write_json
+from pipeline.system.whole_files import text_file, write_json
 
 SURVIVING = {
     "frames": ("frame", "frame_index", "ok", "width", "height", "K", "up"),

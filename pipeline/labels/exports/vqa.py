@@ -30,7 +30,7 @@ from pipeline.labels.exports.provenance import JsonList, Provenance
 from pipeline.labels.exports.vqa_geometry import Depths, figures_of
 from pipeline.labels.exports.vqa_questions import frame_questions
 from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, Question, VqaConfig
-from pipeline.system.staging import text_file
+from pipeline.system.whole_files import text_file
 
 __all__ = ["FORMAT", "VqaConfig", "write_vqa"]
 

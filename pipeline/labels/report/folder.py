@@ -36,7 +36,7 @@ from pipeline.labels.report.style import (
 from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import open_database
 from pipeline.system.errors import InputError, MissingExtra, require
-from pipeline.system.staging import staged_folder, write_json
+from pipeline.system.whole_files import staged_folder, write_json
 
 PAGE = "index.html"
 NUMBERS = "statistics.json"
