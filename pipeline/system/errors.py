@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
+
+Thing = TypeVar("Thing")
 
 
 class InputError(ValueError):
@@ -60,6 +65,43 @@ def require(
     """Raise InputError with these words where something does not hold."""
     if not sound:
         raise InputError(what, got=got, expected=expected, cause=cause, path=path)
+
+
+def present(found: Thing | None, what: str, **words: Any) -> Thing:
+    """What was found; InputError with these words (those of `require`) where that is None."""
+    if found is None:
+        raise InputError(what, **words)
+    return found
+
+
+@contextmanager
+def as_input_error(what: str, *errors: type[Exception], got: object = None, **words: Any) -> Iterator[None]:
+    """Errors of these kinds in the block, told as InputError with these words (those of `require`).
+
+    `got` may be a function of the error. An InputError, which is a ValueError, goes through as it is.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except errors as error:
+        raise InputError(what, got=got(error) if callable(got) else got, **words) from error
+
+
+def first_line(error: Exception) -> str:
+    """What an error says in its first line."""
+    return str(error).split("\n")[0]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A value as a message quotes it: its first characters, written out only where there is a message."""
+
+    value: object
+    longest: int = 60
+
+    def __str__(self) -> str:
+        return repr(self.value)[: self.longest]
 
 
 class UnknownFormat(InputError):

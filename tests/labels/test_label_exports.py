@@ -28,12 +28,12 @@ from pipeline.labels.exports import (
     export_labels,
     exporting,
     import_labels,
-    jsonl,
     kitti,
+    row_files,
 )
-from pipeline.labels.exports.hub import HubConfig
 from pipeline.labels.exports.provenance import json_lines
-from pipeline.labels.exports.vqa_records import VqaConfig
+from pipeline.labels.exports.row_files import HubConfig
+from pipeline.labels.exports.vqa_geometry import VqaConfig
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import SCHEMA_FOLDER, TABLES, json_schemas, schema_text
 from pipeline.labels.tables import build_table, content_hash
@@ -173,7 +173,7 @@ def test_a_number_and_a_text_survive_json_lines(numbers: list[float | None], tex
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "relations.jsonl"
         path.write_text("".join(lines), encoding="utf-8")
-        assert content_hash(jsonl.read_rows(path, "relations"), "relations") == content_hash(table, "relations")
+        assert content_hash(row_files.read_rows(path, "relations"), "relations") == content_hash(table, "relations")
 
 
 @pytest.mark.parametrize("format", ["jsonl", "coco"])

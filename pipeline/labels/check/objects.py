@@ -16,7 +16,6 @@ import numpy as np
 from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d, paired_iou_2d
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.check.findings import Finding
-from pipeline.labels.check.rows import rotation_fault
 from pipeline.labels.check.stream import Rows
 from pipeline.labels.check.view import FrameView, MaskRuns, indices_where, pairs_where, runs_object
 from pipeline.language.naming import normal_form, same_class
@@ -415,3 +414,10 @@ def _against_kind(label: str, lifted: float, whole: bool, survey: SizeSurvey) ->
         "examples": n,
     }
     return f"is {lifted:.2f} m long; the median of {n} is {np.exp(median):.2f} m", figures, False
+
+
+def rotation_fault(rotation: np.ndarray) -> np.ndarray:
+    """(N,) how far (N, 3, 3) matrices are from rotations: the greatest entry of R R^T - I, at least 2 for a mirror."""
+    fault = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    with np.errstate(invalid="ignore"):
+        return np.where(np.linalg.det(np.nan_to_num(rotation)) < 0, np.maximum(fault, 2.0), fault)

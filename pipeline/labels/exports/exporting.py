@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.datasets import Dataset
-from pipeline.labels.exports import coco, hub, jsonl, kitti, vqa
+from pipeline.labels.exports import coco, kitti, row_files, vqa_questions
 from pipeline.labels.exports.base import ExportFormat, ExportReport, ImageCopy, Job, Progress
 from pipeline.labels.exports.provenance import load_json, open_provenance
 from pipeline.labels.reading import MANIFEST_FILE, Labels, labelled_dataset
@@ -22,11 +22,11 @@ from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
 
 FORMATS: dict[str, ExportFormat] = {
-    "jsonl": jsonl.FORMAT,
+    "jsonl": row_files.JSONL,
     "coco": coco.FORMAT,
     "kitti": kitti.FORMAT,
-    "vqa": vqa.FORMAT,
-    "parquet": hub.FORMAT,
+    "vqa": vqa_questions.FORMAT,
+    "parquet": row_files.PARQUET,
 }
 """The formats by name. A new one is one file and one line here."""
 

@@ -13,16 +13,18 @@ from typing import Any
 
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
-from pipeline.labels.report.counts import (
+from pipeline.labels.report.distributions import Distributions, distributions
+from pipeline.labels.report.pictures import (
     CLASSES_SHOWN,
     draw_ambiguity,
     draw_classes,
     draw_distance,
     draw_heat_map,
+    draw_margins,
+    draw_sizes,
     draw_states,
+    draw_targets,
 )
-from pipeline.labels.report.distributions import Distributions, distributions
-from pipeline.labels.report.geometry import draw_margins, draw_sizes, draw_targets
 from pipeline.labels.report.style import (
     DPI,
     FULL,

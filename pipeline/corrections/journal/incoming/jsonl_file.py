@@ -31,8 +31,8 @@ from pipeline.corrections.journal.incoming.coco_file import (
 )
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.masks import decode_run_length
-from pipeline.labels.exports.jsonl import BLOCK
 from pipeline.labels.exports.provenance import ExportedFrom
+from pipeline.labels.exports.row_files import BLOCK
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, require
