@@ -16,7 +16,7 @@ from pipeline.corrections.scene import labelled_box
 from pipeline.diagnosis.whatif.box_numbers import BoxNumbers, box_numbers
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import present, require
 
 FIELDS = ("label", "status", "mask", "bbox", "box")
 """What of an object can be corrected, in the order in which it is shown."""
@@ -154,9 +154,7 @@ def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
     InputError
         There is no such object.
     """
-    row = frame.object(number)
-    if row is None:
-        raise InputError(f"frame {frame.frame} has no object {number}")
+    row = present(frame.object(number), f"frame {frame.frame} has no object {number}")
     box, viewer = labelled_box(row), viewer_of(frame)
     created = number not in frame.auto.objects
     return ObjectCard(

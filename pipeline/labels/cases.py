@@ -16,7 +16,7 @@ from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import U
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 @dataclass(frozen=True)
@@ -104,11 +104,11 @@ class FrameCases:
         InputError
             Another dataset has a frame of the same name, or the dataset has changed.
         """
-        if self.rgb_hash is not None and frame.content_hash != self.rgb_hash:
-            raise InputError(
-                f"frame {self.frame}: another picture than the one that was labelled",
-                cause="has the dataset changed, or are these the labels of another one?",
-            )
+        require(
+            self.rgb_hash is None or frame.content_hash == self.rgb_hash,
+            f"frame {self.frame}: another picture than the one that was labelled",
+            cause="has the dataset changed, or are these the labels of another one?",
+        )
 
     def acceptable_pairs(self, case: Case) -> np.ndarray:
         """(N, N) bool: pairs of the asked classes of which the relation holds or may hold."""

@@ -11,7 +11,7 @@ from pipeline.labels.profiles import RuleProfile, canonical_hash, profile_of
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
 from pipeline.relations.relations import PROFILE
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 TextStyle = Literal["varied", "plain", "semantic-abstraction"]
 
@@ -119,7 +119,7 @@ class SelectConfig:
     def __post_init__(self) -> None:
         for name in ("total", "per_frame"):
             value = getattr(self, name)
-            if value is not None and value < 1:
-                raise InputError(f"{name} must be at least 1", got=value)
-        if self.balance is not None and not 1 <= self.balance < inf:
-            raise InputError("balance must be a number of at least 1", got=self.balance)
+            require(value is None or value >= 1, f"{name} must be at least 1", got=value)
+        require(
+            self.balance is None or 1 <= self.balance < inf, "balance must be a number of at least 1", got=self.balance
+        )

@@ -30,7 +30,7 @@ from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_
 from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, needed
 from pipeline.system.threads import one_thread
 from pipeline.system.worker_pool import results_of
 
@@ -239,10 +239,7 @@ def label_row(row: dict[str, Any]) -> dict[str, Any]:
 
 def needed_ray() -> None:
     """Raise MissingExtra where Ray is not installed."""
-    try:
-        import_module("ray.data")
-    except ImportError as error:
-        raise MissingExtra("the engine ray", "cluster") from error
+    needed("ray.data", "the engine ray", "cluster")
 
 
 def run_ray(

@@ -16,7 +16,7 @@ from pipeline.labels.profiles import NONE, TRAINED, open_second_opinion
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.store import Store
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 Engine = Literal["local", "ray"]
 Progress = Callable[[int, int], None]
@@ -104,10 +104,12 @@ def label_dataset(
         out = Path(out).expanduser().absolute()
     store = Store(out)
     require(workers >= 1, "at least one worker is needed", got=workers)
-    if not resume and part is None and not store.is_empty():
-        raise InputError(
-            "the folder for the labels is not empty", cause="--resume goes on where a run was stopped", path=out
-        )
+    require(
+        resume or part is not None or store.is_empty(),
+        "the folder for the labels is not empty",
+        cause="--resume goes on where a run was stopped",
+        path=out,
+    )
     require(
         not store.holds_something_else(),
         "the folder holds something else than labels",

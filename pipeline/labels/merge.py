@@ -27,7 +27,7 @@ from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.plugins import versions_of
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, write_synced
@@ -61,23 +61,21 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     store = Store(where)
     plan = load_plan(store)
     missing = [shard for shard in plan.shards if not store.has_part(shard.name)]
-    if missing:
-        raise InputError(
-            f"{len(missing)} of {len(plan.shards)} shards are missing",
-            got=", ".join(str(s.index) for s in missing[:8]) + (" ..." if len(missing) > 8 else ""),
-            cause=f"finish them with: spatialviz label {plan.spec.path} --out {store.where} --resume "
-            "and the options it was begun with",
-            path=store.where,
-        )
+    require(
+        not missing,
+        f"{len(missing)} of {len(plan.shards)} shards are missing",
+        got=", ".join(str(s.index) for s in missing[:8]) + (" ..." if len(missing) > 8 else ""),
+        cause=f"finish them with: spatialviz label {plan.spec.path} --out {store.where} --resume "
+        "and the options it was begun with",
+        path=store.where,
+    )
     if out is None:
         require(
             not store.remote, "labels at a URL are merged into a local folder", expected="--to FOLDER", path=store.where
         )
         out = store.folder
-    try:
+    with as_input_error("merged tables go into a folder", FileExistsError, NotADirectoryError, got="a file", path=out):
         out.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError) as error:
-        raise InputError("merged tables go into a folder", got="a file", path=out) from error
     require(
         not (any(out.iterdir()) and not (out / PLAN_FILE).is_file() and not (out / MANIFEST_FILE).is_file()),
         "the folder holds something else",

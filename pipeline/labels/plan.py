@@ -18,7 +18,7 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import canonical_hash, fingerprint
 from pipeline.labels.store import PLAN_FILE, Store
 from pipeline.proposals.registry import with_model
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, present, require
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.version import __version__
 
@@ -167,17 +167,14 @@ def make_plan(
     InputError
         The dataset cannot be opened, has no frames, or nothing finds objects in it.
     """
-    if limit is not None and limit < 1:
-        raise InputError("the limit must be at least one frame", got=limit)
-    if frames_a_shard is not None and frames_a_shard < 1:
-        raise InputError("a shard needs at least one frame", got=frames_a_shard)
+    require(limit is None or limit >= 1, "the limit must be at least one frame", got=limit)
+    require(frames_a_shard is None or frames_a_shard >= 1, "a shard needs at least one frame", got=frames_a_shard)
     source = spec.open(config)
     detector = source.needed_detector()
     frames = (frames_of_splits(source.dataset, frames_of) if frames_of else source.dataset.frame_ids)[:limit]
     require(frames, "the dataset has no frames", path=source.dataset.root)
     odd = next((f for f in frames if any("\ud800" <= c <= "\udfff" for c in f)), None)
-    if odd is not None:
-        raise InputError("the name of a frame is not UTF-8", got=ascii(odd), path=ascii(str(source.dataset.root)))
+    require(odd is None, "the name of a frame is not UTF-8", got=ascii(odd), path=ascii(str(source.dataset.root)))
     if frames_a_shard is None:
         even = -(-len(frames) // SHARDS_WANTED)
         frames_a_shard = min(max(even, FEWEST_FRAMES_A_SHARD), MOST_FRAMES_A_SHARD)
@@ -206,12 +203,11 @@ def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
         The dataset has no such split.
     """
     there = splits(dataset)
-    absent = [name for name in names if name not in there]
-    if absent:
-        raise InputError(
-            "the dataset has no such split", got=absent[0], expected=" | ".join(there) or "no splits at all",
-            path=dataset.root,
-        )  # fmt: skip
+    absent = next((name for name in names if name not in there), None)
+    require(
+        absent is None, "the dataset has no such split", got=absent, expected=" | ".join(there) or "no splits at all",
+        path=dataset.root,
+    )  # fmt: skip
     return tuple(dict.fromkeys(frame for name in names for frame in there[name]))
 
 
@@ -270,13 +266,13 @@ def save_plan(plan: Plan, store: Store) -> None:
     # Read back also then: another task may have written its own first.
     there = load_plan(store)
     differing = [f.name for f in fields(Plan) if f.name != "spec" and getattr(there, f.name) != getattr(plan, f.name)]
-    if differing:
-        raise InputError(
-            "this folder holds labels made otherwise",
-            got=", ".join(_difference(there, plan, name) for name in differing[:3]),
-            cause="use another folder, or remove this one",
-            path=store.where,
-        )
+    require(
+        not differing,
+        "this folder holds labels made otherwise",
+        got=", ".join(_difference(there, plan, name) for name in differing[:3]),
+        cause="use another folder, or remove this one",
+        path=store.where,
+    )
 
 
 def _difference(a: Plan, b: Plan, name: str) -> str:
@@ -298,9 +294,8 @@ def load_plan(store: Store) -> Plan:
     InputError
         There is none, or it is damaged.
     """
-    text = store.read_text(PLAN_FILE)
-    if text is None:
-        raise InputError("no labels here", expected=f"a folder with the {PLAN_FILE} of `label`", path=store.where)
+    expected = f"a folder with the {PLAN_FILE} of `label`"
+    text = present(store.read_text(PLAN_FILE), "no labels here", expected=expected, path=store.where)
     try:
         record = json.loads(text)
         config = dict(record["config"])

@@ -17,7 +17,7 @@ from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, as_input_error, first_line, present, require
 
 MANIFEST_FILE = "manifest.json"
 
@@ -99,15 +99,13 @@ def open_labels(path: str | Path) -> Labels:
             raise
         reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
         raise InputError("the manifest is damaged", got=reason, path=file) from error
-    unknown = [r for r in manifest.config.get("relations", ()) if r not in PAIRWISE]
-    if unknown:
-        raise InputError(
-            "these labels hold a relation that is not declared here", got=repr(unknown[0]),
+    for relation in manifest.config.get("relations", ()):
+        require(
+            relation in PAIRWISE, "these labels hold a relation that is not declared here", got=repr(relation),
             expected=", ".join(PAIRWISE), cause="made with a relation of somebody's own?", path=file,
         )  # fmt: skip
-    missing = [name for name in TABLES if not (root / f"{name}.parquet").is_file()]
-    if missing:
-        raise InputError(f"the table {missing[0]} is missing", path=root / f"{missing[0]}.parquet")
+    for path in (root / f"{name}.parquet" for name in TABLES):
+        require(path.is_file(), f"the table {path.stem} is missing", path=path)
     return Labels(root, manifest)
 
 
@@ -144,7 +142,17 @@ def read_corrections(root: Path) -> Corrections:
     path = root / PROVENANCE_FILE
     if not path.exists():
         return Corrections()
-    try:
+    with as_input_error(
+        "the provenance of the labels is damaged",
+        pa.ArrowException,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        got=first_line,
+        path=path,
+    ):
         rows = pq.read_table(path, columns=["table", "frame", "key", "column", "origin", "was"]).to_pylist()
         relations, expressions = set(), set()
         for row in rows:
@@ -155,8 +163,6 @@ def read_corrections(root: Path) -> Corrections:
                     relations.add((row["frame"], a, b, row["column"]))
             elif row["table"] == "expressions" and row["origin"] == "human":
                 expressions.add((row["frame"], row["key"]))
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError("the provenance of the labels is damaged", got=str(error).split("\n")[0], path=path) from error
     return Corrections(frozenset(relations), frozenset(expressions))
 
 
@@ -193,9 +199,7 @@ def labelled_dataset(
         The labels do not name it, or it cannot be opened.
     """
     record = manifest.dataset
-    where = path or record.get("path")
-    if not where:
-        raise InputError("the labels do not say which dataset they are of")
+    where = path or present(record.get("path") or None, "the labels do not say which dataset they are of")
     if where == DEMO_NAME and not Path(where).exists():
         where = demo_path()
     options = dict(record.get("options") or {})
@@ -217,10 +221,8 @@ def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any
 
 def _numbers(value: Any, count: int, what: str) -> list[float]:
     """So many numbers, of a list or of its text."""
-    try:
+    with as_input_error(f"the labels name a {what} that is none", ValueError, got=Shown(value)):
         numbers = [float(n) for n in str(value).strip("()[] ").split(",")]
         if len(numbers) != count:
             raise ValueError(f"{len(numbers)} numbers")
-    except ValueError as error:
-        raise InputError(f"the labels name a {what} that is none", got=repr(value)[:60]) from error
     return numbers

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES
 from pipeline.system.arrow import pa, pc, pq
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import as_input_error, first_line, require
 from pipeline.system.whole_files import temporary_beside
 
 VERSION_KEY = b"spatialviz.schema_version"
@@ -63,9 +63,8 @@ _STORED: dict[Any, str] = {str: "string", bool: "bool", int: "int64", float: "fl
 def build_table(table: str, columns: Columns) -> pa.Table:
     """Columns as an Arrow table of the schema; a column that is left out is null throughout."""
     schema = arrow_schema(table)
-    unknown = set(columns) - set(schema.names)
-    if unknown:
-        raise InputError(f"table {table} has no column {sorted(unknown)[0]!r}")
+    unknown = min(set(columns) - set(schema.names), default=None)
+    require(unknown is None, f"table {table} has no column {unknown!r}")
     length = len(next(iter(columns.values()))) if columns else 0
     values = (columns.get(name) for name in schema.names)
     arrays = [
@@ -98,20 +97,20 @@ def read_table(
         The file is missing, damaged, of another table, or of a newer schema.
     """
     path = source if isinstance(source, Path) else path or "an open file"
-    try:
-        with pq.ParquetFile(source) as file:
-            schema = file.schema_arrow
-            check_version(schema.metadata or {}, table, path)
-            missing = [n for n in columns or arrow_schema(table).names if n not in schema.names]
-            lost = [n for n in missing if n not in ADDED_COLUMNS]
-            if lost:
-                raise InputError(f"table {table} lacks the column {lost[0]!r}", path=path)
-            read = file.read(columns=None if columns is None else [n for n in columns if n in schema.names])
-            return read if columns is not None and not columns else with_added(read, table, columns)
-    except FileNotFoundError as error:
-        raise InputError(f"the table {table} is missing", cause="are these labels merged?", path=path) from error
-    except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
-        raise InputError("not a readable Parquet file", got=str(error).split("\n")[0], path=path) from error
+    with (
+        as_input_error(
+            "not a readable Parquet file", pa.ArrowInvalid, pa.ArrowTypeError, OSError, got=first_line, path=path
+        ),
+        as_input_error(f"the table {table} is missing", FileNotFoundError, cause="are these labels merged?", path=path),
+        pq.ParquetFile(source) as file,
+    ):
+        schema = file.schema_arrow
+        check_version(schema.metadata or {}, table, path)
+        missing = [n for n in columns or arrow_schema(table).names if n not in schema.names]
+        lost = next((n for n in missing if n not in ADDED_COLUMNS), None)
+        require(lost is None, f"table {table} lacks the column {lost!r}", path=path)
+        read = file.read(columns=None if columns is None else [n for n in columns if n in schema.names])
+        return read if columns is not None and not columns else with_added(read, table, columns)
 
 
 def with_added(rows: pa.Table, table: str, columns: Sequence[str] | None = None) -> pa.Table:
@@ -126,9 +125,8 @@ def with_added(rows: pa.Table, table: str, columns: Sequence[str] | None = None)
 
 def check_version(metadata: dict[bytes, bytes], table: str, path: str | Path) -> None:
     """Refuse a file of another table or of a schema with another major version."""
-    found = metadata.get(VERSION_KEY, b"").decode() or None
-    if found is None:
-        raise InputError("not a table of labels", cause="it carries no schema version", path=path)
+    found, of = (metadata.get(key, b"").decode() for key in (VERSION_KEY, TABLE_KEY))
+    require(found, "not a table of labels", cause="it carries no schema version", path=path)
     require(
         found.split(".")[0] == SCHEMA_VERSION.split(".")[0],
         "labels of another schema",
@@ -137,8 +135,7 @@ def check_version(metadata: dict[bytes, bytes], table: str, path: str | Path) ->
         cause="made by another release?",
         path=path,
     )
-    if metadata.get(TABLE_KEY, b"").decode() != table:
-        raise InputError("another table", got=metadata.get(TABLE_KEY, b"").decode(), expected=table, path=path)
+    require(of == table, "another table", got=of, expected=table, path=path)
 
 
 class RowHash:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 Thing = TypeVar("Thing")
 
@@ -93,8 +93,12 @@ def first_line(error: Exception) -> str:
     return str(error).split("\n")[0]
 
 
-@dataclass(frozen=True)
-class Shown:
+def kind_and_text(error: Exception) -> str:
+    """An error by its kind and what it says."""
+    return f"{type(error).__name__}: {error}"
+
+
+class Shown(NamedTuple):
     """A value as a message quotes it: its first characters, written out only where there is a message."""
 
     value: object
@@ -102,6 +106,14 @@ class Shown:
 
     def __str__(self) -> str:
         return repr(self.value)[: self.longest]
+
+
+def needed(module: str, feature: str, extra: str) -> Any:
+    """The module; MissingExtra for the feature where it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtra(feature, extra) from error
 
 
 class UnknownFormat(InputError):

@@ -11,7 +11,7 @@ from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import surface_step
 from pipeline.geometry.normals import surface_normals
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import present, require
 
 TOLERANCE = 0.015
 """The default."""
@@ -172,8 +172,7 @@ def grown_region(surface: Surface, seeds: np.ndarray, tolerance: float = TOLERAN
         else:
             # Something small or strongly curved has no normals at all.
             seed = _nearest(surface.measured, pixel)
-            if seed is None:
-                raise InputError("there is no depth at this point", got=f"{x:.1f}, {y:.1f}")
+            seed = present(seed, "there is no depth at this point", got=f"{x:.1f}, {y:.1f}")
             either = surface.right.alike(tolerance, True), surface.down.alike(tolerance, True)
             region = flooded(surface.measured & ~surface.known, *either, seed)
         found |= _with_rim(surface, region, tolerance)

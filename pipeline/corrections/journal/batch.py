@@ -24,7 +24,7 @@ from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
 from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, Kind, box_of, judged_item
 from pipeline.corrections.journal.journal import Journal
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _STATES = {"T": T, "U": U, "F": F}
 SHAPES = ("polygon", "rectangle", "strokes", "seeds")
@@ -173,8 +173,8 @@ def _new_object(a: NewObject, frame: EffectiveFrame, author: str, canvas: Canvas
 
 def _value(a: Any, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
     ref = FieldRef(a.kind, a.frame, a.key, a.field)
-    if ref.kind == "review" and judged_item(ref.key)[0] not in (author.strip(), OF_ALL):
-        raise InputError("a judgement of another person", got=judged_item(ref.key)[0], expected=author)
+    whose = judged_item(ref.key)[0] if ref.kind == "review" else OF_ALL
+    require(whose in (author.strip(), OF_ALL), "a judgement of another person", got=whose, expected=author)
     return actions.set_value(frame, ref, a.to, a.reason)
 
 

@@ -28,7 +28,7 @@ from pipeline.corrections.journal.replay import judgement_ref
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.proposals.annotations import box_mask
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, present, require
 
 Edits = tuple[Edit, ...]
 Rectangle = Sequence[float] | np.ndarray
@@ -302,10 +302,7 @@ def _expression_edit(frame: EffectiveFrame, expression: str, field: str, after: 
 
 
 def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
-    row = frame.object(number)
-    if row is None:
-        raise InputError(f"frame {frame.frame} has no object {number}", expected=_listed(frame.objects))
-    return row
+    return present(frame.object(number), f"frame {frame.frame} has no object {number}", expected=_listed(frame.objects))
 
 
 def _check(frame: EffectiveFrame, ref: FieldRef) -> None:

@@ -22,7 +22,7 @@ from pipeline.corrections.journal.connection import (
     writing,
 )
 from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 
 
 def check_journal(where: str | Path) -> Examined:
@@ -110,10 +110,8 @@ def _file(where: str | Path, to: Path, instead: str) -> Path:
 
 
 def _written(to: Path, write: Callable[[], None]) -> Examined:
-    try:
+    with as_input_error("the copy cannot be written", *DATABASE_ERRORS, got=lambda e: reason_of(e, str(to)), path=to):
         write()
-    except DATABASE_ERRORS as error:
-        raise InputError("the copy cannot be written", got=reason_of(error, str(to)), path=to) from error
     return examine(to).believe()
 
 

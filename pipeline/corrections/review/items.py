@@ -30,7 +30,7 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import by_ref, standing_at
 from pipeline.relations.relations import letter
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, as_input_error, require
 
 Kind = Literal["relation", "object", "expression"]
 State = Literal["unreviewed", "accepted", "corrected", "rejected", "unsure"]
@@ -89,10 +89,8 @@ class ItemKey(NamedTuple):
         InputError
             It is no key.
         """
-        try:
+        with as_input_error("not the key of a review item", ValueError, TypeError, got=Shown(text, 80)):
             frame, kind, a, b, what = json.loads(text)
-        except (ValueError, TypeError) as error:
-            raise InputError("not the key of a review item", got=repr(text)[:80]) from error
         numbers = type(a) is int and (b is None or type(b) is int)
         require(
             isinstance(frame, str) and kind in KINDS and numbers and isinstance(what, str),

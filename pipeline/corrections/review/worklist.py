@@ -28,7 +28,7 @@ from pipeline.corrections.review.items import (
 )
 from pipeline.labels.tables import write_table
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import as_input_error, first_line, present, require
 
 VERSION_KEY = b"labels_version"
 _UNREVIEWED, _UNSURE = STATES.index("unreviewed"), STATES.index("unsure")
@@ -174,10 +174,7 @@ class Worklist:
         return self.keys[above[-1]] if len(above) else None
 
     def _place(self, key: ItemKey) -> int:
-        index = self.indices.get(key.plain)
-        if index is None:
-            raise InputError("the queue holds no such item", got=key.text())
-        return index
+        return present(self.indices.get(key.plain), "the queue holds no such item", got=key.text())
 
 
 def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> Worklist:
@@ -225,11 +222,9 @@ def write_queue(queue: pa.Table, path: Path) -> None:
     InputError
         It cannot be written.
     """
-    try:
+    with as_input_error("the queue cannot be written", OSError, got=lambda e: e.strerror or str(e), path=path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_table(queue, path)
-    except OSError as error:
-        raise InputError("the queue cannot be written", got=error.strerror or str(error), path=path) from error
 
 
 def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
@@ -247,10 +242,8 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
         It is no queue, damaged, or of other labels.
     """
     path = Path(path)
-    try:
+    with as_input_error("the queue cannot be read", pa.ArrowException, OSError, ValueError, got=first_line, path=path):
         queue = pq.ParquetFile(path).read()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError("the queue cannot be read", got=str(error).split("\n")[0], path=path) from error
     metadata = queue.schema.metadata or {}
     require(
         VERSION_KEY in metadata, "not a review queue", cause="was it written by `spatialviz review --out`?", path=path

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,42 +22,25 @@ MANY_ALIKE = 3
 MARGIN_TOLERANCE = 1e-5
 
 
-@dataclass
-class Reader:
-    """Reads texts with the dataset's class names, each text once.
+TEXTS_KEPT = 200_000
+"""So many texts that were read are remembered, so that memory is bounded."""
+Said = tuple[str, str, str]
+"""Normal form of target, relation, normal form of reference."""
 
-    Attributes
-    ----------
-    class_names : tuple of str
-    capacity : int
-        So many texts are remembered, so that memory is bounded.
-    """
 
-    class_names: tuple[str, ...]
-    capacity: int = 200_000
-    _read: dict[str, tuple[str, str, str] | str] = field(default_factory=dict)
-
-    def read(self, text: str) -> tuple[str, str, str] | str:
-        """Normal form of target, relation, normal form of reference; or why the text says no such thing."""
-        if text not in self._read:
-            if len(self._read) >= self.capacity:
-                self._read.clear()
-            self._read[text] = self._parsed(text)
-        return self._read[text]
-
-    def _parsed(self, text: str) -> tuple[str, str, str] | str:
-        try:
-            query = parse(text, class_names=self.class_names)
-        except InputError as error:
-            return str(error)
-        if len(query.default.root.attachments) != 1 or any(
-            node.attachments for node in query.default.root.attachments[0].nodes
-        ):
-            return "it has more than one relation"
-        found = query.expression
-        if found.inverse:
-            return "its relation is the other way round"
-        return normal_form(found.target), found.relation, normal_form(found.reference)
+def said_by(class_names: tuple[str, ...], text: str) -> Said | str:
+    """What a text says to one who knows the dataset's class names; or why it says no such thing."""
+    try:
+        query = parse(text, class_names=class_names)
+    except InputError as error:
+        return str(error)
+    ends = query.default.root.attachments
+    if len(ends) != 1 or any(node.attachments for node in ends[0].nodes):
+        return "it has more than one relation"
+    found = query.expression
+    if found.inverse:
+        return "its relation is the other way round"
+    return normal_form(found.target), found.relation, normal_form(found.reference)
 
 
 @dataclass(frozen=True)
@@ -66,13 +49,14 @@ class ExpressionRules:
 
     Attributes
     ----------
-    reader : Reader
+    read : function of a text
+        `said_by` with the class names of the labels, each text once.
     seed : int
         Of the ids.
     profile : str
     """
 
-    reader: Reader
+    read: Callable[[str], Said | str]
     seed: int
     profile: str
 
@@ -132,7 +116,7 @@ def _on_its_own(view: FrameView, row: int, rules: ExpressionRules) -> Iterator[F
     if rows["id"][row] != f"{row_hash(rules.seed, str(rows['frame'][row]), a, relation, b):016x}":
         yield "expression/id", "its id is not the hash of frame, objects and relation", {}
     wanted = normal_form(str(rows["target"][row])), relation, normal_form(str(rows["reference"][row]))
-    read = rules.reader.read(str(rows["text"][row]))
+    read = rules.read(str(rows["text"][row]))
     if isinstance(read, str):
         yield "expression/unreadable", f"it cannot be read: {read}", {}
     elif read != wanted:

@@ -76,8 +76,6 @@ FEW_POINTS, MOST_MISSING = 100, 0.5
 
 def check_objects(view: FrameView) -> Iterator[Finding]:
     """All rules on single objects but those that compare it with its class."""
-    if not len(view.objects):
-        return
     yield from _masks(view)
     sound = np.array([isinstance(r, MaskRuns) and r.area > 0 for r in view.runs], np.bool_)
     mask_box = np.array([r.bbox if isinstance(r, MaskRuns) else np.zeros(4) for r in view.runs]).reshape(-1, 4)
@@ -362,8 +360,6 @@ def size_range(label: str) -> tuple[float, float] | None:
 def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
     """Objects that are too large or too small."""
     rows = view.objects
-    if not len(rows):
-        return
     lifted, exact = lengths(rows)
     whole = seen_whole(rows)
     own_pixels = np.isin(rows["mask_source"].astype(str), ["annotation", "detector"]) & ~rows["fallback"]

@@ -99,9 +99,8 @@ def _unexpected(view: FrameView) -> Iterator[Finding]:
             f"{view.named(a)} to {view.named(b)}: background takes part in no relation",
         )
     rows = view.relations
-    if len(rows):
-        for number in rows["a"][rows["a"] == rows["b"]]:
-            yield view.finding("relation/unexpected", (number, number), "a relation of an object with itself")
+    for number in rows["a"][rows["a"] == rows["b"]]:
+        yield view.finding("relation/unexpected", (number, number), "a relation of an object with itself")
 
 
 def _inverse(view: FrameView) -> Iterator[Finding]:

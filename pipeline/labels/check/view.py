@@ -142,11 +142,11 @@ class FrameView:
     @cached_property
     def ids(self) -> np.ndarray:
         """(N,) int64: the objects' numbers."""
-        return self.objects["object"] if len(self.objects) else np.zeros(0, np.int64)
+        return self.objects["object"]
 
     @cached_property
     def labels(self) -> list[str]:
-        return ["" if x is None else str(x) for x in self.objects["label"]] if len(self.objects) else []
+        return ["" if x is None else str(x) for x in self.objects["label"]]
 
     @cached_property
     def row_of(self) -> dict[int, int]:
@@ -171,7 +171,7 @@ class FrameView:
     @cached_property
     def runs(self) -> list[MaskRuns | str | None]:
         """Each object's mask as its code says, or why it cannot be read; None without a mask or a frame's size."""
-        if not len(self.objects) or not all(self.size):
+        if not all(self.size):
             return [None] * len(self.ids)
         return [None if code is None else read_runs(code, *self.size) for code in self.objects["mask"]]
 
@@ -179,7 +179,7 @@ class FrameView:
     def pair_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows of relations between two different known objects, and the indices of a and b; three (P,) int64."""
         none = np.zeros(0, np.int64)
-        if not len(self.relations) or not len(self.ids):
+        if not len(self.ids):
             return none, none, none
         order = np.argsort(self.ids, kind="stable")
         ids, numbers = self.ids[order], np.stack([self.relations["a"], self.relations["b"]])
@@ -219,15 +219,12 @@ class FrameView:
     def _matrix(self, column: str, kind: type, empty: float) -> np.ndarray:
         found = np.full((len(self.ids), len(self.ids)), empty, kind)
         rows, a, b = self.pair_rows
-        if len(rows):
-            found[a, b] = self.relations[column][rows]
+        found[a, b] = self.relations[column][rows]
         return found
 
     @cached_property
     def extents(self) -> tuple[np.ndarray, np.ndarray]:
         """lo and hi, (N, 3) float64 metres along (right, up, forward); NaN where unknown."""
-        if not len(self.objects):
-            return np.zeros((0, 3)), np.zeros((0, 3))
         return self.objects["lo"], self.objects["hi"]
 
 

@@ -43,7 +43,7 @@ from pipeline.labels.exports.base import (
 from pipeline.labels.exports.provenance import JsonList, Provenance, json_line, load_json
 from pipeline.labels.tables import arrow_schema, build_table
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, as_input_error, kind_and_text, require
 from pipeline.system.staging import text_file
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
@@ -83,8 +83,11 @@ def write_coco(job: Job) -> Written:
         pairs, known = 0, job.provenance.known
         for rows in iterate_frames(job.labels, job.tell):
             ids = {row["object"]: annotations.length + 1 + k for k, row in enumerate(rows.objects)}
-            if len(ids) != len(rows.objects):
-                raise InputError(f"frame {rows.frame['frame']}: two objects of one number", path=job.labels.root)
+            require(
+                len(ids) == len(rows.objects),
+                f"frame {rows.frame['frame']}: two objects of one number",
+                path=job.labels.root,
+            )
             for row in rows.objects:
                 found = _annotation(row, ids[row["object"]], categories, rows.frame)
                 annotations.add(found | known("objects", rows.frame["frame"], str(row["object"])))
@@ -94,8 +97,7 @@ def write_coco(job: Job) -> Written:
             if rows.relations.num_rows:
                 related.add(_relations(rows, ids) | _known_relations(job.provenance, rows, ids))
                 pairs += rows.relations.num_rows
-            if job.images is not None and rows.frame["ok"]:
-                job.images.write(rows.frame, job.folder / image_name(rows.index))
+            job.copy_picture(rows)
         for items, file, end in (
             (annotations, instances, "}\n"),
             (refs, refs_file, "\n"),
@@ -245,7 +247,17 @@ def read_coco(root: Path) -> dict[str, pa.Table]:
     """
     instances = load_json(root / "instances.json")
     refs, relations = load_json(root / "refs.json"), load_json(root / "relations.json")
-    try:
+    with as_input_error(
+        "not a COCO export of labels",
+        KeyError,
+        TypeError,
+        IndexError,
+        ValueError,
+        AttributeError,
+        got=kind_and_text,
+        cause="was it edited?",
+        path=root,
+    ):
         images = sorted(instances["images"] + instances["unusable_frames"], key=lambda image: image["id"])
         names = {image["id"]: image["frame"] for image in images}
         categories = {c["id"]: c["name"] for c in instances["categories"]}
@@ -257,12 +269,6 @@ def read_coco(root: Path) -> dict[str, pa.Table]:
             "relations": _pairs(relations["images"], names, numbers),
             "expressions": _table("expressions", [_expression(r, names[r["image_id"]], numbers) for r in refs]),
         }
-    except (KeyError, TypeError, IndexError, ValueError, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            "not a COCO export of labels", got=f"{type(error).__name__}: {error}", cause="was it edited?", path=root
-        ) from error
 
 
 def _frame(image: dict[str, Any]) -> dict[str, Any]:

@@ -7,16 +7,17 @@ import json
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
+from types import NoneType
 from typing import Any, Literal
 
 from pipeline.datasets import Dataset
 from pipeline.labels.exports import coco, kitti, row_files, vqa_questions
-from pipeline.labels.exports.base import ExportFormat, ExportReport, ImageCopy, Job, Progress
+from pipeline.labels.exports.base import ExportFormat, ExportReport, Job, Progress
 from pipeline.labels.exports.provenance import load_json, open_provenance
 from pipeline.labels.reading import MANIFEST_FILE, Labels, labelled_dataset
 from pipeline.labels.tables import content_hash
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import as_input_error, present, require
 from pipeline.system.plugins import load_plugins
 from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
@@ -77,14 +78,12 @@ def export_labels(
         An unknown format, a target that is not empty, damaged labels, or pictures that are not those of the labels.
     """
     chosen = _format(format)
-    if chosen.options is None and options is not None:
-        raise InputError(f"the format {format} has no options")
-    if chosen.options is not None and options is not None and not isinstance(options, chosen.options):
-        raise InputError(
-            f"options of the format {format}", got=type(options).__name__, expected=chosen.options.__name__
-        )
-    if chosen.options is not None and options is None:
-        options = chosen.options()
+    kind = chosen.options or NoneType
+    require(kind is not NoneType or options is None, f"the format {format} has no options")
+    options = kind() if options is None else options
+    require(
+        isinstance(options, kind), f"options of the format {format}", got=type(options).__name__, expected=kind.__name__
+    )
     require(images in ("none", "copy"), "images", got=repr(images), expected="none | copy")
     out = Path(out).expanduser()
     target, root = out.resolve(), labels.root.resolve()
@@ -99,7 +98,7 @@ def export_labels(
         return dataset or labelled_dataset(labels.manifest)
 
     with staged_folder(out, overwrite=overwrite, mark=MARK) as folder:
-        copy = ImageCopy(opened()) if images == "copy" else None
+        copy = opened() if images == "copy" else None
         provenance = open_provenance(labels)
         tell = progress or (lambda done, of: None)
         written = chosen.write(Job(labels, folder, copy, tell, options, provenance, opened))
@@ -144,13 +143,12 @@ def import_labels(path: str | Path, format: str, *, verify: bool = True) -> dict
     """
     root = Path(path).expanduser()
     chosen = _format(format)
-    if chosen.read is None:
-        raise InputError(f"the format {format} holds no labels to read back", path=root)
+    read = present(chosen.read, f"the format {format} holds no labels to read back", path=root)
     require(root.is_dir(), "there is no such export", expected="a folder", path=root)
     mark = _read_mark(root)
-    if mark is not None and mark.get("format") != format:
-        raise InputError("an export in another format", got=mark.get("format"), expected=format, path=root)
-    tables = dict(chosen.read(root))
+    stated = format if mark is None else mark.get("format")
+    require(stated == format, "an export in another format", got=stated, expected=format, path=root)
+    tables = dict(read(root))
     if chosen.lossless and verify:
         _check_hashes(root, tables)
     return tables
@@ -159,11 +157,9 @@ def import_labels(path: str | Path, format: str, *, verify: bool = True) -> dict
 def _check_hashes(root: Path, tables: Mapping[str, pa.Table]) -> None:
     manifest = load_json(root / MANIFEST_FILE)
     for name, table in tables.items():
-        try:
+        with as_input_error("the manifest is damaged", KeyError, TypeError, got=repr, path=root / MANIFEST_FILE):
             known = manifest["tables"][name]
             rows, known_hash = known["rows"], known["content_hash"]
-        except (KeyError, TypeError) as error:
-            raise InputError("the manifest is damaged", got=repr(error), path=root / MANIFEST_FILE) from error
         require(
             rows == table.num_rows,
             f"the table {name} is not whole",

@@ -63,14 +63,13 @@ from pipeline.labels.exports.base import (
     ExportFormat,
     Job,
     Written,
-    image_name,
     iterate_frames,
     label_names,
 )
 from pipeline.labels.exports.provenance import json_line, load_json
 from pipeline.labels.tables import arrow_schema
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, as_input_error, require
 from pipeline.system.staging import text_file, write_json
 
 SURVIVING = {
@@ -117,8 +116,7 @@ def write_kitti(job: Job) -> Written:
             for name, more in (("frames", 1), ("objects", len(lines)), ("boxes", boxes)):
                 counts[name] += more
             left_out += sum(row["center"] is not None for row in rows.objects) - boxes
-            if job.images is not None:
-                job.images.write(frame, job.folder / image_name(rows.index, "image_2", "png"))
+            job.copy_picture(rows, "image_2", "png")
     write_json(job.folder / "classes.json", {token: name for name, token in tokens.items()})
     files = ("index.txt", "classes.json", "provenance.jsonl", *(f"{name}/" for name in folders))
     turned = (f"{left_out} boxes are not upright, and are written as unknown",) if left_out else ()
@@ -198,15 +196,13 @@ def read_kitti(root: Path) -> dict[str, pa.Table]:
     frames: list[dict[str, Any]] = []
     objects: list[dict[str, Any]] = []
     for line in _lines(root / "index.txt"):
-        try:
+        with as_input_error("not a line of index.txt", ValueError, got=Shown(line, 80), path=root / "index.txt"):
             number, width, height, written = line.split(" ", 3)
             frame = {
                 "frame": json.loads(written) if written.startswith('"') else written,
                 "frame_index": int(number), "ok": number in usable, "width": int(width), "height": int(height),
                 "K": None, "up": None,
             }  # fmt: skip
-        except ValueError as error:
-            raise InputError("not a line of index.txt", got=repr(line)[:80], path=root / "index.txt") from error
         if frame["ok"]:
             P, level = _read_calibration(root / "calib" / f"{number}.txt")
             frame |= {"K": (P[:, :3] @ level).ravel().tolist(), "up": (-level[1]).tolist()}
@@ -216,10 +212,10 @@ def read_kitti(root: Path) -> dict[str, pa.Table]:
 
 
 def _lines(path: Path) -> list[str]:
-    try:
+    with as_input_error(
+        "a file of the export is missing or damaged", OSError, UnicodeDecodeError, got=lambda e: str(e)[:120], path=path
+    ):
         return [line for line in path.read_text(encoding="utf-8").split("\n") if line]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("a file of the export is missing or damaged", got=str(error)[:120], path=path) from error
 
 
 def _read_calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -244,7 +240,7 @@ def _read_objects(
         path=ids_path,
     )
     for k, (line, own) in enumerate(zip(lines, ids, strict=True), start=1):
-        try:
+        with as_input_error(f"line {k} is no label", ValueError, KeyError, got=lambda e: str(e)[:80], path=path):
             token, *rest = line.split(" ")
             values = [float(x) for x in rest]
             if len(values) != FIELDS - 1:
@@ -254,8 +250,6 @@ def _read_objects(
                 "label": names[token], "score": values[14], "bbox": values[3:7], "touches_border": values[0] > 0,
                 "center": None, "R": None, "size": None,
             }  # fmt: skip
-        except (ValueError, KeyError) as error:
-            raise InputError(f"line {k} is no label", got=str(error)[:80], path=path) from error
         if values[7] >= 0:
             box = from_kitti(np.array(values[7:10]), np.array(values[10:13]), values[13], level)
             row |= {key: part.ravel().tolist() for key, part in zip(("center", "R", "size"), box, strict=True)}

@@ -20,12 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.labels.card import UNKNOWN_LICENCE, DataFile, croissant, dataset_card
-from pipeline.labels.exports.base import ExportFormat, Job, Written, image_name, iterate_frames, table_batches
+from pipeline.labels.exports.base import ExportFormat, Job, Written, iterate_frames, table_batches
 from pipeline.labels.exports.provenance import extended_json_schemas, extended_schema, json_lines
 from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
 from pipeline.system.arrow import pa, pj, pq
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import as_input_error, first_line, present, require
 from pipeline.system.staging import text_file, write_json
 from pipeline.system.whole_files import sha256_of
 
@@ -85,11 +85,8 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
         with pq.ParquetWriter(path, extended_schema(name), compression="zstd") as writer:
             while left:
                 if not waiting.num_rows:
-                    waiting = next(batches, None)
-                    if waiting is None:
-                        raise InputError(
-                            f"the table {name} has fewer rows than its manifest says", path=job.labels.root
-                        )
+                    what = f"the table {name} has fewer rows than its manifest says"
+                    waiting = present(next(batches, None), what, path=job.labels.root)
                 taken = waiting.slice(0, left)
                 waiting = waiting.slice(taken.num_rows)
                 left -= taken.num_rows
@@ -102,8 +99,11 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
                     rows = size = 0
         relative = path.relative_to(job.folder).as_posix()
         found.append(DataFile(relative, min(rows_a_file, total - number * rows_a_file), sha256_of(path)))
-    if waiting.num_rows or next(batches, None) is not None:
-        raise InputError(f"the table {name} has more rows than its manifest says", path=job.labels.root)
+    require(
+        not waiting.num_rows and next(batches, None) is None,
+        f"the table {name} has more rows than its manifest says",
+        path=job.labels.root,
+    )
     return found
 
 
@@ -160,8 +160,7 @@ def copy_images(job: Job) -> tuple[str, ...]:
     if job.images is None:
         return ()
     for rows in iterate_frames(job.labels, job.tell):
-        if rows.frame["ok"]:
-            job.images.write(rows.frame, job.folder / image_name(rows.index))
+        job.copy_picture(rows)
     return ("images/",)
 
 
@@ -179,7 +178,10 @@ def read_rows(path: Path, name: str) -> pa.Table:
         The file is missing, or a line of it is no row of that table.
     """
     schema = arrow_schema(name)
-    try:
+    with (
+        as_input_error(f"not rows of {name}", pa.ArrowInvalid, pa.ArrowTypeError, OSError, got=first_line, path=path),
+        as_input_error(f"the table {name} is missing", FileNotFoundError, path=path),
+    ):
         if path.stat().st_size == 0:
             return schema.empty_table()
         found = pj.read_json(
@@ -189,10 +191,6 @@ def read_rows(path: Path, name: str) -> pa.Table:
                 explicit_schema=extended_schema(name).remove_metadata(), unexpected_field_behavior="error"
             ),
         )
-    except FileNotFoundError as error:
-        raise InputError(f"the table {name} is missing", path=path) from error
-    except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
-        raise InputError(f"not rows of {name}", got=str(error).split("\n")[0], path=path) from error
     for field in schema:
         require(
             not (not field.nullable and found.column(field.name).null_count),

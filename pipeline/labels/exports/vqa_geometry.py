@@ -24,7 +24,7 @@ from pipeline.geometry.lifting import LiftConfig, Pixel, clean, depth_edges, fly
 from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.exports.base import FrameRows
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, present, require
 
 EXACT, HUMAN, POINTS = "the dataset's box", "a person's box", "points of the mask"
 AGREE = 0.1
@@ -82,12 +82,13 @@ class Depths:
         """(H, W) float32 metres, exactly as it was labelled; None where it cannot be had."""
         try:
             if self._dataset is None:
-                if self._open is None:
-                    raise InputError("no dataset is given")
-                self._dataset = self._open()
+                self._dataset = present(self._open, "no dataset is given")()
             depth = load_picture(self._dataset, frame["frame"]).depth
-            if xxhash.xxh3_128_hexdigest(np.ascontiguousarray(depth).data) != frame["depth_hash"]:
-                raise InputError(f"frame {frame['frame']}: another depth than was labelled", path=self._dataset.root)
+            require(
+                xxhash.xxh3_128_hexdigest(np.ascontiguousarray(depth).data) == frame["depth_hash"],
+                f"frame {frame['frame']}: another depth than was labelled",
+                path=self._dataset.root,
+            )
         except InputError as error:
             self.missing, self.problem = self.missing + 1, str(error)
             return None

@@ -53,7 +53,7 @@ from pipeline.labels.wording import can_be_worded, question_text
 from pipeline.language.noun_phrase import alone, noun_phrase, readable
 from pipeline.language.relation_names import RELATIONS
 from pipeline.relations.relations import F, T
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, Shown, require
 from pipeline.system.staging import text_file
 
 SIZE_AXES = {"height": 1, "width": 0}
@@ -327,8 +327,7 @@ def _the(name: str) -> str:
 
 def _sentence(templates: Sequence[str], key: int, end: str = "", **words: str) -> str:
     text = templates[key % len(templates)].format(**words) + end
-    if _TOKEN.search(text):
-        raise InputError("a sentence that a tokenizer would misread", got=repr(text)[:80])
+    require(not _TOKEN.search(text), "a sentence that a tokenizer would misread", got=Shown(text, 80))
     return text
 
 
@@ -372,8 +371,8 @@ def write_vqa(job: Job) -> Written:
                 known = {"base": job.provenance.base, "made_by": job.provenance.made_by}
                 records.add({**question.record(), **known, "provenance": _provenance(job, question)})
                 counts[question.kind] += 1
-            if job.images is not None and asked:
-                job.images.write(rows.frame, job.folder / image_name(rows.index))
+            if asked:
+                job.copy_picture(rows)
         records.close()
         file.write("\n")
     counts["questions"] = records.length

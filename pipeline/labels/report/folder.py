@@ -37,7 +37,7 @@ from pipeline.labels.report.style import (
 )
 from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import open_database
-from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.errors import MissingExtra, require
 from pipeline.system.staging import staged_folder, write_json
 
 PAGE = "index.html"
@@ -114,14 +114,21 @@ def check_report_folder(out: Path) -> None:
         It is a file, or a folder with anything that is not of a report.
     """
     out = Path(out).expanduser()
-    if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise InputError("a report goes into a folder", got="a link" if out.is_symlink() else "a file", path=out)
+    require(
+        not out.is_symlink() and (not out.exists() or out.is_dir()),
+        "a report goes into a folder",
+        got="a link" if out.is_symlink() else "a file",
+        path=out,
+    )
     there = sorted(p.name for p in out.iterdir()) if out.exists() else []
-    foreign = [name for name in there if name not in FILES]
-    if foreign:
-        raise InputError(
-            "the folder for the report holds other files", got=foreign[0], expected="a new or empty folder", path=out
-        )
+    foreign = next((name for name in there if name not in FILES), None)
+    require(
+        foreign is None,
+        "the folder for the report holds other files",
+        got=foreign,
+        expected="a new or empty folder",
+        path=out,
+    )
     require(
         not (
             there

@@ -16,7 +16,6 @@ from pipeline.labels.report.distributions import (
     FARTHEST_M,
     Displacements,
     Distributions,
-    has_cone,
     in_plan,
 )
 from pipeline.labels.report.style import (
@@ -31,12 +30,13 @@ from pipeline.labels.report.style import (
     new_figure,
     percent,
     relation_color,
-    say_nothing_there,
     short,
     thousands,
     whole_percent,
+    without_data,
 )
 from pipeline.labels.statistics import DISTANCE_BINS
+from pipeline.language.relation_names import DIRECTIONAL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,8 +64,7 @@ def draw_states(statistics: dict[str, Any]) -> Figure:
     )
     axes = figure.subplots()
     if not cells["T"] + cells["U"] + cells["F"]:
-        say_nothing_there(axes, "no pairs")
-        return figure
+        return without_data(figure, axes, "no pairs")
     for row, (name, entry) in enumerate(relations.items()):
         total = max(entry["T"] + entry["U"] + entry["F"], 1)
         t, u = entry["T"] / total, entry["U"] / total
@@ -97,8 +96,7 @@ def draw_ambiguity(statistics: dict[str, Any]) -> Figure:
     )
     axes = figure.subplots()
     if not ambiguity["expressions"]:
-        say_nothing_there(axes, "no expressions")
-        return figure
+        return without_data(figure, axes, "no expressions")
     counts = np.zeros(LARGEST_SET, np.int64)
     for size, count in ambiguity["set_sizes"].items():
         counts[min(max(int(size), 1), LARGEST_SET) - 1] += count
@@ -129,7 +127,7 @@ def draw_distance(statistics: dict[str, Any], found: Distributions) -> Figure:
     )
     left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [3, 2], "wspace": 0.06})
     if median is None:
-        say_nothing_there(left, "no objects with a distance")
+        without_data(figure, left, "no objects with a distance")
     else:
         last = min(int(np.flatnonzero(counts)[-1]) + 1, len(counts))
         starts = np.arange(last) * DISTANCE_STEP_M
@@ -142,8 +140,7 @@ def draw_distance(statistics: dict[str, Any], found: Distributions) -> Figure:
         left.yaxis.set_major_formatter(thousands)
     names = [name for name in DISTANCE_BINS if bins[name]["cells"] or name != "unknown"]
     if not any(bins[name]["cells"] for name in names):
-        say_nothing_there(right, "no pairs")
-        return figure
+        return without_data(figure, right, "no pairs")
     bars = right.bar(range(len(names)), [bins[name]["u_share"] or 0.0 for name in names], width=0.68, color=LIGHT)
     right.bar_label(bars, [percent(bins[name]["u_share"]) for name in names], padding=3, fontsize=9)
     right.set_xticks(range(len(names)), [name.replace("-", "–") for name in names])
@@ -173,8 +170,7 @@ def draw_classes(statistics: dict[str, Any]) -> Figure:
 
     axes = figure.subplots()
     if not shown:
-        say_nothing_there(axes, "no objects")
-        return figure
+        return without_data(figure, axes, "no objects")
     rows, total = np.arange(len(shown)), [classes[name]["objects"] for name in shown]
     axes.barh(rows, total, height=0.68, color=LIGHT)
     axes.barh(rows, [classes[name]["usable"] for name in shown], height=0.68, color=DARK)
@@ -207,8 +203,7 @@ def draw_heat_map(statistics: dict[str, Any], found: Distributions) -> Figure:
     )
     axes = figure.subplots()
     if not names:
-        say_nothing_there(axes, "no expressions")
-        return figure
+        return without_data(figure, axes, "no expressions")
     from matplotlib.colors import LinearSegmentedColormap
 
     counts = np.array([[found.by_class.get((r, name), 0) for name in names] for r in relations], np.int64)
@@ -332,7 +327,7 @@ def _draw_region(axes: Axes, name: str, pairs: Displacements, limit: float) -> N
         # A single pair is not the darkest there is.
         scale = PowerNorm(0.5, 0, max(counts.max(), 4))
         axes.pcolormesh(edges, edges, np.ma.masked_equal(counts, 0), cmap=shade, norm=scale, linewidth=0)
-    if has_cone(name) and in_plan(name):
+    if name in DIRECTIONAL and in_plan(name):
         for slope in (1, -1):
             axes.plot([-limit, limit], [-slope * limit, slope * limit], color=LINE, lw=0.8, ls=(0, (3, 3)), zorder=0.5)
     axes.plot(0, 0, marker="+", color="black", markersize=9, markeredgewidth=1.3)
@@ -400,8 +395,7 @@ def draw_sizes(found: Distributions, statistics: dict[str, Any]) -> Figure:
     )
     axes = figure.subplots()
     if not sizes:
-        say_nothing_there(axes, "no boxes")
-        return figure
+        return without_data(figure, axes, "no boxes")
     y = np.arange(len(sizes))
     low, half, high = np.maximum(np.array([s.longest for s in sizes]).T, 0.001)
     axes.hlines(y, low, high, color=LIGHT, lw=4, capstyle="round")

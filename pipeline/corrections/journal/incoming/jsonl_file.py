@@ -35,7 +35,7 @@ from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.exports.row_files import BLOCK
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, as_input_error, present, require
 
 StateOf = Callable[[Any], ExportedFrom]
 """The state that a row's `base` names; InputError where it is not to be used."""
@@ -87,26 +87,24 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
 
 
 def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
-    try:
-        with open(path, encoding="utf-8", newline="\n") as file:
-            number = 0
-            while line := file.readline(BLOCK):
-                number += 1
-                where = f"{path.name} line {number}"
-                require(
-                    len(line) != BLOCK, f"line {number} is too long", expected=f"at most {BLOCK} characters", path=path
-                )
-                try:
-                    row = json.loads(line, parse_constant=no_number) if line.strip() else None
-                except (ValueError, RecursionError) as error:
-                    claims.problem(where, f"not JSON: {str(error)[:80]}")
-                    continue
-                if isinstance(row, dict):
-                    yield where, row
-                elif line.strip():
-                    claims.problem(where, f"a row is an object of JSON, got {type(row).__name__}")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("the file cannot be read", got=str(error)[:100], path=path) from error
+    with (
+        as_input_error("the file cannot be read", OSError, UnicodeDecodeError, got=lambda e: str(e)[:100], path=path),
+        open(path, encoding="utf-8", newline="\n") as file,
+    ):
+        number = 0
+        while line := file.readline(BLOCK):
+            number += 1
+            where = f"{path.name} line {number}"
+            require(len(line) != BLOCK, f"line {number} is too long", expected=f"at most {BLOCK} characters", path=path)
+            try:
+                row = json.loads(line, parse_constant=no_number) if line.strip() else None
+            except (ValueError, RecursionError) as error:
+                claims.problem(where, f"not JSON: {str(error)[:80]}")
+                continue
+            if isinstance(row, dict):
+                yield where, row
+            elif line.strip():
+                claims.problem(where, f"a row is an object of JSON, got {type(row).__name__}")
 
 
 def _table(row: Row) -> str:
@@ -118,9 +116,12 @@ def _table(row: Row) -> str:
 
 
 def _frame(row: Row, claims: Claims) -> str:
-    frame = row.get("frame")
-    if not isinstance(frame, str) or frame not in claims.states.index.of_frame:
-        raise InputError("the labels have no such frame", got=repr(frame)[:60])
+    frame: Any = row.get("frame")
+    require(
+        isinstance(frame, str) and frame in claims.states.index.of_frame,
+        "the labels have no such frame",
+        got=Shown(frame),
+    )
     known = claims.states.index.of_frame[frame]
     stated = row.get("frame_index", known)
     require(stated == known, "frame_index is of another frame", got=repr(stated)[:20], expected=known)
@@ -128,9 +129,8 @@ def _frame(row: Row, claims: Claims) -> str:
 
 
 def _number(row: Row, key: str) -> int:
-    value = row.get(key)
-    if type(value) is not int or not 0 <= value < 2**31:
-        raise InputError(f"{key} must be the number of an object", got=repr(value)[:40])
+    value: Any = row.get(key)
+    require(type(value) is int and 0 <= value < 2**31, f"{key} must be the number of an object", got=Shown(value, 40))
     return value
 
 
@@ -147,9 +147,7 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
         claims.say_new(where, frame, seed | ({"box": box} if box else {}), state)
         return
     number = _number(row, "object")
-    was = base.object(number)
-    if was is None:
-        raise InputError(f"frame {frame} had no object {number}", cause="a new one has no number")
+    was = present(base.object(number), f"frame {frame} had no object {number}", cause="a new one has no number")
     seen.add(number)
     claims.say_fields(where, row, object_ref(frame, number, "label"), ("label", "status"), state)
     if "mask" in row and not same_mask(row["mask"], was["mask"], base.size):
@@ -199,19 +197,30 @@ def _state(where: str, base: EffectiveFrame, ref: FieldRef, value: Any, state: E
     claims.say(where, ref, value, state)
 
 
+def _entries(listed: Any) -> list[Any]:
+    return listed if isinstance(listed, list) else [None]
+
+
 def _statuses(listed: Any, relations: tuple[str, ...]) -> dict[str, Any]:
     found = {}
-    for entry in listed if isinstance(listed, list) else [None]:
-        if not isinstance(entry, dict) or entry.get("relation") not in relations:
-            raise InputError('statuses is a list of {"relation": ..., "status": ...}', got=repr(listed)[:60])
+    for entry in _entries(listed):
+        require(
+            isinstance(entry, dict) and entry.get("relation") in relations,
+            'statuses is a list of {"relation": ..., "status": ...}',
+            got=Shown(listed),
+        )
         found[entry["relation"]] = entry.get("status")
     return found
 
 
 def _expression(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
-    name, base = row.get("id"), claims.states.frame(frame, state)
-    if not isinstance(name, str) or name not in base.auto.expressions:
-        raise InputError(f"frame {frame} has no such expression", got=repr(name)[:60])
+    name: Any = row.get("id")
+    base = claims.states.frame(frame, state)
+    require(
+        isinstance(name, str) and name in base.auto.expressions,
+        f"frame {frame} has no such expression",
+        got=Shown(name),
+    )
     claims.say_fields(where, row, FieldRef("expression", frame, name, "text"), _TEXTS, state)
     _ignore(row, base.expressions.get(name, base.auto.expressions[name]), set(_TEXTS), claims)
 
@@ -250,9 +259,13 @@ def read_refs(
         with claims.reading(where):
             sound = isinstance(ref, dict) and type(ref.get("image_id")) is int and ref["image_id"] in frames
             require(sound, "it is of no image that instances.json lists")
-            frame, own = frames[ref["image_id"]], ref.get("id")
-            if not isinstance(own, str) or own not in claims.states.frame(frame, state).auto.expressions:
-                raise InputError(f"frame {frame} has no such expression", got=repr(own)[:60])
+            frame = frames[ref["image_id"]]
+            own: Any = ref.get("id")
+            require(
+                isinstance(own, str) and own in claims.states.frame(frame, state).auto.expressions,
+                f"frame {frame} has no such expression",
+                got=Shown(own),
+            )
             require((frame, own) not in seen, "the second one of its expression")
             seen.add((frame, own))
             claims.compared += 1
@@ -267,15 +280,17 @@ def read_refs(
 
 
 def _raw(sentences: Any) -> Any:
-    first = sentences[0] if isinstance(sentences, list) and sentences else None
-    if not isinstance(first, dict):
-        raise InputError("sentences is a list of sentences", got=repr(sentences)[:40])
+    first: Any = sentences[0] if isinstance(sentences, list) and sentences else None
+    require(isinstance(first, dict), "sentences is a list of sentences", got=Shown(sentences, 40))
     return first.get("raw")
 
 
 def _objects(ids: Any, frame: str, annotations: Annotations, what: str) -> list[int]:
-    if not isinstance(ids, list) or not all(type(n) is int for n in ids):
-        raise InputError(f"{what} is a list of annotations", got=repr(ids)[:40])
+    require(
+        isinstance(ids, list) and all(type(n) is int for n in ids),
+        f"{what} is a list of annotations",
+        got=Shown(ids, 40),
+    )
     for n in ids:
         known = annotations.get(n, ("", 0))[0] == frame
         require(known, f"{what} names annotation {n}, which instances.json does not give an object of this image")
@@ -322,9 +337,12 @@ def _pair_statuses(
 ) -> None:
     base = claims.states.frame(frame, state)
     found: dict[Any, Any] = {}
-    for entry in statuses if isinstance(statuses, list) else [None]:
-        if not isinstance(entry, dict) or entry.get("relation") not in base.setting.relations:
-            raise InputError("statuses is a list of {a, b, relation, status}", got=repr(entry)[:60])
+    for entry in _entries(statuses):
+        require(
+            isinstance(entry, dict) and entry.get("relation") in base.setting.relations,
+            "statuses is a list of {a, b, relation, status}",
+            got=Shown(entry),
+        )
         m, n = _objects([entry.get("a"), entry.get("b")], frame, annotations, "statuses")
         found[relation_ref(frame, m, n, f"{entry['relation']}.status")] = entry.get("status")
     # One that was exported and is not listed any more was taken off.
