@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from pipeline.corrections.cards import PairCard, pair_card
 from pipeline.corrections.journal import rescue
 from pipeline.corrections.journal.batch import apply_actions, needs_pictures, read_actions
 from pipeline.corrections.journal.effective import Corrector, EffectiveLabels
@@ -19,6 +18,7 @@ from pipeline.corrections.journal.materialise import materialise
 from pipeline.corrections.journal.rescue import examined_record, written_record
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.corrections.object_card import ObjectCard, object_card
+from pipeline.corrections.scene import PairCard, pair_card
 from pipeline.corrections.support import Support, support_name, support_of
 from pipeline.corrections.wording import event_text
 from pipeline.labels.reading import Labels, open_labels

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check import check_labels, finding_record
-from pipeline.labels.check.findings import Finding
+from pipeline.labels.check.view import Finding
 from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.job import LabelReport, label_dataset
 from pipeline.labels.makers import makers_of

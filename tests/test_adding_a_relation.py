@@ -50,7 +50,7 @@ from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, json_schemas
-from pipeline.labels.tables import content_hash
+from pipeline.labels.reading import content_hash
 from pipeline.language.expression import parse
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.training.label_data import read_label_data

@@ -25,8 +25,8 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
 from pipeline.labels.plan import Plan, Shard, SourceSpec
 from pipeline.labels.profiles import GIVEN, open_second_opinion
+from pipeline.labels.reading import CANDIDATES, PART_TABLES, arrow_schema, build_table
 from pipeline.labels.store import Store
-from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_table
 from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa

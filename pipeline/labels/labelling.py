@@ -19,7 +19,7 @@ from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import GIVEN, Judged, as_given, doubted
-from pipeline.labels.tables import PART_TABLES, Columns
+from pipeline.labels.reading import PART_TABLES, Columns
 from pipeline.labels.wording import can_be_worded
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE

@@ -19,10 +19,9 @@ from pipeline.labels.config import SelectConfig, TextStyle
 from pipeline.labels.labelling import row_hash
 from pipeline.labels.makers import makers_of
 from pipeline.labels.plan import PLAN_FILE, Plan, Shard, load_plan
-from pipeline.labels.reading import MANIFEST_FILE, Labels
+from pipeline.labels.reading import CANDIDATES, MANIFEST_FILE, ROW_GROUP, Labels, RowHash, arrow_schema
 from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile, write_schemas
 from pipeline.labels.store import Store
-from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, read_table
 from pipeline.labels.schema import TABLES
-from pipeline.labels.tables import read_table
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.labels.tables import read_table
+from pipeline.labels.reading import read_table
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, as_input_error, first_line, needed, require
 from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_beside, temporary_folder, write_synced

@@ -314,7 +314,7 @@ def test_what_cannot_be_measured_is_refused(
 
 
 def test_labels_of_other_objects_are_refused(label_sets: dict[str, Labels], tmp_path: Path) -> None:
-    from pipeline.labels.tables import read_table, write_table
+    from pipeline.labels.reading import read_table, write_table
 
     labels = tmp_path / "labels"
     shutil.copytree(label_sets["demo"].root, labels)

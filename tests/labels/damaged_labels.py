@@ -20,10 +20,9 @@ from pipeline.labels.engines import shard_tables
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import Plan, SourceSpec, save_plan
-from pipeline.labels.reading import MANIFEST_FILE
+from pipeline.labels.reading import MANIFEST_FILE, arrow_schema
 from pipeline.labels.schema import TABLES
 from pipeline.labels.store import Store
-from pipeline.labels.tables import arrow_schema
 from pipeline.proposals.annotations import AnnotationDetector
 
 Tables = dict[str, list[dict[str, Any]]]

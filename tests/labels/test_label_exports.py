@@ -34,9 +34,8 @@ from pipeline.labels.exports import (
 from pipeline.labels.exports.provenance import json_lines
 from pipeline.labels.exports.row_files import HubConfig
 from pipeline.labels.exports.vqa_geometry import VqaConfig
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, build_table, content_hash
 from pipeline.labels.schema import SCHEMA_FOLDER, TABLES, json_schemas, schema_text
-from pipeline.labels.tables import build_table, content_hash
 from pipeline.system import plugins
 from pipeline.system.errors import InputError
 

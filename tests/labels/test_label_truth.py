@@ -20,9 +20,8 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
 from pipeline.labels.labelling import FrameLabels, in_doubt, judge_objects, label_objects, occluded_share
 from pipeline.labels.profiles import doubted, open_second_opinion
-from pipeline.labels.reading import open_labels
+from pipeline.labels.reading import content_hash, open_labels
 from pipeline.labels.schema import TABLES
-from pipeline.labels.tables import content_hash
 from pipeline.language.naming import same_class
 from pipeline.language.noun_phrase import readable
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE

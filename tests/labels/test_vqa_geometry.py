@@ -36,8 +36,7 @@ from pipeline.labels.exports.vqa_geometry import (
     gap_between,
 )
 from pipeline.labels.labelling import label_objects
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import build_table
+from pipeline.labels.reading import Labels, build_table
 from pipeline.proposals.annotations import AnnotationDetector
 
 

@@ -33,8 +33,7 @@ from pipeline.labels.check.objects import clipped, projected
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone, same_names
 from pipeline.language.relation_names import INVERSE, PAIRWISE
-from pipeline.relations.pair_measures import NOT_JUDGED
-from pipeline.relations.relations import F, T, U
+from pipeline.relations.pair_measures import NOT_JUDGED, F, T, U
 from pipeline.system.errors import InputError
 
 DERIVED = (

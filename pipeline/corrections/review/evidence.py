@@ -17,12 +17,10 @@ import numpy as np
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.out_of_fold import Doubts
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.check.findings import Finding
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import read_table
+from pipeline.labels.check.view import Finding
+from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import INVERSE
-from pipeline.relations.pair_measures import NOT_JUDGED
-from pipeline.relations.relations import F, T, U
+from pipeline.relations.pair_measures import NOT_JUDGED, F, T, U
 from pipeline.training.label_data import LabelData, column_arrays, rows_of_frame
 
 CONTRADICTED = 0.9

@@ -26,7 +26,7 @@ from pipeline.corrections.review.items import (
     judgements_of,
     key_stands,
 )
-from pipeline.labels.tables import write_table
+from pipeline.labels.reading import write_table
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import as_input_error, first_line, present, require
 

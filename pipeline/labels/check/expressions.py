@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.labels.check.findings import Finding
-from pipeline.labels.check.view import FrameView, state_letter
+from pipeline.labels.check.view import Finding, FrameView, state_letter
 from pipeline.labels.labelling import row_hash
 from pipeline.language.expression import parse
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
 from pipeline.language.tokens import words_of
-from pipeline.relations.pair_measures import NOT_JUDGED
-from pipeline.relations.relations import T, U
+from pipeline.relations.pair_measures import NOT_JUDGED, T, U
 from pipeline.system.errors import InputError
 
 MANY_ALIKE = 3

@@ -15,15 +15,13 @@ import numpy as np
 
 from pipeline.datasets.settings import ASSUMED
 from pipeline.labels.check.expressions import TEXTS_KEPT, ExpressionRules, check_expressions, said_by
-from pipeline.labels.check.findings import RULES, Figure, Finding, Severity, chosen_rules
 from pipeline.labels.check.objects import SizeSurvey, check_duplicates, check_objects, check_sizes, rotation_fault
 from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
 from pipeline.labels.check.stream import BATCH_ROWS, Rows, TableStream, frames_of, open_streams
-from pipeline.labels.check.view import FrameView
+from pipeline.labels.check.view import RULES, Figure, Finding, FrameView, Severity, chosen_rules
 from pipeline.labels.profiles import PROFILES
-from pipeline.labels.reading import Corrections, Labels, read_corrections
+from pipeline.labels.reading import Corrections, Labels, RowHash, read_corrections
 from pipeline.labels.schema import KEYS, Manifest
-from pipeline.labels.tables import RowHash
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq

@@ -15,9 +15,8 @@ import numpy as np
 
 from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d, paired_iou_2d
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import Rows
-from pipeline.labels.check.view import FrameView, MaskRuns, indices_where, pairs_where, runs_object
+from pipeline.labels.check.view import Finding, FrameView, MaskRuns, indices_where, pairs_where, runs_object
 from pipeline.language.naming import normal_form, same_class
 from pipeline.system.errors import InputError
 

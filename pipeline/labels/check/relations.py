@@ -34,8 +34,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.labels.check.findings import Finding, Severity
-from pipeline.labels.check.view import FrameView, pairs_where, state_letter
+from pipeline.labels.check.view import Finding, FrameView, Severity, pairs_where, state_letter
 from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
 from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
 from pipeline.relations.contact import Measured

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from pipeline.labels.reading import arrow_schema, check_version
 from pipeline.labels.schema import ADDED_COLUMNS, TABLES
-from pipeline.labels.tables import arrow_schema, check_version
 from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, require

@@ -13,9 +13,8 @@ import numpy as np
 
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.provenance import Provenance
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, arrow_schema, check_version, with_added
 from pipeline.labels.schema import ADDED_COLUMNS
-from pipeline.labels.tables import arrow_schema, check_version, with_added
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, as_input_error, first_line, require
 

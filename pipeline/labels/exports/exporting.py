@@ -14,8 +14,7 @@ from pipeline.datasets import Dataset
 from pipeline.labels.exports import coco, kitti, row_files, vqa_questions
 from pipeline.labels.exports.base import ExportFormat, ExportReport, Job, Progress
 from pipeline.labels.exports.provenance import load_json, open_provenance
-from pipeline.labels.reading import MANIFEST_FILE, Labels, labelled_dataset
-from pipeline.labels.tables import content_hash
+from pipeline.labels.reading import MANIFEST_FILE, Labels, content_hash, labelled_dataset
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error, present, require
 from pipeline.system.plugins import load_plugins

@@ -67,7 +67,7 @@ from pipeline.labels.exports.base import (
     label_names,
 )
 from pipeline.labels.exports.provenance import json_line, load_json
-from pipeline.labels.tables import arrow_schema
+from pipeline.labels.reading import arrow_schema
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, Shown, as_input_error, require
 from pipeline.system.staging import text_file, write_json

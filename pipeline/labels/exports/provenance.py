@@ -22,9 +22,8 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any, TextIO
 
-from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
+from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels, arrow_schema
 from pipeline.labels.schema import Manifest, labels_version
-from pipeline.labels.tables import arrow_schema
 from pipeline.system.arrow import pa, pc, pq
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, require
 

@@ -22,8 +22,8 @@ from pathlib import Path
 from pipeline.labels.card import UNKNOWN_LICENCE, DataFile, croissant, dataset_card
 from pipeline.labels.exports.base import ExportFormat, Job, Written, iterate_frames, table_batches
 from pipeline.labels.exports.provenance import extended_json_schemas, extended_schema, json_lines
+from pipeline.labels.reading import ROW_GROUP, arrow_schema, read_table
 from pipeline.labels.schema import TABLES, write_schemas
-from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
 from pipeline.system.arrow import pa, pj, pq
 from pipeline.system.errors import as_input_error, first_line, present, require
 from pipeline.system.staging import text_file, write_json
