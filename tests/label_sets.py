@@ -11,9 +11,8 @@ import numpy as np
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import viewer_axes
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
+from pipeline.labels.plan import LabelConfig, SourceSpec
 from pipeline.labels.reading import (
     MANIFEST_FILE,
     Labels,

@@ -12,9 +12,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
+from pipeline.labels.plan import LabelConfig, SourceSpec
 from pipeline.labels.reading import open_labels
 from pipeline.language.relation import DECLARED, Relation
 from pipeline.language.relation_names import PAIRWISE, RELATIONS, checked

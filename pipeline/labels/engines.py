@@ -21,9 +21,8 @@ from pipeline.answering.objects import prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import given_expressions
 from pipeline.datasets.base import scene_of
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
-from pipeline.labels.plan import Plan, Shard, SourceSpec
+from pipeline.labels.plan import LabelConfig, Plan, Shard, SourceSpec
 from pipeline.labels.profiles import GIVEN, open_second_opinion
 from pipeline.labels.reading import CANDIDATES, PART_TABLES, arrow_schema, build_table
 from pipeline.labels.store import Store

@@ -17,7 +17,7 @@ from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import Evidence, LiftedObject, Pixel
 from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.labels.config import LabelConfig
+from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import GIVEN, Judged, as_given, doubted
 from pipeline.labels.reading import PART_TABLES, Columns
 from pipeline.labels.wording import can_be_worded

@@ -15,10 +15,9 @@ import numpy as np
 
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.labels.card import croissant, dataset_card
-from pipeline.labels.config import SelectConfig, TextStyle
 from pipeline.labels.labelling import row_hash
 from pipeline.labels.makers import makers_of
-from pipeline.labels.plan import PLAN_FILE, Plan, Shard, load_plan
+from pipeline.labels.plan import PLAN_FILE, Plan, SelectConfig, Shard, TextStyle, load_plan
 from pipeline.labels.reading import CANDIDATES, MANIFEST_FILE, ROW_GROUP, Labels, RowHash, arrow_schema
 from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile, write_schemas
 from pipeline.labels.store import Store

@@ -22,7 +22,6 @@ from pipeline.datasets import Dataset
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.viewer import viewer_axes
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.exports import export_labels
 from pipeline.labels.exports.base import FrameRows
 from pipeline.labels.exports.vqa_geometry import (
@@ -36,6 +35,7 @@ from pipeline.labels.exports.vqa_geometry import (
     gap_between,
 )
 from pipeline.labels.labelling import label_objects
+from pipeline.labels.plan import LabelConfig
 from pipeline.labels.reading import Labels, build_table
 from pipeline.proposals.annotations import AnnotationDetector
 

@@ -176,11 +176,7 @@ class Canvas:
     def inside(self, points: np.ndarray) -> np.ndarray:
         """(H, W) bool: what the depth segmenter finds between two corners (x, y, pixels)."""
         box = np.sort(points, axis=0).ravel()
-        return self._segmenter.segment(self.context.frame, box[None], [""])[0][0]
-
-    @cached_property
-    def _segmenter(self) -> Any:
-        return DepthSegmenter()
+        return DepthSegmenter().segment(self.context.frame, box[None], [""])[0][0]
 
 
 def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = None) -> np.ndarray:

@@ -353,12 +353,6 @@ def create(connection: sa.Connection, first: str) -> None:
     connection.execute(HEAD.insert(), head)
 
 
-def drop_before(connection: sa.Connection) -> None:
-    """Remove the tables of version 1, whose events are at hand."""
-    for table in (BEFORE, EVENTS.name):
-        connection.exec_driver_sql(f"DROP TABLE {table}")
-
-
 def fingerprint(statements: Iterable[str]) -> str:
     """Of the statements that made the tables: 64 hexadecimal digits."""
     return hashlib.sha256("\n".join(statements).encode("utf-8", "surrogateescape")).hexdigest()

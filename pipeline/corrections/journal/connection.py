@@ -20,6 +20,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from pipeline.corrections.journal.chain import (
+    BEFORE,
     CONTENT,
     EVENTS,
     FIRST,
@@ -29,7 +30,6 @@ from pipeline.corrections.journal.chain import (
     Row,
     chained,
     create,
-    drop_before,
     judged,
     judged_alone,
     version_of,
@@ -278,7 +278,8 @@ def take_over(connection: sa.Connection, location: str) -> str:
     else:
         rows, kept = examined_server(connection, location, chain=False).believe().intact, _TABLE
         connection.exec_driver_sql(f"CREATE TABLE IF NOT EXISTS {kept} AS TABLE events")
-    drop_before(connection)
+    for table in (BEFORE, EVENTS.name):
+        connection.exec_driver_sql(f"DROP TABLE {table}")
     create(connection, FIRST)
     write_rows(connection, rows)
     return kept

@@ -15,7 +15,7 @@ from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
 from pipeline.corrections.journal.replay import ORIGIN_FIELDS, Origin, Replayed, Unapplied
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check.relations import MIRRORED_PROFILES
-from pipeline.labels.config import LabelConfig
+from pipeline.labels.plan import LabelConfig
 from pipeline.labels.reading import Labels, arrow_schema, build_table
 from pipeline.language.relation_names import MIRRORED, PAIRWISE
 from pipeline.relations.pair_measures import NOT_JUDGED

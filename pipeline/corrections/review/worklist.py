@@ -102,10 +102,6 @@ class Worklist:
         """The item's row of the queue; InputError where it has none."""
         return self.queue.slice(self._place(key), 1).to_pylist()[0]
 
-    def with_state(self, key: ItemKey, state: State) -> Worklist:
-        """The list after one item's state has changed; as `with_states`."""
-        return self.with_states({key: state})
-
     def with_states(self, states: Mapping[ItemKey, State]) -> Worklist:
         """The list after the states of items have changed. Nothing is ranked anew: one byte an item is copied.
 

@@ -17,11 +17,11 @@ from pipeline.datasets.settings import ASSUMED
 from pipeline.labels.check.expressions import TEXTS_KEPT, ExpressionRules, check_expressions, said_by
 from pipeline.labels.check.objects import SizeSurvey, check_duplicates, check_objects, check_sizes, rotation_fault
 from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
-from pipeline.labels.check.stream import BATCH_ROWS, Rows, TableStream, frames_of, open_streams
+from pipeline.labels.check.stream import BATCH_ROWS, Rows, TableStream, frames_of
 from pipeline.labels.check.view import RULES, Figure, Finding, FrameView, Severity, chosen_rules
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import Corrections, Labels, RowHash, read_corrections
-from pipeline.labels.schema import KEYS, Manifest
+from pipeline.labels.schema import KEYS, TABLES, Manifest
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq
@@ -73,7 +73,7 @@ def _settled(finding: Finding, by_people: Corrections) -> bool:
 
 def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:
     manifest = labels.manifest
-    streams = open_streams(labels.root)
+    streams = {name: TableStream(labels.root / f"{name}.parquet", name) for name in TABLES}
     if "file" in groups:
         yield from check_files(labels, streams)
     if "profile" in groups:

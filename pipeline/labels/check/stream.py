@@ -265,11 +265,6 @@ def no_rows(table: str) -> Rows:
     return Rows(_arrays(arrow_schema(table).empty_table(), table), (), 0)
 
 
-def open_streams(root: Path) -> dict[str, TableStream]:
-    """The four tables of a labels folder."""
-    return {name: TableStream(root / f"{name}.parquet", name) for name in TABLES}
-
-
 def frames_of(streams: dict[str, TableStream]) -> Iterator[tuple[int, dict[str, Rows]]]:
     """Frame by frame, the rows of all tables; of a frame that a table lacks, none of that table."""
     while True:

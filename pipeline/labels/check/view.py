@@ -26,12 +26,6 @@ from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError
 
 
-def plain_figures(figures: dict[str, Figure]) -> dict[str, Figure]:
-    """Figures as Python's own numbers; those that are not finite are left out, for JSON has none."""
-    plain = ((k, v.item() if isinstance(v, np.generic) else v) for k, v in figures.items())
-    return {k: v for k, v in plain if not isinstance(v, float) or np.isfinite(v)}
-
-
 def pairs_where(chosen: np.ndarray) -> list[tuple[int, int]]:
     """Rows and columns of the true entries of (N, N) bool, row by row."""
     rows, columns = np.nonzero(chosen)
@@ -83,14 +77,18 @@ class FrameView:
         figures: dict[str, Figure] | None = None,
         severity: Severity | None = None,
     ) -> Finding:
-        """A finding of this frame, as severe as the rule says unless told otherwise."""
+        """A finding of this frame, as severe as the rule says unless told otherwise.
+
+        Figures become Python's own numbers; those that are not finite are left out, for JSON has none.
+        """
+        plain = ((k, v.item() if isinstance(v, np.generic) else v) for k, v in (figures or {}).items())
         return Finding(
             rule,
             severity or RULES[rule].severity,
             self.id,
             tuple(int(o) for o in objects),
             message,
-            plain_figures(figures or {}),
+            {k: v for k, v in plain if not isinstance(v, float) or np.isfinite(v)},
         )
 
     def named(self, k: int) -> str:

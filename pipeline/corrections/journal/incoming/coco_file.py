@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame, Row
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.masks import MaskCrop, decode_run_length, encode_run_length, fill_polygons
@@ -349,10 +349,6 @@ def _box3d(value: Any) -> Any:
             got=Shown(numbers, 40),
         )
     return found
-
-
-def expression_ref(frame: str, name: str, field: str) -> FieldRef:
-    return FieldRef("expression", frame, name, field)
 
 
 def mask_of(segmentation: Any, size: tuple[int, int]) -> np.ndarray | None:

@@ -23,7 +23,6 @@ from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relati
 from pipeline.corrections.journal.incoming.coco_file import (
     base_of,
     entries,
-    expression_ref,
     images_of,
     listed,
     no_number,
@@ -31,8 +30,8 @@ from pipeline.corrections.journal.incoming.coco_file import (
 )
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.masks import decode_run_length
+from pipeline.labels.exports.exporting import BLOCK
 from pipeline.labels.exports.provenance import ExportedFrom
-from pipeline.labels.exports.row_files import BLOCK
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, Shown, as_input_error, present, require
@@ -270,13 +269,18 @@ def read_refs(
             seen.add((frame, own))
             claims.compared += 1
             if "sentences" in ref:
-                claims.say(where, expression_ref(frame, own, "text"), _raw(ref["sentences"]), state)
+                claims.say(where, FieldRef("expression", frame, own, "text"), _raw(ref["sentences"]), state)
             for key, field in (("target_ann_ids", "targets"), ("acceptable_ann_ids", "acceptable")):
                 if key in ref:
                     claims.say(
-                        where, expression_ref(frame, own, field), _objects(ref[key], frame, annotations, key), state
+                        where,
+                        FieldRef("expression", frame, own, field),
+                        _objects(ref[key], frame, annotations, key),
+                        state,
                     )
-            claims.say_fields(where, ref, expression_ref(frame, own, "mark"), ("ambiguous", "mark", "status"), state)
+            claims.say_fields(
+                where, ref, FieldRef("expression", frame, own, "mark"), ("ambiguous", "mark", "status"), state
+            )
 
 
 def _raw(sentences: Any) -> Any:
