@@ -12,7 +12,7 @@ from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved, new_ulid
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, plain_text, shown_value
-from pipeline.corrections.journal.undo import history, redo, undo
+from pipeline.corrections.journal.replay import history, redo, undo
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.unsaved import Waiting, decided
 from pipeline.datasets import Dataset
