@@ -125,9 +125,9 @@ def effective_mark(frame: EffectiveFrame, expression: str, mark: str | None) -> 
 def withdrawn_by(frame: EffectiveFrame, expression: str) -> str | None:
     """Why there is nothing to judge an expression by: somebody rejected it. None where that is not so."""
     ref = FieldRef("expression", frame.frame, expression, "status")
-    if frame.statuses.get(ref) != "rejected":
-        return None
-    return f"the expression was rejected by {frame.origin(ref).author}"
+    return (
+        None if frame.statuses.get(ref) != "rejected" else f"the expression was rejected by {frame.origin(ref).author}"
+    )
 
 
 def answered_case(frame: EffectiveFrame, truth: FrameCases, case: Case, trace: Trace) -> Case:

@@ -150,8 +150,7 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
 def write_manifest(labels: Labels) -> None:
     """Write what tells of merged tables: their card, the Croissant metadata, and last the manifest."""
     write_synced(labels.root / CARD_FILE, dataset_card(labels).encode())
-    described = json.dumps(croissant(labels), indent=1, ensure_ascii=False)
-    write_synced(labels.root / CROISSANT_FILE, described.encode())
+    write_synced(labels.root / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())
     write_synced(labels.root / MANIFEST_FILE, labels.manifest.model_dump_json(indent=1).encode())
 
 

@@ -221,8 +221,7 @@ def input_changed(plan: Plan, out: str | Path) -> bool:
 
 
 def _input_hash(source: Pipeline, out: str | Path | None) -> str:
-    local = None if out is None or "://" in str(out) else Path(out).expanduser()
-    return files_hash(source.dataset.root, local)
+    return files_hash(source.dataset.root, None if out is None or "://" in str(out) else Path(out).expanduser())
 
 
 def _declared(options: dict[str, Any]) -> dict[str, str]:

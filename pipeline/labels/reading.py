@@ -11,7 +11,7 @@ import json
 import os
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -82,6 +82,11 @@ def build_table(table: str, columns: Columns) -> pa.Table:
         for v, of in zip(values, schema.types, strict=True)
     ]
     return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def table_of_rows(table: str, rows: Collection[Mapping[str, Any]]) -> pa.Table:
+    """Rows with a value for each column, as an Arrow table."""
+    return build_table(table, {column: [row[column] for row in rows] for column in arrow_schema(table).names})
 
 
 def write_table(table: pa.Table, path: Path) -> None:

@@ -89,9 +89,11 @@ class Store:
     def read_text(self, name: str) -> str | None:
         """A small file, or None where it is missing."""
         try:
-            if self.remote:
-                return self._fs.cat_file(f"{self._root}/{name}").decode()
-            return (self.folder / name).read_text(encoding="utf-8")
+            return (
+                self._fs.cat_file(f"{self._root}/{name}").decode()
+                if self.remote
+                else (self.folder / name).read_text(encoding="utf-8")
+            )
         except FileNotFoundError:
             return None
         except UnicodeDecodeError as error:

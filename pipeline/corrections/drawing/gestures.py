@@ -175,8 +175,7 @@ class Canvas:
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """(H, W) bool: what the depth segmenter finds between two corners (x, y, pixels)."""
-        box = np.sort(points, axis=0).ravel()
-        return DepthSegmenter().segment(self.context.frame, box[None], [""])[0][0]
+        return DepthSegmenter().segment(self.context.frame, np.sort(points, axis=0).ravel()[None], [""])[0][0]
 
 
 def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = None) -> np.ndarray:

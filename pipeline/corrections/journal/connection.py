@@ -84,9 +84,7 @@ def make_engine(where: str | Path) -> sa.Engine:
     MissingExtra
         PostgreSQL's driver is not installed.
     """
-    if not is_url(where):
-        return sqlite_engine(where, _come_instead)
-    return postgres_engine(str(where))
+    return postgres_engine(str(where)) if is_url(where) else sqlite_engine(where, _come_instead)
 
 
 @contextmanager
@@ -109,9 +107,11 @@ def _come_instead(path: Path) -> None:
 
 def location_of(engine: sa.Engine) -> str:
     """Where a journal is, without its password."""
-    if engine.dialect.name == "sqlite":
-        return str(engine.url.database)
-    return engine.url.set(drivername="postgresql").render_as_string(hide_password=True)
+    return (
+        str(engine.url.database)
+        if engine.dialect.name == "sqlite"
+        else engine.url.set(drivername="postgresql").render_as_string(hide_password=True)
+    )
 
 
 @contextmanager

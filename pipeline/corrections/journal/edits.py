@@ -51,8 +51,7 @@ def set_status(
     """
     if author is not None:
         own, out = judge(frame, ref, status, author, reason), frame.statuses.get(ref) == "rejected"
-        mine = out and frame.origin(ref).author == author
-        for_all = not out if status == "rejected" else mine
+        for_all = not out if status == "rejected" else out and frame.origin(ref).author == author
         if ref.kind not in ("object", "expression") or not for_all:
             return own
         return (*own, *set_status(frame, ref, status if status == "rejected" else None, reason))
@@ -340,9 +339,11 @@ def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
 def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
     """(H, W) bool: an object's mask, or the filled 2D box where it has none; InputError where there is no object."""
     row = _row(frame, number)
-    if row["mask"] is None:
-        return box_mask(np.array(row["bbox"], np.float32), *frame.size)
-    return decode_run_length(frame.size, row["mask"], f"object {number}")
+    return (
+        box_mask(np.array(row["bbox"], np.float32), *frame.size)
+        if row["mask"] is None
+        else decode_run_length(frame.size, row["mask"], f"object {number}")
+    )
 
 
 def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:

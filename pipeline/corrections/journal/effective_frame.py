@@ -16,7 +16,7 @@ from pipeline.corrections.journal.replay import ORIGIN_FIELDS, Origin, Replayed,
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check.relations import MIRRORED_PROFILES
 from pipeline.labels.plan import LabelConfig
-from pipeline.labels.reading import Labels, arrow_schema, build_table
+from pipeline.labels.reading import Labels, build_table, table_of_rows
 from pipeline.language.relation_names import MIRRORED, PAIRWISE
 from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa
@@ -187,10 +187,7 @@ class EffectiveFrame:
     def tables(self) -> dict[str, pa.Table]:
         """The frame's rows in each of the four tables, in canonical order."""
         chosen = {"frames": [self.row], "objects": self.objects.values(), "expressions": self.expressions.values()}
-        found = {
-            name: build_table(name, {column: [row[column] for row in rows] for column in arrow_schema(name).names})
-            for name, rows in chosen.items()
-        }
+        found = {name: table_of_rows(name, rows) for name, rows in chosen.items()}
         return {**found, "relations": self.pairs.table(self.frame, self.auto.index, self.setting.relations)}
 
 
@@ -307,9 +304,11 @@ def filled(values: Any, length: int, empty: float) -> np.ndarray:
     """A column as an array, with `empty` where it is null."""
     if values is None:
         return np.full(length, empty)
-    if isinstance(values, np.ndarray) and values.dtype != object:
-        return values
-    return np.array([empty if v is None else v for v in values], np.float64)
+    return (
+        values
+        if isinstance(values, np.ndarray) and values.dtype != object
+        else np.array([empty if v is None else v for v in values], np.float64)
+    )
 
 
 @dataclass(frozen=True)

@@ -166,18 +166,6 @@ def projected_box(corners: Any, frame: Row) -> list[float]:
     return box.tolist() if box[2] > box[0] and box[3] > box[1] else [0.0, 0.0, float(size[1]), float(size[0])]
 
 
-def unusable(row: Row, setting: Setting) -> str | None:
-    """Why an object is not asked for, by its row; as `labels.labelling` has it of what it lifted."""
-    config = setting.config
-    if config.is_background(row["label"]):
-        return "background"
-    if row["mask_pixels"] < config.min_pixels:
-        return f"fewer than {config.min_pixels} pixels"
-    if row["points"] < config.min_points:
-        return f"fewer than {config.min_points} points"
-    return "too small to clean" if row["fallback"] else None
-
-
 def correct_pairs(frame: EffectiveFrame, refs: Mapping[FieldRef, Sequence[Event]], relifted: Pairs | None) -> None:
     """Apply corrections of relations, and those of objects, which are corrected, as far as relations follow from them.
 

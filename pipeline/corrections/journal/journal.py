@@ -339,8 +339,7 @@ def journal_of(
     In a database that is shared, the project is the name of the dataset's folder unless another is given.
     """
     if project is None:
-        shared = where is not None and is_url(where)
-        project = Path(str(labels.manifest.dataset.get("path", ""))).name if shared else ""
+        project = Path(str(labels.manifest.dataset.get("path", ""))).name if where is not None and is_url(where) else ""
     return open_journal(
         labels.root / JOURNAL_FILE if where is None else where,
         project=project,

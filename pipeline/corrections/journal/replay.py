@@ -354,8 +354,7 @@ def newest(journal: Journal, author: str, action: Turn) -> tuple[Event, ...] | N
 
 def _stands(members: tuple[Event, ...], action: Turn, taken: Taken) -> bool:
     """Whether it is of the stack that the action takes from, and no later one has taken it already."""
-    of_stack = (members[0].action == "undo") == (action == "redo")
-    return of_stack and not any(e.ulid in taken[action] for e in members)
+    return (members[0].action == "undo") == (action == "redo") and not any(e.ulid in taken[action] for e in members)
 
 
 def _newest_first(journal: Journal, author: str) -> Iterator[tuple[Event, ...]]:
@@ -398,8 +397,7 @@ def _take_back(
     members = newest(journal, author, action) if group is None else _of_group(journal, author, action, group)
     if members is None:
         return None
-    edits = edits_back(journal, members)
-    return journal.write(edits, author, action, group=again, undo_of=[e.ulid for e in members])
+    return journal.write(edits_back(journal, members), author, action, group=again, undo_of=[e.ulid for e in members])
 
 
 def edits_back(journal: Journal, members: Sequence[Event]) -> list[Edit]:

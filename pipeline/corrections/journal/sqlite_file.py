@@ -161,8 +161,7 @@ def _settle(connection: Any) -> None:
 
 
 def _begin(connection: sa.Connection) -> None:
-    reading = connection.get_execution_options().get(READING, False)
-    connection.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")
+    connection.exec_driver_sql("BEGIN" if connection.get_execution_options().get(READING, False) else "BEGIN IMMEDIATE")
 
 
 def lost_in_log(path: Path) -> str | None:

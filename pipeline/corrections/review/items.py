@@ -148,9 +148,11 @@ def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table
 
 def disputed_rows(queue: pa.Table) -> np.ndarray:
     """(N,) bool: what reviewers judge differently, by its score."""
-    if "score" not in queue.column_names:
-        return np.zeros(queue.num_rows, np.bool_)
-    return queue.column("score").to_numpy(zero_copy_only=False).astype(np.float64) >= DISAGREED
+    return (
+        np.zeros(queue.num_rows, np.bool_)
+        if "score" not in queue.column_names
+        else queue.column("score").to_numpy(zero_copy_only=False).astype(np.float64) >= DISAGREED
+    )
 
 
 def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[str, int]:
@@ -286,9 +288,7 @@ class Judgements:
 
     def verdict(self, key: ItemKey) -> str | None:
         """What stands of a settled item, as of `Judgement.verdict`; None where it is open."""
-        if self.state(key) not in SETTLED:
-            return None
-        return max(self._open_words(key), key=lambda w: w.at).verdict
+        return None if self.state(key) not in SETTLED else max(self._open_words(key), key=lambda w: w.at).verdict
 
     def states(self, author: str | None = None) -> dict[ItemKey, State]:
         """The state of every item that anyone, or this person, has said something of."""
@@ -339,8 +339,7 @@ def judgements_of(
     ignored : collection of str
         ULIDs of events that say nothing of the labels as they are now (`EffectiveLabels.unapplied`).
     """
-    events = journal.events() if isinstance(journal, Journal) else tuple(journal)
-    refs = by_ref(events)
+    refs = by_ref(journal.events() if isinstance(journal, Journal) else tuple(journal))
     standing = {ref: [x for x in standing_at(members) if x[0].ulid not in ignored] for ref, members in refs.items()}
     settling = {e.group for ref, found in standing.items() if ref.field == "settled" for e, _ in found}
     items = {ref: key for ref in refs if (key := item_of(ref)) is not None}

@@ -66,9 +66,11 @@ def _settled(finding: Finding, by_people: Corrections) -> bool:
     """Whether a finding only tells that a person set something else than the rules say."""
     if finding.frame is None or len(finding.objects) != 2:
         return False
-    if finding.rule == "relation/geometry":
-        return (finding.frame, *finding.objects, finding.figures.get("relation")) in by_people.relations
-    return finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in by_people.expressions
+    return (
+        (finding.frame, *finding.objects, finding.figures.get("relation")) in by_people.relations
+        if finding.rule == "relation/geometry"
+        else finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in by_people.expressions
+    )
 
 
 def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:

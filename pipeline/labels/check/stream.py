@@ -158,8 +158,7 @@ class TableStream:
         wanted = [n for n in arrow_schema(self.table).names if n not in self.lacking | self._added]
         if not self.ordered:
             whole = self._typed(file.read(columns=wanted))
-            index = whole.column("frame_index").fill_null(-1).to_numpy()
-            yield whole.take(pa.array(np.argsort(index, kind="stable")))
+            yield whole.take(pa.array(np.argsort(whole.column("frame_index").fill_null(-1).to_numpy(), kind="stable")))
             return
         tail: pa.Table | None = None
         for batch in file.iter_batches(BATCH_ROWS, columns=wanted):

@@ -136,9 +136,7 @@ class FrameView:
 
     def _of_frame(self, name: str, shape: tuple[int, ...]) -> np.ndarray | None:
         frames = self.tables["frames"]
-        if not len(frames) or not np.isfinite(frames[name][0]).all():
-            return None
-        return frames[name][0].reshape(shape)
+        return None if not len(frames) or not np.isfinite(frames[name][0]).all() else frames[name][0].reshape(shape)
 
     @cached_property
     def ids(self) -> np.ndarray:
@@ -172,9 +170,11 @@ class FrameView:
     @cached_property
     def runs(self) -> list[MaskRuns | str | None]:
         """Each object's mask as its code says, or why it cannot be read; None without a mask or a frame's size."""
-        if not all(self.size):
-            return [None] * len(self.ids)
-        return [None if code is None else read_runs(code, *self.size) for code in self.objects["mask"]]
+        return (
+            [None if code is None else read_runs(code, *self.size) for code in self.objects["mask"]]
+            if all(self.size)
+            else [None] * len(self.ids)
+        )
 
     @cached_property
     def pair_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -41,7 +41,7 @@ from pipeline.labels.exports.base import (
     table_batches,
 )
 from pipeline.labels.exports.provenance import JsonList, Provenance, json_line, load_json
-from pipeline.labels.reading import arrow_schema, build_table
+from pipeline.labels.reading import arrow_schema, table_of_rows
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, as_input_error, kind_and_text, require
 from pipeline.system.staging import text_file
@@ -92,8 +92,7 @@ def write_coco(job: Job) -> Written:
                 found = _annotation(row, ids[row["object"]], categories, rows.frame)
                 annotations.add(found | known("objects", rows.frame["frame"], str(row["object"])))
             for row in rows.expressions:
-                found = _ref(row, refs.length, ids, categories)
-                refs.add(found | known("expressions", rows.frame["frame"], row["id"]))
+                refs.add(_ref(row, refs.length, ids, categories) | known("expressions", rows.frame["frame"], row["id"]))
             if rows.relations.num_rows:
                 related.add(_relations(rows, ids) | _known_relations(job.provenance, rows, ids))
                 pairs += rows.relations.num_rows
@@ -264,10 +263,10 @@ def read_coco(root: Path) -> dict[str, pa.Table]:
         annotations = sorted(instances["annotations"], key=lambda a: a["id"])
         numbers = {a["id"]: a["object"] for a in annotations}
         return {
-            "frames": _table("frames", [_frame(image) for image in images]),
-            "objects": _table("objects", [_object(a, names[a["image_id"]], categories) for a in annotations]),
+            "frames": table_of_rows("frames", [_frame(image) for image in images]),
+            "objects": table_of_rows("objects", [_object(a, names[a["image_id"]], categories) for a in annotations]),
             "relations": _pairs(relations["images"], names, numbers),
-            "expressions": _table("expressions", [_expression(r, names[r["image_id"]], numbers) for r in refs]),
+            "expressions": table_of_rows("expressions", [_expression(r, names[r["image_id"]], numbers) for r in refs]),
         }
 
 
@@ -321,12 +320,6 @@ def _pairs(images: Iterable[dict[str, Any]], names: dict[int, str], numbers: dic
         frames, index = [names[image["image_id"]]] * len(columns["a"]), [image["image_id"]] * len(columns["a"])
         found.append(build_table("relations", {"frame": frames, "frame_index": index, **columns}))
     return pa.concat_tables(found) if found else arrow_schema("relations").empty_table()
-
-
-def _table(name: str, rows: list[dict[str, Any]]) -> pa.Table:
-    if not rows:
-        return arrow_schema(name).empty_table()
-    return build_table(name, {column: [row[column] for row in rows] for column in arrow_schema(name).names})
 
 
 FORMAT = ExportFormat(write_coco, read_coco, "COCO instances, RefCOCO-like references, and relations; lossless")

@@ -147,9 +147,7 @@ def gap_between(a: Figures, b: Figures) -> float | None:
     """Metres between the nearest raw points of two objects; None where one of them is not seen whole."""
     from scipy.spatial import KDTree
 
-    if not len(a.points) or not len(b.points):
-        return None
-    return float(KDTree(a.points).query(b.points)[0].min())
+    return None if not len(a.points) or not len(b.points) else float(KDTree(a.points).query(b.points)[0].min())
 
 
 class _Raw:

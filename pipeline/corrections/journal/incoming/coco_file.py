@@ -168,8 +168,7 @@ def _frame_of(image: Row, claims: Claims) -> str:
     if frame is None and isinstance(file_name, str):
         named = _NAMED.fullmatch(file_name)
         frame = claims.states.index.name_of.get(int(named[1])) if named else None
-        shown = repr(file_name)[:60]
-        require(frame is not None, "no file name of an export", got=shown, expected="such as 000012.jpg")
+        require(frame is not None, "no file name of an export", got=Shown(file_name), expected="such as 000012.jpg")
     if not isinstance(frame, str) or frame not in claims.states.index.of_frame:
         raise InputError("the labels have no such frame", got=repr(frame)[:60])
     row = claims.states.frame(frame, claims.states.now).auto.row
@@ -195,9 +194,7 @@ def _stated(row: Row) -> Any:
     if row.get("object") is not None or not isinstance(attributes, dict):
         return row.get("object")
     value = attributes.get("object")
-    if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 10:
-        return int(value)
-    return value
+    return int(value) if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 10 else value
 
 
 def number_of(row: Row) -> int | None:

@@ -346,9 +346,11 @@ def _edits(group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, re
             reason=reason,
         )  # fmt: skip
     pixels = {"mask": actions.set_mask, "bbox": actions.set_bbox}
-    if ref.field in pixels:
-        return pixels[ref.field](now, ref.numbers[0], value, reason)
-    return actions.set_value(now, ref, value, reason)
+    return (
+        pixels[ref.field](now, ref.numbers[0], value, reason)
+        if ref.field in pixels
+        else actions.set_value(now, ref, value, reason)
+    )
 
 
 def _answers(claimed: dict[str, Any], name: str, now: EffectiveFrame, reason: str) -> tuple[Edit, ...]:

@@ -109,9 +109,7 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
 def _table(row: Row) -> str:
     if "a" in row and "b" in row:
         return "relations"
-    if "id" in row:
-        return "expressions"
-    return "objects" if "object" in row or "label" in row else "frames"
+    return "expressions" if "id" in row else "objects" if "object" in row or "label" in row else "frames"
 
 
 def _frame(row: Row, claims: Claims) -> str:
@@ -138,8 +136,7 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
     box = {key: row[key] for key in BOX_COLUMNS if key in row}
     require(len(box) in (0, len(BOX_COLUMNS)), "a 3D box is center, R and size", got=", ".join(box))
     if None in box.values():
-        whole = all(v is None for v in box.values())
-        require(whole, "a 3D box is center, R and size", cause="some of them are null")
+        require(all(v is None for v in box.values()), "a 3D box is center, R and size", cause="some of them are null")
         box = None
     if row.get("object") is None:
         seed = {key: row[key] for key in ("label", "mask", "bbox") if row.get(key) is not None}
