@@ -41,7 +41,7 @@ from pipeline.labels.exports.base import (
     table_batches,
 )
 from pipeline.labels.exports.provenance import JsonList, Provenance, json_line, load_json
-from pipeline.labels.reading import arrow_schema, table_of_rows
+from pipeline.labels.reading import arrow_schema, build_table, table_of_rows
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, as_input_error, kind_and_text, require
 from pipeline.system.staging import text_file
