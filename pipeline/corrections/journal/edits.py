@@ -308,8 +308,11 @@ def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
     """Refuse what is of no object, expression or pair of the frame."""
     if ref.kind == "object" and ref.field != "exists":
         _row(frame, ref.numbers[0])
-    known = ref.kind != "expression" or ref.key in frame.auto.expressions
-    require(known, f"frame {frame.frame} has no such expression", got=repr(ref.key))
+    require(
+        ref.kind != "expression" or ref.key in frame.auto.expressions,
+        f"frame {frame.frame} has no such expression",
+        got=repr(ref.key),
+    )
     if ref.kind != "relation":
         return
     relation = ref.field.removesuffix(".status")
@@ -330,8 +333,11 @@ def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
 def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
     size = frame.size
     pixels = decode_run_length(size, mask) if isinstance(mask, str) else mask
-    sound = pixels.dtype == np.bool_ and pixels.shape == size
-    require(sound, f"a mask must be bool {size}", got=f"{pixels.dtype} {pixels.shape}")
+    require(
+        pixels.dtype == np.bool_ and pixels.shape == size,
+        f"a mask must be bool {size}",
+        got=f"{pixels.dtype} {pixels.shape}",
+    )
     require(pixels.any(), "the mask is empty")
     return mask if isinstance(mask, str) else encode_run_length(pixels)
 

@@ -233,9 +233,10 @@ def shared_split(was: LabelData, now: LabelData, config: RetrainConfig) -> Split
     for data, name in ((was, "before"), (now, "after")):
         parts = plan.for_frames([f.key for f in data.frames]).part
         lacking = [PARTS[k] for k in range(len(PARTS)) if not (parts == k).any()]
-        found = not lacking or (name == "before" and lacking == ["test"])
         require(
-            found, f"the labels {name} have no frames to {''.join(lacking[:1])} on", cause="are both of one dataset?"
+            not lacking or (name == "before" and lacking == ["test"]),
+            f"the labels {name} have no frames to {''.join(lacking[:1])} on",
+            cause="are both of one dataset?",
         )
     return plan
 

@@ -52,6 +52,7 @@ with nine decimals, center, R, size. Relations and expressions do not.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -89,7 +90,7 @@ def write_kitti(job: Job) -> Written:
     folders = ("label_2", "calib", "object_ids", "ImageSets")
     for name in folders:
         (job.folder / name).mkdir()
-    counts = {"frames": 0, "objects": 0, "boxes": 0}
+    counts = Counter(frames=0, objects=0, boxes=0)
     left_out = 0
     with (
         text_file(job.folder / "index.txt") as index,
@@ -113,8 +114,7 @@ def write_kitti(job: Job) -> Written:
                 known = job.provenance.row("objects", frame["frame"], str(row["object"]))
                 provenance.write(json_line({**named, **known}) + "\n")
             boxes = sum(NO_BOX not in line for line in lines)
-            for name, more in (("frames", 1), ("objects", len(lines)), ("boxes", boxes)):
-                counts[name] += more
+            counts.update(frames=1, objects=len(lines), boxes=boxes)
             left_out += sum(row["center"] is not None for row in rows.objects) - boxes
             job.copy_picture(rows, "image_2", "png")
     write_json(job.folder / "classes.json", {token: name for name, token in tokens.items()})

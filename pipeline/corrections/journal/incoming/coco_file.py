@@ -154,8 +154,10 @@ def images_of(images: list[Any], name: str, claims: Claims) -> dict[int, str]:
     taken: set[str] = set()
     for where, image in entries(images, f"{name} image"):
         with claims.reading(where):
-            sound = isinstance(image, dict) and type(image.get("id")) is int and image["id"] not in found
-            require(sound, "an image has a whole number of its own as id")
+            require(
+                isinstance(image, dict) and type(image.get("id")) is int and image["id"] not in found,
+                "an image has a whole number of its own as id",
+            )
             frame = _frame_of(image, claims)
             require(frame not in taken, f"the second image of frame {frame}")
             taken.add(frame)
@@ -181,8 +183,10 @@ def _categories(categories: list[Any], name: str, claims: Claims) -> dict[int, s
     found: dict[int, str] = {}
     for where, category in entries(categories, f"{name} category"):
         with claims.reading(where):
-            sound = isinstance(category, dict) and type(category.get("id")) is int and category["id"] not in found
-            require(sound, "a category has a whole number of its own as id")
+            require(
+                isinstance(category, dict) and type(category.get("id")) is int and category["id"] not in found,
+                "a category has a whole number of its own as id",
+            )
             require(isinstance(category.get("name"), str), "a category has a name")
             found[category["id"]] = category["name"]
     return found

@@ -167,8 +167,10 @@ def check_pair(base: EffectiveFrame, a: int, b: int) -> None:
     """Refuse a pair that the export cannot have had."""
     require(a != b, "an object has no relation to itself", got=a)
     for number in (a, b):
-        known = base.pairs.index_of(number) is not None
-        require(known, f"frame {base.frame} had no object {number} that takes part in relations")
+        require(
+            base.pairs.index_of(number) is not None,
+            f"frame {base.frame} had no object {number} that takes part in relations",
+        )
 
 
 def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
@@ -253,8 +255,10 @@ def read_refs(
     seen: set[tuple[str, str]] = set()
     for where, ref in entries(refs, f"{name} ref", "ref_id"):
         with claims.reading(where):
-            sound = isinstance(ref, dict) and type(ref.get("image_id")) is int and ref["image_id"] in frames
-            require(sound, "it is of no image that instances.json lists")
+            require(
+                isinstance(ref, dict) and type(ref.get("image_id")) is int and ref["image_id"] in frames,
+                "it is of no image that instances.json lists",
+            )
             frame = frames[ref["image_id"]]
             own: Any = ref.get("id")
             require(
@@ -293,8 +297,10 @@ def _objects(ids: Any, frame: str, annotations: Annotations, what: str) -> list[
         got=Shown(ids, 40),
     )
     for n in ids:
-        known = annotations.get(n, ("", 0))[0] == frame
-        require(known, f"{what} names annotation {n}, which instances.json does not give an object of this image")
+        require(
+            annotations.get(n, ("", 0))[0] == frame,
+            f"{what} names annotation {n}, which instances.json does not give an object of this image",
+        )
     return [annotations[n][1] for n in ids]
 
 
@@ -306,8 +312,10 @@ def read_relations(
     for where, image in entries(listed(content, "images", name), f"{name} image", "image_id"):
         with claims.reading(where):
             require(isinstance(image, dict) and type(image.get("image_id")) is int, "it has no image_id")
-            new = image["image_id"] in frames and image["image_id"] not in seen
-            require(new, "it is of no image that instances.json lists, or of one a second time")
+            require(
+                image["image_id"] in frames and image["image_id"] not in seen,
+                "it is of no image that instances.json lists, or of one a second time",
+            )
             seen.add(image["image_id"])
             _columns(image, where, frames[image["image_id"]], annotations, state, claims)
 
