@@ -119,8 +119,10 @@ class FrameCases:
 def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
     """The frames from index `first` up to `stop` that have expressions, in order."""
     names = [r for r in PAIRWISE if r in labels.relation_names]
-    columns = {**_COLUMNS, "relations": ["frame_index", "a", "b", *names]}
-    rows = {table: _part(labels.root, table, chosen, first, stop) for table, chosen in columns.items()}
+    rows = {
+        table: _part(labels.root, table, chosen, first, stop)
+        for table, chosen in {**_COLUMNS, "relations": ["frame_index", "a", "b", *names]}.items()
+    }
     frames = {row["frame_index"]: row for row in rows["frames"].to_pylist()}
     expressions = _by_frame(rows["expressions"])
     objects, relations = _by_frame(rows["objects"]), _by_frame(rows["relations"])
@@ -210,8 +212,9 @@ _COLUMNS = {
 
 
 def _part(root: Path, name: str, columns: list[str], first: int, stop: int) -> pa.Table:
-    chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
-    return pq.read_table(root / f"{name}.parquet", columns=columns, filters=chosen)
+    return pq.read_table(
+        root / f"{name}.parquet", columns=columns, filters=[("frame_index", ">=", first), ("frame_index", "<", stop)]
+    )
 
 
 def _by_frame(table: pa.Table) -> dict[int, dict[str, list[Any]]]:

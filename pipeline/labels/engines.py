@@ -166,8 +166,9 @@ def label_shard(
     )
     seconds = perf_counter() - start
     broken = sum(not ok for ok in tables["frames"].column("ok").to_pylist())
-    record = {"shard": shard.index, "key": shard.key, "broken": broken, "seconds": round(seconds, 3)}
-    store.write_part(shard.name, tables, record)
+    store.write_part(
+        shard.name, tables, {"shard": shard.index, "key": shard.key, "broken": broken, "seconds": round(seconds, 3)}
+    )
     return ShardReport(
         shard.name,
         len(shard.frames),

@@ -227,8 +227,9 @@ def _with_rim(surface: Surface, region: np.ndarray, tolerance: float) -> np.ndar
     # A round thing falls away behind its last normal; what rises there is something else.
     rises = (normals * (surface.points[candidates] - points)).sum(axis=1)
     candidates[candidates] = rises <= np.float32(tolerance) * points[:, 2]
-    grid = link_grid(region | candidates, surface.right.joined, surface.down.joined)
-    _, parts = cv2.connectedComponents(grid, connectivity=4)
+    _, parts = cv2.connectedComponents(
+        link_grid(region | candidates, surface.right.joined, surface.down.joined), connectivity=4
+    )
     pixels = np.asarray(parts[::2, ::2], np.int64)
     kept = np.zeros(int(pixels.max()) + 1, np.bool_)
     kept[pixels[region]] = True

@@ -85,8 +85,9 @@ class Shapes(BaseModel):
         if self.polygon is not None:
             found = gesture_of("polygon", self.polygon, height, width)
         elif self.rectangle is not None:
-            corners = [self.rectangle[:2], self.rectangle[2:]]
-            found = gesture_of("surface" if surface else "rectangle", corners, height, width)
+            found = gesture_of(
+                "surface" if surface else "rectangle", [self.rectangle[:2], self.rectangle[2:]], height, width
+            )
         else:
             found = gesture_of("depth", self.seeds, height, width, tolerance=self.tolerance)
         return drawn(found, height, width, canvas)
@@ -190,8 +191,9 @@ def _settle(a: Any, frame: EffectiveFrame, author: str, canvas: Canvas | None) -
     state = _STATES.get(a.to) if a.ref.kind == "relation" else None
     if state is None:
         return actions.settle(frame, a.ref, a.to, a.reason)
-    status = "accepted" if state == frame.value(actions.state_ref(a.ref)) else "corrected"
-    return actions.settle(frame, a.ref, status, a.reason, state)
+    return actions.settle(
+        frame, a.ref, "accepted" if state == frame.value(actions.state_ref(a.ref)) else "corrected", a.reason, state
+    )
 
 
 KINDS: dict[str, tuple[type[Action], dict[str, Any], Callable[[Any, EffectiveFrame, str, Canvas | None], Edits]]] = {

@@ -67,8 +67,9 @@ def link(previous: str, row: Row) -> str:
         A column holds what is no value of it.
     """
     time = row["time"].astimezone(timezone.utc).isoformat(timespec="microseconds")
-    told = [previous, *(time if name == "time" else row[name] for name in CONTENT)]
-    return hashlib.sha256(_JSON.encode(told).encode()).hexdigest()
+    return hashlib.sha256(
+        _JSON.encode([previous, *(time if name == "time" else row[name] for name in CONTENT)]).encode()
+    ).hexdigest()
 
 
 def chained(previous: str, rows: Iterable[Row]) -> list[dict[str, Any]]:

@@ -277,13 +277,16 @@ def write_rows(connection: sa.Connection, rows: Iterable[Row], last: Head = NOTH
 
 def examined_server(connection: sa.Connection, location: str, *, chain: bool) -> Examined:
     """As `examine`, of a journal in PostgreSQL; `chain` is whether its events are chained."""
-    names = (*CONTENT, "hash") if chain else CONTENT
-    query = sa.select(*(EVENTS.c[name] for name in names)).order_by(EVENTS.c.id)
+    query = sa.select(*(EVENTS.c[name] for name in ((*CONTENT, "hash") if chain else CONTENT))).order_by(EVENTS.c.id)
     rows = [(int(row["id"]), dict(row)) for row in connection.execute(query).mappings()]
     kept = connection.execute(sa.select(HEAD.c.events, HEAD.c.last, HEAD.c.hash)).one_or_none() if chain else None
     head = None if kept is None else Head(*kept)
-    found = judged(rows, head) if chain else judged_alone(rows)
-    return Examined(location, 2 if chain else 1, head.events if head else len(rows), *found)
+    return Examined(
+        location,
+        2 if chain else 1,
+        head.events if head else len(rows),
+        *(judged(rows, head) if chain else judged_alone(rows)),
+    )
 
 
 def _free(path: Path) -> Path:

@@ -134,8 +134,9 @@ def set_relation(frame: EffectiveFrame, a: int, b: int, relation: str, state: in
     InputError
         No such pair or relation, or a state that is none.
     """
-    refs = _both_ways(frame, relation_ref(frame.frame, a, b, relation))
-    return tuple(_edit(frame, ref, state, reason) for ref in refs)
+    return tuple(
+        _edit(frame, ref, state, reason) for ref in _both_ways(frame, relation_ref(frame.frame, a, b, relation))
+    )
 
 
 def judge(frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
@@ -177,8 +178,14 @@ def judge_both_ways(frame: EffectiveFrame, ref: FieldRef, status: str | None, au
 
 def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: str, reason: str = "") -> Edits:
     """What a reviewer says of a place where an object may be missing: "rejected" where there is none."""
-    ref = judgement_ref(frame.frame, "object", -1, None, what, author)
-    return (_edit(frame, ref, None if status is None else {"status": status}, reason),)
+    return (
+        _edit(
+            frame,
+            judgement_ref(frame.frame, "object", -1, None, what, author),
+            None if status is None else {"status": status},
+            reason,
+        ),
+    )
 
 
 def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", state: int | None = None) -> Edits:

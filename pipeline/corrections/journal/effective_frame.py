@@ -172,8 +172,11 @@ class EffectiveFrame:
 
     def expression(self, name: str) -> Row | None:
         """The row of an expression as it is now, also of one that was left out; None where there never was one."""
-        left_out = (w.row for w in self.withdrawn if w.id == name)
-        return self.expressions.get(name) or next(left_out, None) or self.auto.expressions.get(name)
+        return (
+            self.expressions.get(name)
+            or next((w.row for w in self.withdrawn if w.id == name), None)
+            or self.auto.expressions.get(name)
+        )
 
     def version(self, ref: FieldRef) -> int:
         """How many events a cell has: what an edit of it is based on."""

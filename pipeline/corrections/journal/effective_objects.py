@@ -189,8 +189,13 @@ def correct_pairs(frame: EffectiveFrame, refs: Mapping[FieldRef, Sequence[Event]
             ruled_out = frame.pairs.states[a, b, PAIRWISE.index(name)] == T and (a, b, name) not in human
             if ruled_out and name in frame.setting.relations:
                 _settle(frame, a, b, PAIRWISE.index(name), F)
-                key = f"{frame.pairs.numbers[a]},{frame.pairs.numbers[b]}"
-                frame.put("relations", key, name, Origin.of("recomputed", event), T)
+                frame.put(
+                    "relations",
+                    f"{frame.pairs.numbers[a]},{frame.pairs.numbers[b]}",
+                    name,
+                    Origin.of("recomputed", event),
+                    T,
+                )
 
 
 def _follow_geometry(frame: EffectiveFrame, relifted: Pairs | None) -> None:

@@ -125,8 +125,12 @@ def replay(
 
 def all_gone(automatic: Any, events: Sequence[Event], reason: str) -> Replayed:
     """A cell whose entity is no longer there: every edit that was not taken back is listed."""
-    unapplied = tuple(Unapplied(e, "gone", reason) for e in standing(events))
-    return Replayed(automatic, None, events[-1].version if events else 0, unapplied)
+    return Replayed(
+        automatic,
+        None,
+        events[-1].version if events else 0,
+        tuple(Unapplied(e, "gone", reason) for e in standing(events)),
+    )
 
 
 def is_another(anchor: dict[str, list[float]], number: int, bbox: Sequence[float]) -> bool:
@@ -137,8 +141,7 @@ def is_another(anchor: dict[str, list[float]], number: int, bbox: Sequence[float
 
 def by_ref(events: Iterable[Event]) -> dict[FieldRef, list[Event]]:
     """Events of each cell, in the order of their versions."""
-    found = grouped(events, lambda e: e.ref)
-    return {ref: sorted(members, key=lambda e: e.version) for ref, members in found.items()}
+    return {ref: sorted(members, key=lambda e: e.version) for ref, members in grouped(events, lambda e: e.ref).items()}
 
 
 def judgement_ref(frame: str, kind: str, a: int, b: int | None, what: str, author: str) -> FieldRef:

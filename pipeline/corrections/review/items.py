@@ -130,8 +130,9 @@ def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
     """
     checked_states(states)
     kept = queue.select([name for name in queue.column_names if name != "state"])
-    column = [states.get(key, "unreviewed") for key in item_keys(queue)]
-    return kept.append_column("state", pa.array(column, pa.string()))
+    return kept.append_column(
+        "state", pa.array([states.get(key, "unreviewed") for key in item_keys(queue)], pa.string())
+    )
 
 
 def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:

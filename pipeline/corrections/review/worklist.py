@@ -195,8 +195,9 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
     )
     codes = _codes(np.full(len(keys), _UNREVIEWED, np.int8), indices, states)
     kinds = np.array([KINDS.index(key.kind) for key in keys], np.int8)
-    of_frame = grouped(range(len(keys)), lambda k: keys[k].frame)
-    frames = {frame: np.array(found, np.int64) for frame, found in of_frame.items()}
+    frames = {
+        frame: np.array(found, np.int64) for frame, found in grouped(range(len(keys)), lambda k: keys[k].frame).items()
+    }
     return Worklist(queue, keys, indices, codes, kinds, disputed_rows(queue), frames, np.zeros(len(keys), np.bool_))
 
 

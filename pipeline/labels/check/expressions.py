@@ -194,8 +194,11 @@ def _against_relations(view: FrameView, row: int) -> Iterator[Found]:
             )
     total = int(alike.sum())
     if total >= MANY_ALIKE and len(np.unique(rows["acceptable"][row])) == total:
-        message = f"all {total} of its class are acceptable: it tells nothing apart"
-        yield "expression/everything", message, {"objects": total}
+        yield (
+            "expression/everything",
+            f"all {total} of its class are acceptable: it tells nothing apart",
+            {"objects": total},
+        )
 
 
 def _list(numbers: np.ndarray) -> str:

@@ -118,8 +118,11 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
         for name, stream in streams.items():
             # Damage that showed only while the table was read.
             if stream.problem is not None and stream.opened:
-                message = f"{stream.path.name} could not be read to its end: {stream.problem}"
-                yield _finding("file/unreadable", message, {"table": name})
+                yield _finding(
+                    "file/unreadable",
+                    f"{stream.path.name} could not be read to its end: {stream.problem}",
+                    {"table": name},
+                )
 
 
 def _surveyed(objects: TableStream) -> tuple[tuple[str, ...], SizeSurvey]:
@@ -309,8 +312,12 @@ def _keys(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
         return
     for row, key in enumerate(zip(*columns, strict=True) if columns else [()] * len(rows)):
         if key in seen:
-            message = f"{table}: a second row has this key"
-            yield view.finding("row/duplicate-key", _objects_of(table, rows, row), message, {"table": table})
+            yield view.finding(
+                "row/duplicate-key",
+                _objects_of(table, rows, row),
+                f"{table}: a second row has this key",
+                {"table": table},
+            )
         seen.add(key)
 
 

@@ -148,8 +148,11 @@ def _projection(
     K = view.K
     if K is None:
         return
-    slack = np.full((len(corners), 1), SLACK_PIXELS * view.size[1] / 640)
-    box = moved_towards(clipped(projected(corners, K), view.size), mask_box, slack)
+    box = moved_towards(
+        clipped(projected(corners, K), view.size),
+        mask_box,
+        np.full((len(corners), 1), SLACK_PIXELS * view.size[1] / 640),
+    )
     on_mask, in_box = shared_share(box, mask_box), shared_share(mask_box, box)
     relative = in_box / np.maximum(view.objects["kept"], 1e-6)
     # The raw mask of an object too small to clean holds pixels of what is behind it.

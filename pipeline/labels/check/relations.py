@@ -156,8 +156,11 @@ def _cycles(view: FrameView, relations: Sequence[str], expected: Expected | None
 
     # All relations as one graph without edges between them.
     size = len(relations) * n
-    graph = csr_matrix((np.ones(len(which), np.int8), (which * n + a, which * n + b)), (size, size))
-    _, knot = connected_components(graph, directed=True, connection="strong")
+    _, knot = connected_components(
+        csr_matrix((np.ones(len(which), np.int8), (which * n + a, which * n + b)), (size, size)),
+        directed=True,
+        connection="strong",
+    )
     for number in np.flatnonzero(np.bincount(knot) > 1):
         nodes = np.flatnonzero(knot == number)
         k, members = int(nodes[0] // n), nodes % n
@@ -253,8 +256,11 @@ def _measured(view: FrameView) -> tuple[np.ndarray, PairMeasures, Expected]:
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), Profile())
     both = known[:, None] & known[None, :]
-    distance = np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan)
-    return known, pairs, Expected(*_contact(view, pairs, Profile(), both), distance)
+    return (
+        known,
+        pairs,
+        Expected(*_contact(view, pairs, Profile(), both), np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan)),
+    )
 
 
 def expected_semantic_abstraction(view: FrameView) -> Expected:

@@ -155,8 +155,15 @@ def import_corrections(
     notes = [f"{text}: {n}" for text, n in claims.notes.items()]
     notes += [f"{n} values of {column!r} differ, which cannot be corrected" for column, n in claims.ignored.items()]
     told = (*conflicts, *map(str, done.rivals if isinstance(done, Conflict) else ()))
-    saved = done if isinstance(done, Saved) else None
-    return ImportReport(claims.compared, tuple(edits), saved, agreed, told, tuple(claims.problems), tuple(notes))
+    return ImportReport(
+        claims.compared,
+        tuple(edits),
+        done if isinstance(done, Saved) else None,
+        agreed,
+        told,
+        tuple(claims.problems),
+        tuple(notes),
+    )
 
 
 def _format(given: Path) -> Literal["coco", "jsonl"]:
