@@ -199,8 +199,14 @@ class LabelEditor:
     ) -> tuple[EventLine, ...]:
         """Who changed what of an object, a pair or an expression, the newest first, when the frame was last seen."""
         events = [*self._events.get(frame, ()), *self._unsaved(frame)]
-        groups = [w.group for w in self.waiting]
-        return event_lines(events, self.author, objects=objects, pair=pair, expression=expression, waiting=groups)
+        return event_lines(
+            events,
+            self.author,
+            objects=objects,
+            pair=pair,
+            expression=expression,
+            waiting=[w.group for w in self.waiting],
+        )
 
     # ---- saving ---------------------------------------------------------------------
 

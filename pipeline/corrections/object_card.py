@@ -321,8 +321,10 @@ def _card(
     row = frame.expression(name)
     assert row is not None
     refs = {field: FieldRef("expression", frame.frame, name, field) for field in CORRECTED_FIELDS}
-    numbers = dict.fromkeys([row["target_object"], row["reference_object"], *row["targets"], *row["acceptable"]])
-    rows = {n: frame.object(n) for n in numbers}
+    rows = {
+        n: frame.object(n)
+        for n in dict.fromkeys([row["target_object"], row["reference_object"], *row["targets"], *row["acceptable"]])
+    }
     return ExpressionCard(
         frame.frame, name, row["text"], row["target"], row["relation"], row["reference"], row["target_object"],
         row["reference_object"], tuple(row["targets"]), tuple(row["acceptable"]),

@@ -261,8 +261,11 @@ def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
 
 def environment() -> dict[str, str]:
     """What the run ran on, for the record: nothing of it changes the rows' hashes."""
-    packages = versions_of("numpy", "opencv-python-headless", "pyarrow", "pycocotools", "scipy")
-    return {"python": platform.python_version(), "platform": platform.platform(), **packages}
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        **versions_of("numpy", "opencv-python-headless", "pyarrow", "pycocotools", "scipy"),
+    }
 
 
 SCARCE = 20

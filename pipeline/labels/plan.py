@@ -216,8 +216,10 @@ def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
 
 def input_changed(plan: Plan, out: str | Path) -> bool:
     """Whether the dataset's files are other ones now than when the plan was made; no model is loaded."""
-    camera = {n: plan.spec.options.get(n) for n in _CAMERA}
-    return _input_hash(SourceSpec(plan.spec.path, camera).open(plan.config), out) != plan.input_hash
+    return (
+        _input_hash(SourceSpec(plan.spec.path, {n: plan.spec.options.get(n) for n in _CAMERA}).open(plan.config), out)
+        != plan.input_hash
+    )
 
 
 def _input_hash(source: Pipeline, out: str | Path | None) -> str:

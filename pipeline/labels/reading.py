@@ -403,8 +403,9 @@ def labelled_dataset(
         intrinsics = fx, fy, cx, cy
     if depth_scale is None and options.get("depth_scale") is not None:
         (depth_scale,) = _numbers(options["depth_scale"], 1, "depth scale")
-    known = labelled_up(manifest, {"up": up, "level_at": level_at})
-    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale, **known)
+    return open_dataset(
+        where, intrinsics=intrinsics, depth_scale=depth_scale, **labelled_up(manifest, {"up": up, "level_at": level_at})
+    )
 
 
 def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:

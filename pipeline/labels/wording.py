@@ -280,8 +280,7 @@ def _by_preference(first: int, second: int) -> tuple[tuple[int, int], ...]:
 @lru_cache(maxsize=65536)
 def _forms(name: str, known: _Known) -> tuple[str, ...]:
     """At most two ways to say a name that are read back as it beside an ordinary name: as words, and in quotes."""
-    ways = (readable(name), readable(name, brief=False), " ".join(name.split()))
-    spoken = [w for w in dict.fromkeys(ways) if w]
+    spoken = [w for w in dict.fromkeys((readable(name), readable(name, brief=False), " ".join(name.split()))) if w]
     quoted = [f'"{w}"' for w in dict.fromkeys(w.replace('"', " ").strip() for w in spoken) if w]
     partner = "mug" if not same_class(name, "mug") else "lamp"
 

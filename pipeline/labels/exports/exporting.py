@@ -130,8 +130,9 @@ def export_labels(
     with staged_folder(out, overwrite=overwrite, mark=MARK) as folder:
         copy = opened() if images == "copy" else None
         provenance = open_provenance(labels)
-        tell = progress or (lambda done, of: None)
-        written = chosen.write(Job(labels, folder, copy, tell, options, provenance, opened))
+        written = chosen.write(
+            Job(labels, folder, copy, progress or (lambda done, of: None), options, provenance, opened)
+        )
         shutil.copyfile(labels.root / MANIFEST_FILE, folder / MANIFEST_FILE)
         record = {
             "tool": "spatialviz",
@@ -255,8 +256,16 @@ def write_hub(job: Job) -> Written:
         job.folder / "croissant.json",
         croissant(job.labels, licence=options.licence, files=files, schema=extended_schema),
     )
-    data = (file.path for found in files.values() for file in found)
-    return Written(("README.md", "croissant.json", *data, "schemas/", *copy_images(job)), rows)
+    return Written(
+        (
+            "README.md",
+            "croissant.json",
+            *(file.path for found in files.values() for file in found),
+            "schemas/",
+            *copy_images(job),
+        ),
+        rows,
+    )
 
 
 def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
@@ -283,8 +292,9 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
                 group.append(taken)
                 rows, size = rows + taken.num_rows, size + taken.nbytes
                 if not left or rows >= ROW_GROUP or size >= GROUP_BYTES:
-                    whole = job.provenance.extend(name, pa.concat_tables(group).combine_chunks())
-                    writer.write_table(whole, row_group_size=ROW_GROUP)
+                    writer.write_table(
+                        job.provenance.extend(name, pa.concat_tables(group).combine_chunks()), row_group_size=ROW_GROUP
+                    )
                     group.clear()
                     rows = size = 0
         relative = path.relative_to(job.folder).as_posix()
@@ -329,8 +339,10 @@ def write_jsonl(job: Job) -> Written:
         rows[name] = 0
         with text_file(job.folder / f"{name}.jsonl") as file:
             for batch in table_batches(job.labels, name):
-                ends = job.provenance.line_ends(name, batch)
-                file.writelines(line[:-2] + end for line, end in zip(json_lines(batch), ends, strict=True))
+                file.writelines(
+                    line[:-2] + end
+                    for line, end in zip(json_lines(batch), job.provenance.line_ends(name, batch), strict=True)
+                )
                 rows[name] += batch.num_rows
                 if name == "relations":  # By far the longest.
                     job.tell(min(batch.column("frame_index")[-1].as_py() + 1, frames), frames)

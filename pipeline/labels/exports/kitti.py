@@ -294,8 +294,11 @@ def to_kitti(
     own = R_level_camera @ R
     if own[1, 1] <= 0 or max(abs(own[0, 1]), abs(own[2, 1])) > UPRIGHT:
         return None
-    location = R_level_camera @ center + np.array([0.0, size[1] / 2, 0.0])
-    return size[[1, 2, 0]], location, float(np.arctan2(-own[2, 0], own[0, 0]))
+    return (
+        size[[1, 2, 0]],
+        R_level_camera @ center + np.array([0.0, size[1] / 2, 0.0]),
+        float(np.arctan2(-own[2, 0], own[0, 0])),
+    )
 
 
 def from_kitti(

@@ -125,8 +125,12 @@ def _figures(row: Mapping[str, Any], viewer: ViewerAxes, seen: Figures, human: b
     box = Box3D(
         np.array(row[f"{prefix}center"]), np.array(row[f"{prefix}R"]).reshape(3, 3), np.array(row[f"{prefix}size"])
     )
-    extents = np.ptp(box.corners @ viewer.matrix.T, axis=0)
-    return Figures(HUMAN if human else EXACT, viewer.matrix @ box.center, extents, seen.points)
+    return Figures(
+        HUMAN if human else EXACT,
+        viewer.matrix @ box.center,
+        np.ptp(box.corners @ viewer.matrix.T, axis=0),
+        seen.points,
+    )
 
 
 def seen_whole(row: Mapping[str, Any], config: VqaConfig) -> bool:

@@ -368,8 +368,14 @@ def write_vqa(job: Job) -> Written:
             figures = figures_of(rows, job.options, depths, boxed_by_people(job.provenance, rows)) if measured else []
             asked = frame_questions(rows, relations, job.options, figures)
             for question in asked:
-                known = {"base": job.provenance.base, "made_by": job.provenance.made_by}
-                records.add({**question.record(), **known, "provenance": _provenance(job, question)})
+                records.add(
+                    {
+                        **question.record(),
+                        "base": job.provenance.base,
+                        "made_by": job.provenance.made_by,
+                        "provenance": _provenance(job, question),
+                    }
+                )
                 counts[question.kind] += 1
             if asked:
                 job.copy_picture(rows)
