@@ -43,7 +43,7 @@ from pipeline.diagnosis.asking import annotated_truth, contexts
 from pipeline.diagnosis.whatif.placement import place_in_region
 from pipeline.diagnosis.whatif.region import region_of
 from pipeline.labels.check.linter import check_labels
-from pipeline.labels.config import LabelConfig
+from pipeline.labels.plan import LabelConfig
 from pipeline.labels.exports.exporting import export_labels
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
