@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from pipeline.corrections.cards import PairCard, pair_card
-from pipeline.corrections.journal import rescue
 from pipeline.corrections.journal.batch import apply_actions, needs_pictures, read_actions
+from pipeline.corrections.journal.connection import back_up, check_journal, examined_record, recover, written_record
 from pipeline.corrections.journal.effective import Corrector, EffectiveLabels
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, NotSaved, Saved, event_record, outcome_record
@@ -16,9 +15,9 @@ from pipeline.corrections.journal.examining import Examined
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
 from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.journal.rescue import examined_record, written_record
-from pipeline.corrections.journal.undo import redo, undo
+from pipeline.corrections.journal.replay import redo, undo
 from pipeline.corrections.object_card import ObjectCard, object_card
+from pipeline.corrections.scene import PairCard, pair_card
 from pipeline.corrections.support import Support, support_name, support_of
 from pipeline.corrections.wording import event_text
 from pipeline.labels.reading import Labels, open_labels
@@ -89,14 +88,14 @@ def run_journal(command: ShowJournal) -> int:
 def _as_a_whole(command: ShowJournal) -> int:
     where = command.journal.journal or open_labels(command.labels).root / JOURNAL_FILE
     if command.check:
-        found = rescue.check_journal(where).known()
+        found = check_journal(where).known()
         command.write(examined_record(found), print_examined, found)
         return NO if found.damage else FINE
     if command.backup is not None:
-        made = found = rescue.back_up(where, command.backup)
+        made = found = back_up(where, command.backup)
     else:
         assert command.recover is not None
-        found, made = rescue.recover(where, command.recover)
+        found, made = recover(where, command.recover)
     command.write(written_record(found, made), print_written, found, made)
     return FINE
 

@@ -19,8 +19,7 @@ from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.datasets import Dataset
 from pipeline.labels.exports import export_labels
-from pipeline.labels.exports.exporting import MARK
-from pipeline.labels.exports.hub import HubConfig
+from pipeline.labels.exports.exporting import MARK, HubConfig
 from pipeline.labels.plan import load_plan
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.store import Store

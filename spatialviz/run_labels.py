@@ -11,11 +11,11 @@ from rich.text import Text
 
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check import check_labels, finding_record
-from pipeline.labels.check.findings import Finding
-from pipeline.labels.config import LabelConfig, SelectConfig
+from pipeline.labels.check.view import Finding
 from pipeline.labels.job import LabelReport, label_dataset
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import merge_labels
+from pipeline.labels.plan import LabelConfig, SelectConfig
 from pipeline.labels.reading import open_labels
 from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
 from pipeline.labels.schema import Manifest

@@ -21,8 +21,8 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Baseline, apply, read_edits
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases, read_query
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
+from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import open_second_opinion
 from pipeline.labels.reading import Labels
 from pipeline.language.expression import Query

@@ -10,9 +10,8 @@ import numpy as np
 
 from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_records import RelationRecords
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, read_table
 from pipeline.labels.statistics import quoted
-from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Row, Table
 from pipeline.relations.relations import F, T, U

@@ -14,8 +14,7 @@ from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline
 from pipeline.evaluation.records import ArrowTable, DetectorScores, detector_scores, is_calibrated
 from pipeline.labels.cases import HIT
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import read_table
+from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.calibration_metrics import ECE_BINS
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, bootstrap, mcnemar, mean_estimate, ratio

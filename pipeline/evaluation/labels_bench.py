@@ -22,9 +22,8 @@ from pipeline.geometry.camera import Camera, backproject
 from pipeline.geometry.fitting import extents_of
 from pipeline.geometry.lifting import depth_edges, lift
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
+from pipeline.labels.plan import LabelConfig, SourceSpec
 from pipeline.labels.profiles import judge_viewer_cone
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.relations.relations import directional_states

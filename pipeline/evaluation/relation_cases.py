@@ -12,8 +12,7 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import read_table
+from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import FrameKey
 from pipeline.proposals import make_detector

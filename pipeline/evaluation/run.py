@@ -29,8 +29,7 @@ from pipeline.evaluation.relation_records import RelationPass
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, FrameCases, read_cases, read_query
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.tables import read_table
+from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.language.expression import Query
 from pipeline.proposals.base import reads_annotations
 from pipeline.system.arrow import pa

@@ -25,9 +25,8 @@ from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run
 from pipeline.labels.makers import Makers
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.labels.schema import TABLES
-from pipeline.labels.tables import read_table
 from pipeline.proposals.registry import with_model
 from pipeline.system.errors import InputError
 from pipeline.system.model_files import parse_hub_id

@@ -127,8 +127,9 @@ class RuleProfile:
 
 def canonical_hash(content: Any) -> str:
     """sha256 of JSON with sorted keys, without white space, numbers as Python writes them."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+    ).hexdigest()
 
 
 def judge_viewer_cone(

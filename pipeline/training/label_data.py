@@ -16,8 +16,7 @@ import numpy as np
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.fitting import canonicalised
 from pipeline.geometry.viewer import viewer_axes
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import read_table
+from pipeline.labels.reading import Labels, read_table
 from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION, FrameKey, SplitPlan
 from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import TrainedOn

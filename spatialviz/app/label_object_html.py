@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.corrections.cards import Moved
 from pipeline.corrections.object_card import FieldLine, ObjectCard
+from pipeline.corrections.scene import Moved
 from pipeline.diagnosis.whatif.box_numbers import BoxNumbers
 from pipeline.geometry.palette import RGB
 from pipeline.language.counted import counted

@@ -1,6 +1,6 @@
 """Writers that are killed while they save (SIGKILL): all that was acknowledged is there, and no action in part.
 
-    cd tests && python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]
+cd tests && python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 import random
 import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -21,9 +22,8 @@ from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved,
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
 
-from .journal_writers import read_report
+from .journal_writers import FRAME, read_report
 
-FRAME = "scene/000000"
 GROUP = 3
 """Edits of one action."""
 SHARED = 5
@@ -144,9 +144,7 @@ def survive(
     return judge(events, [read_report(r) for r in reports])
 
 
-def _round(
-    where: str, reports: list[Path], first: int, rng: random.Random, disturb: Callable[[], None] | None
-) -> None:
+def _round(where: str, reports: list[Path], first: int, rng: random.Random, disturb: Callable[[], None] | None) -> None:
     processes = []
     paths = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
     try:
@@ -207,11 +205,8 @@ def main(arguments: Sequence[str]) -> int:
         write_groups(arguments[1], arguments[2])
         return 0
     if not arguments:
-        usage = "usage: python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]"
-        print(usage, file=sys.stderr)
+        print("usage: python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]", file=sys.stderr)
         return 2
-    import tempfile
-
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as notes:
         names = ("rounds", "writers", "seed")
         numbers: dict[str, Any] = {name: int(n) for name, n in zip(names, arguments[1:4], strict=False)}

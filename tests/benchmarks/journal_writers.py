@@ -1,6 +1,6 @@
 """Many writers at once: each saves edits, some of cells that others edit too, and afterwards every promise is checked.
 
-    cd tests && python -m benchmarks.journal_writers JOURNAL [WRITERS] [EDITS]
+cd tests && python -m benchmarks.journal_writers JOURNAL [WRITERS] [EDITS]
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from pipeline.corrections.journal.events import Edit, Event, Saved
+from pipeline.corrections.journal.events import Edit, Event, Saved, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, relation_ref
 from pipeline.corrections.journal.journal import open_journal
 
@@ -133,24 +133,18 @@ def read_report(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines]
 
 
-def judge(
-    events: Iterable[Event], told: list[list[dict[str, Any]]], writers: int, edits: int, seconds: float
-) -> Proof:
+def judge(events: Iterable[Event], told: list[list[dict[str, Any]]], writers: int, edits: int, seconds: float) -> Proof:
     """Compare a journal with what its writers were told."""
     events = list(events)
     after = {event.ulid: event.after for event in events}
     saved = [entry for entries in told for entry in entries if "saved" in entry]
     lost = sum(after.get(e["saved"], "nothing") != e["after"] for e in saved)
     acknowledged = {e["saved"] for e in saved}
-    chains: dict[FieldRef, list[Event]] = {}
-    for event in events:
-        chains.setdefault(event.ref, []).append(event)
-    overwritten = 0
-    for chain in chains.values():
-        overwritten += sum(
-            second.base != first.version or second.version != first.version + 1 or second.before != first.after
-            for first, second in pairwise(chain)
-        )
+    overwritten = sum(
+        second.base != first.version or second.version != first.version + 1 or second.before != first.after
+        for chain in grouped(events, lambda e: e.ref).values()
+        for first, second in pairwise(chain)
+    )
     repeated = sum(n - 1 for n in Counter(e["saved"] for e in saved).values())
     return Proof(
         writers,

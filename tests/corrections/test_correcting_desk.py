@@ -13,13 +13,12 @@ from journal_world import FRAME, an_expression
 from waiting import LONG_S
 
 from pipeline.corrections import journal_location
-from pipeline.corrections.cards import ASKED_BEYOND_M, pair_card
 from pipeline.corrections.journal.edits import judge_relation, set_class, set_relation, set_text
 from pipeline.corrections.journal.events import Conflict, Saved
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.scene import labelled_objects
+from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_card
 from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import events_text
 from pipeline.datasets import Dataset
@@ -247,9 +246,7 @@ def test_labelled_objects_are_what_the_rows_say(demo_labels: Labels, place: Jour
 def test_a_card_mirrors_the_pair_the_other_way_round(demo_labels: Labels, place: JournalLocation) -> None:
     frame = LabelEditor(demo_labels, place, "ann").frame(FRAME)
     a, b = frame.pairs.numbers[:2].tolist()
-    one, other = (
-        {line.relation: line.state for line in pair_card(frame, *ends).lines} for ends in ((a, b), (b, a))
-    )
+    one, other = ({line.relation: line.state for line in pair_card(frame, *ends).lines} for ends in ((a, b), (b, a)))
     for relation, mirror in (("left", "right"), ("above", "below"), ("front", "behind"), ("near", "near")):
         assert one[relation] == other[mirror]
     for ends in ((a, a), (a, 99_999)):

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.corrections.journal import undo as undoing
+from pipeline.corrections.journal import replay as undoing
 from pipeline.corrections.journal.events import Conflict, Edit, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, judged_item, relation_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
-from pipeline.corrections.journal.replay import judgement_ref
-from pipeline.corrections.journal.undo import history, newest, redo, undo
+from pipeline.corrections.journal.replay import history, judgement_ref, newest, redo, undo
 from pipeline.system.errors import InputError
 
 CELLS = [relation_ref("f", 1, b, "left") for b in (2, 3, 4)]
@@ -43,9 +42,10 @@ steps = st.lists(
 def test_what_is_taken_back_is_what_the_whole_history_says(
     steps: list[tuple[str, str, list[int], int]], page: int, empty: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    with pytest.MonkeyPatch.context() as patched, open_journal(
-        shutil.copy(empty, tmp_path_factory.mktemp("undo"))
-    ) as journal:
+    with (
+        pytest.MonkeyPatch.context() as patched,
+        open_journal(shutil.copy(empty, tmp_path_factory.mktemp("undo"))) as journal,
+    ):
         patched.setattr(undoing, "PAGE", page)
         for author, action, cells, number in steps:
             if action == "edit":

@@ -20,8 +20,7 @@ from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import open_run
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.tables import write_table
+from pipeline.labels.reading import Labels, open_labels, write_table
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.splits import TEST, split_frames

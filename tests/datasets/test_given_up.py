@@ -31,9 +31,8 @@ from pipeline.datasets.settings import SOURCES, GivenUp, parse_level_at
 from pipeline.datasets.up import told_doubts, told_up, with_frame_up
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec, make_plan
+from pipeline.labels.plan import LabelConfig, SourceSpec, make_plan
 from pipeline.labels.reading import labelled_dataset, labelled_up
 from pipeline.system.errors import InputError
 

@@ -203,9 +203,7 @@ def test_one_is_warned_of_pairs_that_were_learnt_by_heart(
     scenes = np.array(records.scenes)[records.scene]
     np.testing.assert_array_equal(flat.part != DROPPED, np.isin(scenes, [*train, *card["split"]["validation_scenes"]]))
 
-    fresh = measured(
-        label_sets["demo"].root, tmp_path / "fresh", others=tuple(networks.values()), pairs="held-out"
-    )
+    fresh = measured(label_sets["demo"].root, tmp_path / "fresh", others=tuple(networks.values()), pairs="held-out")
     assert not fresh.warnings
     assert 0 < fresh.pairs == counted_pairs(records, held_out=True).sum() < report.pairs
     # Away from what it learnt, the tuned threshold is measured on the very same pairs as the plain one.
@@ -314,7 +312,7 @@ def test_what_cannot_be_measured_is_refused(
 
 
 def test_labels_of_other_objects_are_refused(label_sets: dict[str, Labels], tmp_path: Path) -> None:
-    from pipeline.labels.tables import read_table, write_table
+    from pipeline.labels.reading import read_table, write_table
 
     labels = tmp_path / "labels"
     shutil.copytree(label_sets["demo"].root, labels)

@@ -64,9 +64,7 @@ def evaluated(
 def test_every_detector_has_its_rows(folder: Path) -> None:
     pytest.importorskip("plotly", reason="the extra report is not installed")
     others = ("annotations", "simulated", "whole", "vlm")
-    report = evaluated(
-        folder, "recorded", others, plots=True, detector="recorded", model=folder / "found.json"
-    )
+    report = evaluated(folder, "recorded", others, plots=True, detector="recorded", model=folder / "found.json")
     tables = {table.key: table for table in report.tables}
     names = [row.name for row in tables["grounding"].rows if row.source == "measured"]
     # What is simulated out of the truth stands below what is not, and the truth itself below that.

@@ -19,10 +19,9 @@ from label_damages import DAMAGES, Damage, item, pair, put
 from label_damages_pairs import PAIR_DAMAGES
 
 from pipeline.labels.check import RULES, Finding, check_labels, finding_record, stream
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.engines import label_shard, open_labeller
 from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import SourceSpec, make_plan, save_plan
+from pipeline.labels.plan import LabelConfig, SourceSpec, make_plan, save_plan
 from pipeline.labels.reading import open_labels
 from pipeline.labels.schema import TABLES
 from pipeline.labels.store import Store
@@ -227,9 +226,7 @@ def test_wild_edits_never_crash(clean: dict[str, Path], tmp_path_factory: pytest
         json.dumps(finding_record(finding), allow_nan=False)
 
 
-def test_batches_change_nothing(
-    clean: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_batches_change_nothing(clean: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root = copied(clean["all"], tmp_path / "labels")
     for _, _, change in ALL_DAMAGES[20:60:5]:
         damage(root, change)

@@ -15,13 +15,12 @@ import pytest
 
 from pipeline.datasets import FrameReport, SurveyCounts, summarise
 from pipeline.labels import statistics
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, arrow_schema, build_table, open_labels, read_table, write_table
 from pipeline.labels.report import distributions as shown
 from pipeline.labels.report import need_matplotlib, write_report
 from pipeline.labels.report.folder import FILES
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES
 from pipeline.labels.statistics import DISTANCE_BINS, label_statistics, open_database, quantiles
-from pipeline.labels.tables import arrow_schema, build_table, read_table, write_table
 from pipeline.language.relation_names import PAIRWISE, RELATIONS
 from pipeline.system.errors import InputError, MissingExtra
 

@@ -22,14 +22,21 @@ from pipeline.datasets import Dataset
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.viewer import viewer_axes
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.exports import export_labels
 from pipeline.labels.exports.base import FrameRows
-from pipeline.labels.exports.vqa_geometry import EXACT, HUMAN, POINTS, Depths, Figures, figures_of, gap_between
-from pipeline.labels.exports.vqa_records import VqaConfig
+from pipeline.labels.exports.vqa_geometry import (
+    EXACT,
+    HUMAN,
+    POINTS,
+    Depths,
+    Figures,
+    VqaConfig,
+    figures_of,
+    gap_between,
+)
 from pipeline.labels.labelling import label_objects
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import build_table
+from pipeline.labels.plan import LabelConfig
+from pipeline.labels.reading import Labels, build_table
 from pipeline.proposals.annotations import AnnotationDetector
 
 
@@ -158,7 +165,7 @@ def test_what_does_not_show_is_not_told() -> None:
     mask = cast(np.ndarray, row.mask).copy()
     spill = np.flatnonzero(mask.any(axis=0))[-1]
     rows_in = np.flatnonzero(mask.any(axis=1))
-    mask[rows_in[len(rows_in) // 2] :rows_in[len(rows_in) // 2] + 6, spill : spill + 30] = True
+    mask[rows_in[len(rows_in) // 2] : rows_in[len(rows_in) // 2] + 6, spill : spill + 30] = True
     leaked = replace(bare, annotations=(replace(row, mask=mask), *bare.annotations[1:]))
     width, clean = figures(leaked)[0].extents[0], figures(bare)[0].extents[0]
     assert np.isnan(width) or width == pytest.approx(clean, rel=0.1)

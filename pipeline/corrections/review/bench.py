@@ -132,8 +132,10 @@ class Recovery:
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
-        back = {stage: self.recovered(stage) for stage in ("mended", "again")}
-        return {**vars(self), "recovered": {k: v if np.isfinite(v) else None for k, v in back.items()}}
+        return {
+            **vars(self),
+            "recovered": {s: x if np.isfinite(x := self.recovered(s)) else None for s in ("mended", "again")},
+        }
 
 
 def bench_review(
@@ -221,8 +223,10 @@ def review_rooms(
         workers=workers, progress=progress,
     )  # fmt: skip
     cut = first + config.rooms - max(1, round(config.rooms * TEST_SHARE))
-    parts = [s for s in samples if s.room < cut], [s for s in samples if s.room >= cut]
-    train, test = (data_of_samples(part, config.labels == "exact") for part in parts)
+    train, test = (
+        data_of_samples(part, config.labels == "exact")
+        for part in ([s for s in samples if s.room < cut], [s for s in samples if s.room >= cut])
+    )
     return train, test
 
 

@@ -413,8 +413,9 @@ def compare_with(
     was, now = (read_label_data(x, config.train.features, contract.vocabulary) for x in (before, after))
     fed = now if contract.features == now.features else read_label_data(after, contract.features, contract.vocabulary)
     plan = shared_split(was, now, config)
-    cards = ({**card, "file": str(current.name)}, card)
-    found = compare_networks(current, new, was, now, plan, cards, config.bootstrap, fed_before=fed)
+    found = compare_networks(
+        current, new, was, now, plan, ({**card, "file": str(current.name)}, card), config.bootstrap, fed_before=fed
+    )
     share = scorer_share(makers_of(after.manifest), current.path.stem, current)
     return found if share is None else replace(found, caveats=(f"before: {share.sentence}",))
 

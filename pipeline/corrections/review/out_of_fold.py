@@ -287,9 +287,11 @@ def make_folds(frames: Sequence[FrameKey], folds: int = FOLDS, seed: int = 0) ->
     require(len(frames) >= 2, "out-of-fold probabilities need at least two frames", got=len(frames))
     names = np.array([f.scene for f in frames], object)
     scenes = sorted(set(names.tolist()))
-    if len(scenes) >= FEWEST_SCENES:
-        return _by_scene(names, scenes, min(folds, len(scenes)), seed)
-    return _by_block(frames, names, scenes, folds)
+    return (
+        _by_scene(names, scenes, min(folds, len(scenes)), seed)
+        if len(scenes) >= FEWEST_SCENES
+        else _by_block(frames, names, scenes, folds)
+    )
 
 
 def _by_scene(names: np.ndarray, scenes: Sequence[str], folds: int, seed: int) -> Folds:
