@@ -125,8 +125,7 @@ def task_of(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     k, n = numbers(text, "k/N", int, "--shard must be two numbers", ", such as 1/8")
-    if not 1 <= k <= n:
-        raise InputError("no such shard", got=text, expected=f"1/{max(n, 1)} to {max(n, 1)}/{max(n, 1)}")
+    require(1 <= k <= n, "no such shard", got=text, expected=f"1/{max(n, 1)} to {max(n, 1)}/{max(n, 1)}")
     return k, n
 
 
@@ -253,9 +252,12 @@ class SecondDetectorOptions(DetectorOptions):
     def check(self) -> None:
         """Raise InputError where an option is of no detector."""
         own = ("model", "model_config", "fuse", "min_score")
-        given = [name for name in own if getattr(self, name) not in (None, ())]
-        if self.detector is None and given:
-            raise InputError(f"--{given[0].replace('_', '-')} needs --detector", cause="of which detector?")
+        for name in own:
+            require(
+                self.detector is not None or getattr(self, name) in (None, ()),
+                f"--{name.replace('_', '-')} needs --detector",
+                cause="of which detector?",
+            )
 
     def setup(self) -> DetectorSetup | None:
         """What it is made from; None where none is asked."""

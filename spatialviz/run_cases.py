@@ -80,8 +80,11 @@ def run_save_case(command: SaveCase) -> None:
 
 def run_replay(command: Replay) -> int:
     require(command.cases, "a case is missing", expected="the folder that save-case wrote")
-    if command.detector == "kept" and (command.model is not None or command.min_score is not None):
-        raise InputError("--model and --min-score need --detector", expected="live or a detector's name")
+    require(
+        command.detector != "kept" or (command.model is None and command.min_score is None),
+        "--model and --min-score need --detector",
+        expected="live or a detector's name",
+    )
     folders = [folder for path in command.cases for folder in find_cases(path)]
     totals = {"same": 0, "changed": 0, "updated": 0, "damaged": 0}
     for result in replay_all(
@@ -109,8 +112,11 @@ def run_report(command: Report) -> None:
         expected="--overwrite",
         path=command.out,
     )
-    if command.frame is None and not (Path(command.dataset) / MANIFEST).is_file():
-        raise InputError("FRAME and EXPRESSION are missing", cause=f"{command.dataset} is no saved case")
+    require(
+        command.frame is not None or (Path(command.dataset) / MANIFEST).is_file(),
+        "FRAME and EXPRESSION are missing",
+        cause=f"{command.dataset} is no saved case",
+    )
     if command.frame is None:
         srm = None if command.source.srm == "trained" else command.source.srm
         opened = open_case(command.dataset, srm=srm, vectors=command.source.vectors)

@@ -36,10 +36,8 @@ FrameOf = Callable[[str], EffectiveFrame | None]
 def run_show(command: Show) -> int:
     from pipeline.corrections.journal_location import JournalLocation  # Brings the review of labels in.
 
-    if command.object is not None and command.pair is not None:
-        raise InputError("--object and --pair exclude each other")
-    if command.support and command.object is None:
-        raise InputError("--support needs --object")
+    require(command.object is None or command.pair is None, "--object and --pair exclude each other")
+    require(not command.support or command.object is not None, "--support needs --object")
     labels = open_labels(command.labels)
     if command.journal.journal is not None:
         journal = command.journal.open(labels, must_exist=True)
@@ -72,8 +70,7 @@ def run_journal(command: ShowJournal) -> int:
             "--check, --backup and --recover are of the whole journal, and one at a time",
         )
         return _as_a_whole(command)
-    if command.last is not None and command.last < 1:
-        raise InputError("--last must be at least 1", got=command.last)
+    require(command.last is None or command.last >= 1, "--last must be at least 1", got=command.last)
     labels = open_labels(command.labels)
     frame = command.frame
     if frame is not None:

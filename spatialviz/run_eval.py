@@ -106,11 +106,17 @@ def _tables(command: Eval) -> Literal["grounding", "relations", "both"]:
         chosen = "both"
     given = {"--relations-of": command.relations_of, "--relation-frames": command.relation_frames,
              "--relation-boxes": command.relation_boxes}  # fmt: skip
-    unused = [name for name, value in given.items() if value not in ((), None)]
-    if chosen == "grounding" and unused:
-        raise InputError(f"{unused[0]} belongs to relations alone", expected="--tables relations or both")
-    if chosen == "relations" and (command.compare is not None or command.others or command.limit is not None):
-        raise InputError("--compare, --others and --limit are about expressions", got="--tables relations")
+    for name, value in given.items():
+        require(
+            chosen != "grounding" or value in ((), None),
+            f"{name} belongs to relations alone",
+            expected="--tables relations or both",
+        )
+    require(
+        chosen != "relations" or (command.compare is None and not command.others and command.limit is None),
+        "--compare, --others and --limit are about expressions",
+        got="--tables relations",
+    )
     return chosen
 
 

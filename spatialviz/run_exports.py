@@ -25,7 +25,7 @@ from pipeline.labels.plan import load_plan
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.store import Store
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 from pipeline.system.staging import check_target
 from spatialviz.cli_labels import Export, Import
 from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, warn
@@ -69,8 +69,12 @@ def _labels(command: Export, automatic: Labels) -> Iterator[Labels]:
         yield automatic
         return
 
-    if automatic.manifest.corrections is not None:
-        raise InputError("these labels are corrected already", cause="leave --corrected out", path=command.labels)
+    require(
+        automatic.manifest.corrections is None,
+        "these labels are corrected already",
+        cause="leave --corrected out",
+        path=command.labels,
+    )
     check_target(command.out, overwrite=command.overwrite, mark=MARK)
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
         where = Path(folder) / "corrected"

@@ -15,7 +15,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.tables import shown
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.relations.installed import install_network
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 from pipeline.training.card import RoomConfig, train_on_rooms
 from pipeline.training.label_training import LabelTraining, train_on_labels
 from pipeline.training.train import Epoch, TrainConfig
@@ -69,8 +69,11 @@ def _on_rooms(command: Train) -> dict:
 def _refuse(command: Train, needed: str, names: tuple[str, ...]) -> None:
     """Options that say nothing about what is trained on are a mistake, not to be passed over."""
     for name in names:
-        if getattr(command, name) not in (None, False):
-            raise InputError(f"--{name} belongs to training on {needed}", got=f"training on {command.labels!r}")
+        require(
+            getattr(command, name) in (None, False),
+            f"--{name} belongs to training on {needed}",
+            got=f"training on {command.labels!r}",
+        )
 
 
 def run_retrain(command: Retrain) -> None:
@@ -93,8 +96,7 @@ def run_retrain(command: Retrain) -> None:
             done = run_retraining(job, advance)
         command.write(done.record(), print_retraining_run, done)
         return
-    if command.run_folder is not None:
-        raise InputError("--run goes with the labels' own journal, not with AFTER")
+    require(command.run_folder is None, "--run goes with the labels' own journal, not with AFTER")
     require(command.out.suffix == ".onnx", "with AFTER, --out is the ONNX file to write", got=str(command.out))
     with progress_bars() as advance:
         found = retrain(

@@ -21,16 +21,19 @@ from spatialviz.options import SourceOptions, warn
 
 
 def run_view(command: View) -> None:
-    if command.author is not None and not command.author.strip():
-        raise InputError("--author must not be empty")
+    require(command.author is None or command.author.strip(), "--author must not be empty")
     view = None if command.state is None else decode(command.state)
     dataset, folder = (command.dataset, command.run_folder) if view is None else _named(command, view)
     built_in = dataset == DEMO_NAME and not Path(DEMO_NAME).exists()
     if folder is None and built_in and command.labels is None and command.source == SourceOptions():
         folder = demo_run()
     runs, others, labels = {}, {}, {}
-    if command.compare is not None and folder is None:
-        raise InputError("--compare needs --run", expected="--run RUN --compare OTHER_RUN", path=command.compare)
+    require(
+        command.compare is None or folder is not None,
+        "--compare needs --run",
+        expected="--run RUN --compare OTHER_RUN",
+        path=command.compare,
+    )
     if folder is not None:
         own = None if command.labels is None else str(command.labels)
         run = open_run(folder, dataset=None if dataset == DEMO_NAME else dataset, labels=own)
@@ -102,11 +105,12 @@ def _named(command: View, view: ViewState) -> tuple[str, Path | None]:
             warn(f"opening the run that the view names: {view.run}")
             return command.dataset, Path(view.run)
         warn(f"the run of the view is not here: {view.run}")
-    if view.dataset != DEMO_NAME and not (Path(view.dataset).name == view.dataset and Path(view.dataset).is_dir()):
-        raise InputError(
-            "the view is of a dataset that is not in this folder", got=view.dataset,
-            expected="spatialviz view DATASET --state STRING",
-        )  # fmt: skip
+    require(
+        view.dataset == DEMO_NAME or (Path(view.dataset).name == view.dataset and Path(view.dataset).is_dir()),
+        "the view is of a dataset that is not in this folder",
+        got=view.dataset,
+        expected="spatialviz view DATASET --state STRING",
+    )
     return view.dataset, None
 
 

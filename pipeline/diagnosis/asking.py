@@ -30,7 +30,7 @@ from pipeline.language.naming import match
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 def known_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
@@ -196,8 +196,12 @@ def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edi
         Edits that cannot be read, or ones that name a file.
     """
     read = read_edits(dict(edits))
-    if read.scorer not in (None, "rule", "trained"):
-        raise InputError("the edits name a relation network by its path", got=read.scorer, expected="--srm FILE")
+    require(
+        read.scorer in (None, "rule", "trained"),
+        "the edits name a relation network by its path",
+        got=read.scorer,
+        expected="--srm FILE",
+    )
     return apply(Baseline(source, context, text), read), replace(source.config.rank, **read.rank)
 
 

@@ -393,12 +393,15 @@ def read_marks(path: Path) -> dict[tuple[str, str], str]:
         entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError("the marks cannot be read", got=str(error), path=path) from error
-    if not isinstance(entries, list):
-        raise InputError("marks must be a list", got=type(entries).__name__, path=path)
+    require(isinstance(entries, list), "marks must be a list", got=type(entries).__name__, path=path)
     found: dict[tuple[str, str], str] = {}
     for n, entry in enumerate(entries):
-        if not isinstance(entry, dict) or not all(isinstance(entry.get(key), str) for key in _KEYS):
-            raise InputError(f"mark {n} must have the texts {', '.join(_KEYS)}", got=repr(entry)[:80], path=path)
+        require(
+            isinstance(entry, dict) and all(isinstance(entry.get(key), str) for key in _KEYS),
+            f"mark {n} must have the texts {', '.join(_KEYS)}",
+            got=repr(entry)[:80],
+            path=path,
+        )
         frame, expression, mark = (entry[key] for key in _KEYS)
         require(mark in MARKS, f"mark {n} is not known", got=mark, expected=" or ".join(MARKS), path=path)
         require(

@@ -34,7 +34,7 @@ from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.errors import MissingExtra, require
 from pipeline.system.peak_memory import PeakMemory
 from pipeline.training.label_data import pair_set, read_label_data
 from pipeline.training.train import TrainConfig, train_pairs
@@ -83,9 +83,11 @@ def bench_evaluation(
     InputError
         Dataset, labels or recording cannot be used.
     """
-    if min(singly, workers) < 1 or pairs < 2:
-        raise InputError("at least one worker, one expression and two pairs are needed", got=f"{workers}, {singly}, "
-                         f"{pairs}")  # fmt: skip
+    require(
+        min(singly, workers) >= 1 and pairs >= 2,
+        "at least one worker, one expression and two pairs are needed",
+        got=f"{workers}, {singly}, {pairs}",
+    )
     with _inputs(dataset, labels, recording) as spec:
         # The job first: later this process also holds what only the other measurements load.
         job = _job(spec, workers)

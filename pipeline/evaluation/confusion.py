@@ -16,7 +16,7 @@ from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Row, Table
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
 OTHERS = (DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
@@ -90,13 +90,15 @@ class Standings:
 
 def answer_standings(records: ArrowTable, labels: Labels, content_hash: str | None = None) -> Standings:
     """In which relation the two objects of each answer stand by their labels; see `answer_confusion`."""
-    if content_hash is not None and labels.manifest.tables["expressions"].content_hash != content_hash:
-        raise InputError("these are not the labels that the run was made with", path=labels.root)
+    require(
+        content_hash is None or labels.manifest.tables["expressions"].content_hash == content_hash,
+        "these are not the labels that the run was made with",
+        path=labels.root,
+    )
     names = tuple(r for r in PAIRWISE if r in labels.relation_names)
     asked = np.array(records.column("relation").to_pylist(), object)
-    unknown = sorted(set(asked.tolist()) - set(names))
-    if unknown:
-        raise InputError("the run asks for a relation that the labels do not have", got=unknown[0], path=labels.root)
+    for name in sorted(set(asked.tolist())):
+        require(name in names, "the run asks for a relation that the labels do not have", got=name, path=labels.root)
     index, states, margins = _pairs_of_answers(records, labels, names)
     answered = records.column("box").is_valid().to_numpy(zero_copy_only=False)
     matched = np.ones(len(asked), np.bool_)

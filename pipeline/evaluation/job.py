@@ -48,7 +48,7 @@ from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
 from pipeline.system.arrow import pq
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import MissingExtra, require
 from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
 
@@ -127,14 +127,15 @@ def evaluate_dataset(
     start = perf_counter()
     out = Path(out)
     for name_of, count_of in (("--limit", spec.limit), ("--workers", workers)):
-        if count_of is not None and count_of < 1:
-            raise InputError(f"{name_of} is a count", got=count_of, expected="at least 1")
+        require(count_of is None or count_of >= 1, f"{name_of} is a count", got=count_of, expected="at least 1")
     before = None if against is None else read_records(against)
     left_out: tuple[str, ...] = ()
     if plots and (why := MissingExtra.missing(need_plots)):
         plots, left_out = False, (f"the plots are left out, as with --no-plots: {why}",)
-    if not spec.grounding and (against is not None or others or spec.relations is None):
-        raise InputError("runs are compared by their expressions, and this one answers none")
+    require(
+        spec.grounding or (against is None and not others and spec.relations is not None),
+        "runs are compared by their expressions, and this one answers none",
+    )
     # Answers are judged by labels, and so in their axes.
     spec = replace(spec, options=labelled_up(open_labels(spec.labels).manifest, spec.options))
     source, labels = spec.open()

@@ -29,7 +29,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import read_table
 from pipeline.proposals.registry import with_model
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import parse_hub_id
 
 if TYPE_CHECKING:
@@ -215,10 +215,12 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
     """
     folder = Path(folder)
     path, manifest = folder / RUN_FILE, read_manifest(folder)
-    if not isinstance(manifest.get("spec"), dict):
-        raise InputError(
-            "the run does not say what it was made of", cause="made by an earlier release? run `eval` again", path=path
-        )
+    require(
+        isinstance(manifest.get("spec"), dict),
+        "the run does not say what it was made of",
+        cause="made by an earlier release? run `eval` again",
+        path=path,
+    )
     try:
         spec = _read_spec(manifest["spec"], folder)
     except (KeyError, TypeError, ValueError, ValidationError) as error:
@@ -289,11 +291,13 @@ def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Ma
     for run in map(Path, runs):
         manifest = read_manifest(run)
         asked = manifest.get("labels", {}).get("content_hash")
-        if asked != content_hash:
-            raise InputError(
-                "a run on other labels cannot be a row beside this one", got=f"expressions {asked}",
-                expected=f"expressions {content_hash}", path=run,
-            )  # fmt: skip
+        require(
+            asked == content_hash,
+            "a run on other labels cannot be a row beside this one",
+            got=f"expressions {asked}",
+            expected=f"expressions {content_hash}",
+            path=run,
+        )
         own = str(manifest["name"])
         choices = [own, f"{own} ({run.resolve().name})"]
         choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]

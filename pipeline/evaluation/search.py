@@ -353,9 +353,13 @@ def _flag(field: Field, _operator: str, value: Value, _single: bool) -> Conditio
 def _names(field: Field, term: Term) -> Condition:
     column = quoted(field.column)
     named = [v for v in term.values if not _none(v)]
-    unknown = [v.text for v in named if v.text.upper() not in ORACLES]
-    if unknown:
-        raise InputError(f"no such {field.name}", got=repr(unknown[0]), expected=f"one of {', '.join(ORACLES)}")
+    for v in named:
+        require(
+            v.text.upper() in ORACLES,
+            f"no such {field.name}",
+            got=repr(v.text),
+            expected=f"one of {', '.join(ORACLES)}",
+        )
     chosen = sorted({v.text.upper() for v in named})
     parts = [f"len(coalesce({column}, [])) = 0"] if len(named) < len(term.values) else []
     if term.operator == ":":

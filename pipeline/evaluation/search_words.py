@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 OPERATORS = (":", "<=", ">=", "!=", "<", ">", "=")
 _HEAD = re.compile(r"(-)?(?:([A-Za-z_]\w*)(:|\s*(?:<=|>=|!=|<|>|=)\s*))?")
@@ -71,8 +71,9 @@ def read_terms(text: str) -> tuple[Term, ...]:
         while field is not None and text.startswith(",", at):
             value, at = _value(text, at + 1, _BARE, text[start : at + 1])
             values.append(value)
-        if at < len(text) and not text[at].isspace():
-            raise InputError("a space is missing in the search", got=repr(text[start : at + 1]))
+        require(
+            at >= len(text) or text[at].isspace(), "a space is missing in the search", got=repr(text[start : at + 1])
+        )
         terms.append(Term(field, operator, tuple(values), negated))
         at = _space(text, at)
     return tuple(terms)

@@ -17,7 +17,7 @@ from pipeline.evaluation.records import ArrowTable
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.arrow import pc
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 EXACT = 1e-9
 """Sums that must agree agree to this."""
@@ -142,9 +142,8 @@ def summarise_run(records: ArrowTable, config: BootstrapConfig | None = None) ->
     clusters, unit = clusters_of(records)
     verdict = np.array(records.column("verdict").to_pylist(), object)
     detail = np.array(records.column("detail").to_pylist(), object)
-    unknown = sorted(set(verdict.tolist()) - set(VERDICTS))
-    if unknown:
-        raise InputError("the run has a verdict that is not known", got=unknown[0], expected=", ".join(VERDICTS))
+    for name in sorted(set(verdict.tolist())):
+        require(name in VERDICTS, "the run has a verdict that is not known", got=name, expected=", ".join(VERDICTS))
     lucky = column(records, "lucky") > 0
     pairs = [
         (str(v), str(d)) for v, d in dict.fromkeys(zip(verdict.tolist(), detail.tolist(), strict=True)) if d is not None

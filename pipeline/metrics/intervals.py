@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.metrics.inputs import checked_clusters, checked_flags, checked_numbers
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 FEWEST_CLUSTERS = 10
 """Below this number of clusters a percentile interval is too narrow to be relied on."""
@@ -46,11 +46,11 @@ class BootstrapConfig:
     confidence: float = 0.95
 
     def __post_init__(self) -> None:
-        if self.resamples < 1 or not 0 < self.confidence < 1 or (isinstance(self.seed, int) and self.seed < 0):
-            raise InputError(
-                "a bootstrap needs resamples, a confidence between 0 and 1, and a seed of at least 0",
-                got=f"{self.resamples} resamples, confidence {self.confidence}, seed {self.seed}",
-            )
+        require(
+            self.resamples >= 1 and 0 < self.confidence < 1 and (not isinstance(self.seed, int) or self.seed >= 0),
+            "a bootstrap needs resamples, a confidence between 0 and 1, and a seed of at least 0",
+            got=f"{self.resamples} resamples, confidence {self.confidence}, seed {self.seed}",
+        )
 
 
 @dataclass(frozen=True)

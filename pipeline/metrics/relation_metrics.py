@@ -297,12 +297,15 @@ def relation_estimates(
         Not one cluster a pair, or a scorer that was measured against another truth.
     """
     shape, names = cells.tp.shape, checked_names(relations, cells.tp.shape[1])
-    if other is not None and not (
-        shape == other.tp.shape
-        and np.array_equal(cells.tp | cells.fn, other.tp | other.fn)
-        and np.array_equal(cells.fp | cells.tn, other.fp | other.tn)
-    ):
-        raise InputError("two scorers can only be compared on the same pairs and the same truth")
+    require(
+        other is None
+        or (
+            shape == other.tp.shape
+            and np.array_equal(cells.tp | cells.fn, other.tp | other.fn)
+            and np.array_equal(cells.fp | cells.tn, other.fp | other.tn)
+        ),
+        "two scorers can only be compared on the same pairs and the same truth",
+    )
     # Sums by cluster first: a million pairs with four numbers for each relation would be hundreds of megabytes.
     index, count = checked_clusters(clusters, shape[0])
     known = cells.tp | cells.fp | cells.fn | cells.tn

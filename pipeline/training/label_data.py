@@ -24,7 +24,7 @@ from pipeline.relations.contract import TrainedOn
 from pipeline.relations.features import feature_set, geometry_of, rows_2d
 from pipeline.relations.relations import T, U
 from pipeline.system.arrow import pa, pc
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 from pipeline.training.pairs import PairSet
 
 _LENGTHS = {"bbox": 4, "lo": 3, "hi": 3, "pca_center": 3, "pca_R": 9, "pca_size": 3, "center": 3, "R": 9, "size": 3}
@@ -106,10 +106,10 @@ def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) ->
     """
     features = geometry_of(features)
     feature_set(features)
-    absent = [r for r in vocabulary if r not in labels.relation_names]
-    if absent:
-        raise InputError(
-            f"these labels lack the relation {absent[0]!r} of the vocabulary",
+    for relation in vocabulary:
+        require(
+            relation in labels.relation_names,
+            f"these labels lack the relation {relation!r} of the vocabulary",
             got=", ".join(labels.relation_names),
             expected="labels made with the vocabulary of the network, or with --vocabulary all",
             path=labels.root,

@@ -21,7 +21,7 @@ from pipeline.metrics.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, S
 from pipeline.relations.class_vectors import ClassVectors, vectors_beside
 from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geometry_of
 from pipeline.relations.model import OnnxScorer
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.onnx_session import file_hash
 from pipeline.system.threads import one_thread
 from pipeline.training.card import network_path, rounded, versions
@@ -66,18 +66,17 @@ class LabelTraining:
         self.config.check()
         language = self.config.features.endswith(LANGUAGE)
         feature_set(geometry_of(self.config.features))
-        if language and self.vectors is None:
-            raise InputError(
-                f"the features {cli_features(self.config.features)} need vectors of class names",
-                expected="--vectors with a file of text vectors",
-            )
-        if not language and (self.vectors is not None or self.normalised):
-            raise InputError(
-                f"the features {cli_features(self.config.features)} use no class names",
-                expected="--features with +lang, or no text vectors",
-            )
-        if self.pairs is not None and self.pairs < 2:
-            raise InputError("there must be at least two pairs to learn from", got=self.pairs)
+        require(
+            not language or self.vectors is not None,
+            f"the features {cli_features(self.config.features)} need vectors of class names",
+            expected="--vectors with a file of text vectors",
+        )
+        require(
+            language or (self.vectors is None and not self.normalised),
+            f"the features {cli_features(self.config.features)} use no class names",
+            expected="--features with +lang, or no text vectors",
+        )
+        require(self.pairs is None or self.pairs >= 2, "there must be at least two pairs to learn from", got=self.pairs)
 
 
 @one_thread()

@@ -9,7 +9,7 @@ import xxhash
 
 from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.relations import T
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 _BLOCK = 1 << 16
 
@@ -129,6 +129,5 @@ def class_shares(states: np.ndarray, inverse: dict[int, int]) -> np.ndarray:
     count = (states == T).sum(axis=0).astype(np.float64)
     mirrored = np.array([inverse.get(k, k) for k in range(len(count))])
     share = (count + count[mirrored]) / 2
-    if (share <= 0).any():
-        raise InputError("a class has no training example", got=int(np.flatnonzero(share <= 0)[0]))
+    require(not (share <= 0).any(), "a class has no training example", got=int((share <= 0).argmax()))
     return share / share.sum()

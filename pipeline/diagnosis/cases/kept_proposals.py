@@ -178,8 +178,11 @@ def read_proposals(path: Path) -> tuple[KeptProposals, str]:
     kept = validated(KeptProposals, content, path)
     (rows,) = kept.frames.values()
     named = [i for a in kept.asked.values() for i in (*a.given, *a.unfiltered)]
-    if not set(named) <= set(range(len(rows))):
-        raise InputError(
-            "the case names a detection that it does not hold", got=max(named), expected=len(rows), path=path
-        )
+    require(
+        set(named) <= set(range(len(rows))),
+        "the case names a detection that it does not hold",
+        got=max(named, default=None),
+        expected=len(rows),
+        path=path,
+    )
     return kept, hashlib.sha256(data).hexdigest()

@@ -252,8 +252,12 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
         got=list(saved.states),
         path=path,
     )
-    if any(o.R is not None and len(o.R) != 9 for o in saved.objects):
-        raise InputError("the case is damaged at truth.objects", expected="R of nine numbers", path=path)
+    require(
+        not any(o.R is not None and len(o.R) != 9 for o in saved.objects),
+        "the case is damaged at truth.objects",
+        expected="R of nine numbers",
+        path=path,
+    )
     case = Case(
         e.id, e.text, e.target, e.relation, e.reference, e.target_object, e.reference_object,
         np.array(e.strict, np.int64), np.array(e.acceptable, np.int64), e.ambiguous, _float(e.margin),

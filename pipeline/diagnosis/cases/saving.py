@@ -165,8 +165,9 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record
         opened = open_case(partial, scorer=source.scorer)
         again = answer_record(opened.answer())
         if again != record:
-            if "proposals" not in record:
-                raise InputError("an expression that cannot be asked cannot be kept", got=record["reason"])
+            require(
+                "proposals" in record, "an expression that cannot be asked cannot be kept", got=record.get("reason")
+            )
             which = next((k for k in record if record[k] != again.get(k)), "a part")
             raise InputError(
                 "the answer does not come back from what was kept", got=f"another {which}",
@@ -213,11 +214,13 @@ def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, by
     )  # fmt: skip
     if not copy:
         return record, None
-    if len(data) > LARGEST_COPY:
-        raise InputError(
-            "the relation network is too large for a case", got=f"{len(data) / 2**20:.0f} MB",
-            expected=f"at most {LARGEST_COPY >> 20} MB", path=path,
-        )  # fmt: skip
+    require(
+        len(data) <= LARGEST_COPY,
+        "the relation network is too large for a case",
+        got=f"{len(data) / 2**20:.0f} MB",
+        expected=f"at most {LARGEST_COPY >> 20} MB",
+        path=path,
+    )
     return record, data
 
 

@@ -87,8 +87,11 @@ def checked_profile(values: Mapping[str, Any]) -> dict[str, Any]:
         ("in_share", "in_share_doubtful"),
         ("near_diagonals_doubtful", "near_diagonals"),
     ):
-        if getattr(whole, wider) < getattr(whole, narrower):
-            raise InputError(f"{wider} must be at least {narrower}", got=f"{getattr(whole, wider)}")
+        require(
+            getattr(whole, wider) >= getattr(whole, narrower),
+            f"{wider} must be at least {narrower}",
+            got=f"{getattr(whole, wider)}",
+        )
     require(
         whole.gap_switch_band[0] <= whole.gap_switch_band[1],
         "gap_switch_band must be from low to high",
@@ -308,8 +311,7 @@ class Edits:
 
     def with_k(self, k: int | None) -> Edits:
         """So many proposals of each name go on; None for the setting's own number."""
-        if k is not None and k < 1:
-            raise InputError("at least one proposal must go on for each name", got=f"k={k}")
+        require(k is None or k >= 1, "at least one proposal must go on for each name", got=f"k={k}")
         return replace(self, k=k)
 
     def with_min_score(self, score: float | None) -> Edits:

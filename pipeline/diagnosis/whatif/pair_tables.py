@@ -24,7 +24,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, measure_pairs, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 _WHOLE = 0.5
 """From this share of new pairs on everything is scored anew, as one scene."""
@@ -303,6 +303,5 @@ def object_keys(trace: Trace, found: Mapping[str, Proposals]) -> tuple[str, ...]
             require(indices, f"the trace has an object {name!r} that is not among these detections")
             taken.add(indices[0])
             keys[at] = names[indices[0]]
-    if any(key is None for key in keys):
-        raise InputError("the trace has an object that is no candidate of any name")
+    require(not any(key is None for key in keys), "the trace has an object that is no candidate of any name")
     return tuple(key for key in keys if key is not None)

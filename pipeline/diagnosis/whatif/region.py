@@ -22,7 +22,7 @@ from pipeline.language.relation_names import HORIZONTAL, PAIRWISE, RELATIONS
 from pipeline.relations.contact import Measured
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 _Line = tuple[float, float]
 _Level = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -111,8 +111,11 @@ def region_of(
         relation in PAIRWISE, "there is no region of this relation", got=repr(relation), expected=", ".join(PAIRWISE)
     )
     size = np.asarray(size, np.float64)
-    if size.shape != (3,) or not np.isfinite(size).all() or (size < 0).any():
-        raise InputError("the target's size must be three lengths", got=size.tolist())
+    require(
+        size.shape == (3,) and np.isfinite(size).all() and not (size < 0).any(),
+        "the target's size must be three lengths",
+        got=size.tolist(),
+    )
     require(
         (np.isfinite(reach) and 0 < reach <= 100),
         "the reach of a region is out of range",
@@ -120,8 +123,10 @@ def region_of(
         expected="above 0, up to 100 m",
     )
     lo, hi = reference.lo, reference.hi
-    if not known_extents(lo[None], hi[None]).all():
-        raise InputError("the reference has no place in space, and so there is no region around it")
+    require(
+        known_extents(lo[None], hi[None]).all(),
+        "the reference has no place in space, and so there is no region around it",
+    )
     middle = (lo + hi) / 2
     if relation in SOLIDS:
         found = solids(lo, hi, size, relation, profile, reach)

@@ -32,7 +32,7 @@ from pipeline.proposals.selection import top_k_places
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 _NO_EDITS = Edits()
 _T = TypeVar("_T")
@@ -327,12 +327,12 @@ def _tables(
 
 def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits) -> RelationScores:
     for relation, _, _ in edits.relations:
-        if relation not in (*PAIRWISE, "closest", "farthest"):
-            raise InputError(
-                "there is no probability of this relation for two objects",
-                got=repr(relation),
-                expected=", ".join((*PAIRWISE, "closest", "farthest")),
-            )
+        require(
+            relation in (*PAIRWISE, "closest", "farthest"),
+            "there is no probability of this relation for two objects",
+            got=repr(relation),
+            expected=", ".join((*PAIRWISE, "closest", "farthest")),
+        )
     known = {r: k for k, r in enumerate(scores.relations)}
     index = {key: at for at, key in enumerate(keys)}
     given = [

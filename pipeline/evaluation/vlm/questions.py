@@ -251,9 +251,10 @@ def _checked(pairs: np.ndarray | Sequence[tuple[int, int]], count: int, relation
     if indices.size and (indices.min() < 0 or indices.max() >= count):
         raise InputError("a pair names an object that is not there", got=f"{indices.min()} to {indices.max()}",
                          expected=f"0 to {count - 1}")  # fmt: skip
-    unknown = [r for r in relations if r not in PAIRWISE]
-    if unknown:
-        raise InputError("no such relation of two things", got=repr(unknown[0]), expected=" | ".join(PAIRWISE))
+    for relation in relations:
+        require(
+            relation in PAIRWISE, "no such relation of two things", got=repr(relation), expected=" | ".join(PAIRWISE)
+        )
     return indices
 
 
