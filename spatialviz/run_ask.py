@@ -26,8 +26,7 @@ from pipeline.relations.relations import letter
 from pipeline.system.errors import require
 from spatialviz.cli_ask import Ask, Context, Frames, Relations, Render
 from spatialviz.options import ALL_FRAMES, FINE, NO, one_frame, print_json, warn_skipped
-from spatialviz.printing import print_rows, rate_bar, say
-from spatialviz.printing_statistics import print_summary
+from spatialviz.printing import print_rows, print_summary, rate_bar, say
 from spatialviz.report.picture import save_picture
 
 SHOWN_PAIRS = 5

@@ -24,7 +24,7 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import Profile
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_eval import Replay, Report, SaveCase, WhatIf
+from spatialviz.cli_ask import Replay, Report, SaveCase, WhatIf
 from spatialviz.options import BAD, FINE, NO, one_frame
 from spatialviz.printing import figure, print_rows, say
 from spatialviz.report import Subject, failure_page, write_page

@@ -26,7 +26,7 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_corrections import Correct, Effective, OfPerson, Redo, Show, ShowJournal, Undo
+from spatialviz.cli_labels import Correct, Effective, OfPerson, Redo, Show, ShowJournal, Undo
 from spatialviz.options import FINE, NO, Output, numbers, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
 

@@ -13,22 +13,28 @@ from typing import Any, Literal
 from rich.text import Text
 
 from pipeline.diagnosis.verdict import VERDICTS, read_marks
-from pipeline.evaluation.compare import Comparison, read_records
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
+from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
-from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.run_folder import QueryRows, labels_of, manifest_of, open_database
 from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
-from pipeline.evaluation.summary import RunSummary, need_verdicts, oracle_table, summarise_run, verdict_table
-from pipeline.evaluation.whole_expression import VlmOptions
+from pipeline.evaluation.summary import (
+    Comparison,
+    RunSummary,
+    need_verdicts,
+    oracle_table,
+    summarise_run,
+    verdict_table,
+)
 from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_eval import Eval, Failures, Query, Tables
+from spatialviz.cli_ask import Eval, Failures, Query, Tables
 from spatialviz.options import FINE, NO, print_json, warn
 from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, table_record
 

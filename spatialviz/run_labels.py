@@ -24,8 +24,7 @@ from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, MissingExtra
 from spatialviz.cli_labels import Check, Label, Merge, Selection
 from spatialviz.options import FINE, NO, print_json, task_of, warn
-from spatialviz.printing import print_rows, rate_bar, say
-from spatialviz.printing_statistics import print_statistics
+from spatialviz.printing import print_rows, print_statistics, rate_bar, say
 
 COLORS = {"error": "red", "warning": "yellow"}
 

@@ -35,7 +35,7 @@ from pipeline.relations.features import CLI_FEATURES
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.training.train import TrainConfig, need_torch
-from spatialviz.cli_corrections import Review
+from spatialviz.cli_labels import Review
 from spatialviz.options import FINE, NO, warn, warn_skipped
 from spatialviz.printing import figure, print_rows, progress_bars, say
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from pipeline.datasets.semantic_abstraction_file import SUBSETS, subsets_of
 from pipeline.datasets.settings import read_settings
-from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.grounding_tables import OPM_ONLY, clusters_of, column, has_opm, read_reported
-from pipeline.evaluation.records import ArrowTable
+from pipeline.evaluation.records import ArrowTable, read_records
 from pipeline.evaluation.relation_records import FILE, RelationRecords, read_pair_names, read_relation_records
 from pipeline.evaluation.relation_report import counted_pairs, relation_ranks
 from pipeline.evaluation.run_folder import RECORDS_FILE, open_run

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from pipeline.diagnosis.substitution import CONF, LIFT, SRM
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.expression import Query
-from pipeline.system.arrow import pa
+from pipeline.system.arrow import pa, pq
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     from pyarrow import Schema as ArrowSchema
@@ -355,3 +357,22 @@ def detector_scores(records: ArrowTable) -> DetectorScores:
     hits = np.array([x for part in parts.values() for x in part[2]], np.bool_)
     frames = np.repeat(np.array([frame for frame, _ in parts], np.str_), lengths)
     return DetectorScores(raw, calibrated, hits, frames, np.repeat(np.array([p[3] for p in parts.values()]), lengths))
+
+
+def read_records(run: Path) -> ArrowTable:
+    """The records of a run folder.
+
+    Raises
+    ------
+    InputError
+        There is no run, or it measured relations alone.
+    """
+    path = Path(run) / "records.parquet"
+    try:
+        return pq.read_table(path)
+    except FileNotFoundError as error:
+        if (Path(run) / "relation_records.parquet").is_file():
+            raise InputError("this run has no expressions", cause="made with --tables relations", path=run) from error
+        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=run) from error
+    except (ValueError, OSError) as error:
+        raise InputError("the records of the run cannot be read", got=str(error).split("\n")[0], path=path) from error

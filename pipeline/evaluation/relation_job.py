@@ -31,11 +31,10 @@ from pipeline.evaluation.relation_report import (
     relation_tables,
     system_figures,
 )
-from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.shared_makers import Share, relation_share
 from pipeline.evaluation.vlm.client import ChatClient
 from pipeline.evaluation.vlm.questions import RelationConfig, score_pairs
-from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted

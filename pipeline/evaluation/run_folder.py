@@ -20,8 +20,7 @@ from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.records import ArrowTable
+from pipeline.evaluation.records import ArrowTable, read_records
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run
 from pipeline.labels.makers import Makers

@@ -24,8 +24,7 @@ import numpy as np
 
 from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
-from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.records import DIAGNOSIS_COLUMNS, ArrowSchema, ArrowTable
+from pipeline.evaluation.records import DIAGNOSIS_COLUMNS, ArrowSchema, ArrowTable, read_records
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted

@@ -26,8 +26,8 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import require
 from pipeline.system.worker_pool import results_of
-from pipeline.training.onnx_file import save_onnx
-from pipeline.training.pairs import PairSet
+from pipeline.training.card import save_onnx
+from pipeline.training.label_data import PairSet
 from pipeline.training.train import TrainConfig, require_training, train_pairs
 from pipeline.training.training_data import FIRST_ROOM, ROOMS_A_SEED, FrameSamples, view_samples
 

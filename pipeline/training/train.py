@@ -27,7 +27,7 @@ from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T
 from pipeline.system.errors import MissingExtra, require
 from pipeline.system.onnx_session import require_onnx
-from pipeline.training.pairs import PairSet, class_shares
+from pipeline.training.label_data import PairSet, class_shares
 from pipeline.training.training_data import FrameSamples, iterate_pairs
 
 OUTPUTS: dict[str, Output] = {name: "softmax" if name == "semantic-abstraction" else "sigmoid" for name in VOCABULARIES}

@@ -17,8 +17,7 @@ from pipeline.relations.features import FEATURES
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.training import card
-from pipeline.training.card import RoomConfig
-from pipeline.training.onnx_file import save_onnx, write_onnx
+from pipeline.training.card import RoomConfig, save_onnx, write_onnx
 from pipeline.training.train import TrainConfig, require_training, train_srm
 from pipeline.training.training_data import (
     SCATTERED_A_ROOM,
