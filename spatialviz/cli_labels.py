@@ -12,14 +12,15 @@ from spatialviz.options import (
     CPUS,
     Box,
     DatasetArg,
-    DatasetOptions,
     Flag,
     JournalOptions,
     LabelledOptions,
     LabelsArg,
     NewFolder,
     OneFrameArg,
+    OnJournal,
     OnLabels,
+    OnPictures,
     Output,
     Overwrite,
     PairFeatures,
@@ -125,7 +126,7 @@ class Export:
 
 
 @dataclass(frozen=True)
-class Import(OnLabels):
+class Import(OnPictures):
     """Take over corrections made elsewhere, in a COCO or JSONL export of these labels: all of them, or none.
 
     What differs between the file and what was exported becomes edits in the journal. A value that was corrected in
@@ -153,8 +154,6 @@ class Import(OnLabels):
     """Save what does not contradict later corrections, instead of nothing."""
     reason: str = ""
     """Kept with each correction. Default: the file's name."""
-    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     dry_run: Flag = False
     """Save nothing; say what would be done."""
     show: int = 20
@@ -162,7 +161,7 @@ class Import(OnLabels):
 
 
 @dataclass(frozen=True)
-class Show(OnLabels):
+class Show(OnPictures):
     """Show the labels of a frame's objects, of one object or of a pair, field by field, with who or what made each."""
 
     frame: OneFrameArg
@@ -170,14 +169,12 @@ class Show(OnLabels):
     """Only this object, rejected ones included."""
     pair: str | None = None
     """A,B: every relation of "A RELATION B"."""
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
-    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
     support: Flag = False
     """With --object: what it stands on, found in the depth around it."""
 
 
 @dataclass(frozen=True)
-class ShowJournal(OnLabels):
+class ShowJournal(OnJournal):
     """List what people corrected in labels; exit status 1 where there are none, 2 without a journal.
 
     A journal is checked in full whenever it is opened, and refused where it is damaged. To go on with one that is:
@@ -185,7 +182,6 @@ class ShowJournal(OnLabels):
     old one or is named by `--journal`.
     """
 
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     author: str | None = None
     """Only this person's."""
     kind: Literal["object", "relation", "expression", "frame", "review"] | None = None
@@ -205,7 +201,7 @@ class ShowJournal(OnLabels):
 
 
 @dataclass(frozen=True)
-class Correct(OnLabels):
+class Correct(OnPictures):
     """Apply a file of edits to labels, all of them or none; exit status 1 where somebody else has been there."""
 
     edits: Path
@@ -218,12 +214,10 @@ class Correct(OnLabels):
     """Who says so."""
     again: str | None = None
     """The group that a try named which could not be saved: what was saved after all is not saved twice."""
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
-    pictures: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
 
 
 @dataclass(frozen=True)
-class OfPerson(OnLabels):
+class OfPerson(OnJournal):
     """What undo and redo are of."""
 
     author: str
@@ -232,7 +226,6 @@ class OfPerson(OnLabels):
     """This action, and not the newest; of redo, the undo that took it back."""
     again: str | None = None
     """The group that a try named which could not be saved: what was done after all is not followed by the next."""
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
 
 
 @dataclass(frozen=True)
@@ -246,18 +239,16 @@ class Redo(OfPerson):
 
 
 @dataclass(frozen=True)
-class Effective(OnLabels):
+class Effective(OnPictures):
     """Write labels with all corrections applied, as an ordinary labels folder with provenance."""
 
     out: NewFolder
-    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     show: Annotated[int, arg(metavar="N")] = 20
     """Events that do not apply, shown of all."""
 
 
 @dataclass(frozen=True)
-class Review(OnLabels):
+class Review(OnPictures):
     """Rank labels by how probably they are wrong, each with the reasons; tell how far a review of them has come."""
 
     limit: int = 50
@@ -279,11 +270,9 @@ class Review(OnLabels):
     judged the same item."""
     progress: Flag = False
     """Print how far the review has come."""
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     other: Path | None = None
     """Labels of the same dataset by another detector or run: what they say otherwise counts too."""
     second: OmitArgPrefixes[SecondDetectorOptions] = SecondDetectorOptions()
-    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
     networks: bool = True
     """Ask networks that have not learnt from a label (confident learning)."""
     linter: bool = True

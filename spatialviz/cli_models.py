@@ -13,14 +13,12 @@ from spatialviz.options import (
     CPUS,
     Batch,
     DatasetArg,
-    DatasetOptions,
     Epochs,
     Features,
     Flag,
     FrameArg,
     FramesOptions,
-    JournalOptions,
-    OnLabels,
+    OnPictures,
     Output,
     Overwrite,
     PairFeatures,
@@ -119,7 +117,7 @@ class Train(Output):
 
 
 @dataclass(frozen=True)
-class Retrain(OnLabels):
+class Retrain(OnPictures):
     """Train relation networks on labels before and after they were mended, and compare them on held-out frames.
 
     The labels after are those of the folder AFTER, or LABELS with the corrections of their journal; with --run, the run
@@ -132,8 +130,6 @@ class Retrain(OnLabels):
     mended labels and the runs, too."""
     run_folder: Annotated[Path | None, arg(name="run")] = None
     """A run that `eval` wrote on these labels, made again."""
-    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     features: PairFeatures = "rel14"
     epochs: Epochs = 10
     batch: Batch = None

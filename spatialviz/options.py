@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional, arg
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
 from pipeline.system.errors import InputError, require
 from pipeline.system.execution import Provider, ProviderWarning, use_execution
@@ -214,6 +214,20 @@ class JournalOptions:
         for warning in opened.warnings:
             warn(warning)
         return opened
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnJournal(OnLabels):
+    """A command on a labels folder and what people corrected in it."""
+
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnPictures(OnJournal):
+    """One that may need the pictures too."""
+
+    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from pipeline.corrections.cards import PairCard, pair_card
@@ -26,7 +27,7 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_labels import Correct, Effective, OfPerson, Redo, Show, ShowJournal, Undo
+from spatialviz.cli_labels import Correct, Effective, OfPerson, Show, ShowJournal
 from spatialviz.options import FINE, NO, Output, numbers, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
 
@@ -101,19 +102,11 @@ def _as_a_whole(command: ShowJournal) -> int:
 def run_correct(command: Correct) -> int:
     labels = open_labels(command.labels)
     actions = read_actions(command.edits)
-    dataset = command.pictures.open(labels) if needs_pictures(actions) else None
+    dataset = command.source.open(labels) if needs_pictures(actions) else None
     with command.journal.open(labels) as journal, _told_how_to_try_again():
         corrector = Corrector(labels, dataset)
         done = apply_actions(corrector, journal, actions, command.author, again=command.again)
         return _told(command, done, "saved", frames_of(corrector, journal))
-
-
-def run_undo(command: Undo) -> int:
-    return _undo_or_redo(command, undo, "taken back")
-
-
-def run_redo(command: Redo) -> int:
-    return _undo_or_redo(command, redo, "brought back")
 
 
 def _undo_or_redo(command: OfPerson, way: Callable[..., Saved | Conflict | None], verb: str) -> int:
@@ -121,6 +114,10 @@ def _undo_or_redo(command: OfPerson, way: Callable[..., Saved | Conflict | None]
     with command.journal.open(labels, must_exist=True) as journal, _told_how_to_try_again():
         done = way(journal, command.author, group=command.group, again=command.again)
         return _told(command, done, verb, frames_of(Corrector(labels), journal))
+
+
+run_undo = partial(_undo_or_redo, way=undo, verb="taken back")
+run_redo = partial(_undo_or_redo, way=redo, verb="brought back")
 
 
 def run_effective(command: Effective) -> None:
