@@ -10,11 +10,11 @@ from pipeline.answering.json_records import NO_SUCH_PAIR, holds, probability
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import MANIFEST
-from pipeline.diagnosis.answer import Answer
-from pipeline.diagnosis.asking import edited_verdicts, known_truth
-from pipeline.diagnosis.cases import answer, answer_record, find_cases, open_case, save_case
+from pipeline.diagnosis.answer import Answer, answer_record
+from pipeline.diagnosis.asking import answer, edited_verdicts, known_truth
 from pipeline.diagnosis.cases.manifest import Expected
-from pipeline.diagnosis.cases.replay import Result, replay_all
+from pipeline.diagnosis.cases.replay import Result, find_cases, replay_all
+from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
 from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
 from pipeline.diagnosis.whatif.placement import place_in_region
@@ -22,7 +22,7 @@ from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.relations import Profile
+from pipeline.relations.relations import Profile, letter
 from pipeline.system.errors import InputError, require
 from spatialviz.cli_ask import Replay, Report, SaveCase, WhatIf
 from spatialviz.options import BAD, FINE, NO, one_frame
@@ -167,7 +167,7 @@ def whatif_record(
         placed = place_in_region(first, second, relation, trace.viewer, Profile(**edits.profile))
         record["placement"] = {
             "relation": relation,
-            "state": placed.letter,
+            "state": letter(placed.state),
             "why": placed.why,
             "measures": {name: round(value, 6) for name, value in placed.measures.items()},
         }

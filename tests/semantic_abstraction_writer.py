@@ -90,9 +90,7 @@ def surface_points(room: Room, index: int, rng: np.random.Generator, count: int)
     """(count, 3) points on an instance's triangles, world metres."""
     instance = room.instances[index]
     triangles = np.concatenate([part.vertices[part.faces] for part in instance.model.parts])
-    area = np.linalg.norm(
-        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
-    )
+    area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
     a, b, c = np.moveaxis(triangles[rng.choice(len(triangles), count, p=area / area.sum())], 1, 0)
     s, t = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
     return (a * (1 - s) + b * (s * (1 - t)) + c * (s * t)) @ instance.R.T + instance.position

@@ -24,7 +24,7 @@ from pipeline.system.errors import InputError
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "adding-a-relation.md"
 
-PROGRAM = '''
+PROGRAM = """
 import json, sys
 from pathlib import Path
 
@@ -98,7 +98,7 @@ print(json.dumps({
     "old_findings": [[f.rule, f.message] for f in check_labels(earlier) if f.rule.split("/")[0] in
                      ("file", "profile", "relation")],
 }))
-'''
+"""
 
 
 def added_lines(page: str) -> dict[str, str]:

@@ -142,7 +142,6 @@ def test_imports_within_functions_save_time_or_an_extra() -> None:
         for name, tree in modules().items()
         if name != "pipeline" and name not in LAZY_PARTS
         for target, line in hidden(name, tree)
-        if target.split(".")[0] not in HEAVY
-        and not (target in modules() and brings_in(target) - brings_in(name))
+        if target.split(".")[0] not in HEAVY and not (target in modules() and brings_in(target) - brings_in(name))
     ]
     assert not needless

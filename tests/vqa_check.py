@@ -123,9 +123,7 @@ def _grounding(question: Question, own: list[dict[str, Any]], rows: FrameRows, c
     )
 
 
-def _measure(
-    question: Question, own: list[dict[str, Any]], rows: FrameRows, figures: list[Figures]
-) -> str | None:
+def _measure(question: Question, own: list[dict[str, Any]], rows: FrameRows, figures: list[Figures]) -> str | None:
     if not _named_once(rows, *own):
         return "a name that several objects have"
     if question.kind == "size":

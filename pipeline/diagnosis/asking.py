@@ -18,7 +18,7 @@ from pipeline.diagnosis.answer import Answer, Edited
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif import Baseline, apply, read_edits
+from pipeline.diagnosis.whatif import Baseline, read_edits, rerun
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases, read_query
 from pipeline.labels.config import LabelConfig
@@ -202,7 +202,7 @@ def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edi
         got=read.scorer,
         expected="--srm FILE",
     )
-    return apply(Baseline(source, context, text), read), replace(source.config.rank, **read.rank)
+    return rerun(Baseline(source, context, text), read).trace, replace(source.config.rank, **read.rank)
 
 
 @lru_cache(maxsize=1)

@@ -97,11 +97,6 @@ class FrameEvidence:
         self.roles: dict[tuple[str, bytes], Any] = {}
         self._probabilities: dict[str, np.ndarray] = {}
 
-    @property
-    def known(self) -> np.ndarray:
-        """(N,) bool: labelled objects whose true geometry is known."""
-        return self.objects.known
-
     def match_at(self, indices: np.ndarray) -> np.ndarray:
         """(K,) int64: the labelled object, of whatever class, at each place of the list; -1 for none."""
         return np.asarray(np.concatenate([self.match, np.arange(self.labelled)])[indices], np.int64)

@@ -37,7 +37,6 @@ from pipeline.answering.pair_table import (
     pair_table,
     side,
 )
-from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.frame_evidence import FrameEvidence, matched
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case
@@ -103,11 +102,6 @@ class OracleScores:
     p_relation: np.ndarray
     covered: np.ndarray
     right: np.ndarray
-
-    @property
-    def log_score(self) -> np.ndarray:
-        """(16, T, R) float64: S under each subset; -inf where there is no pair."""
-        return self.table.log_score
 
     @cached_property
     def plain(self) -> PairTable:
@@ -190,44 +184,29 @@ def _margins(table: PairTable, covered: np.ndarray) -> np.ndarray:
     return found
 
 
-def given_scores(role: CandidateSet) -> np.ndarray:
-    """(K,) float64: what CONF says of each."""
-    return np.where(role.object >= 0, RIGHT_SCORE, WRONG_SCORE)
+def _role(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateSet:
+    """The candidates of a name and the labelled objects ((N,) bool, those of the asked class) that are missing there.
 
-
-def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) -> CandidateSet:
-    """The candidates of a name and the labelled objects that are missing among them.
-
-    Parameters
-    ----------
-    evidence : FrameEvidence
-    candidates : Candidates
-    asked : (N,) bool
-        Labelled objects of the asked class.
+    Made once for all expressions of the frame that ask for it.
     """
+    key, candidates = (name, asked.tobytes()), evidence.answers.candidates[name]
+    if key in evidence.roles:
+        return evidence.roles[key]
     overlap = evidence.overlap[candidates.index]
     own, objects = np.where(asked, overlap, 0.0), matched(overlap, asked)
     shapes = np.where(objects >= 0, objects, evidence.match[candidates.index])
-    shapes = np.where((shapes >= 0) & evidence.known[shapes], shapes, -1) if evidence.labelled else shapes
+    shapes = np.where((shapes >= 0) & evidence.objects.known[shapes], shapes, -1) if evidence.labelled else shapes
     covered = (own >= HIT).any(axis=0) if len(own) else np.zeros(evidence.labelled, np.bool_)
-    missing = np.flatnonzero(asked & ~covered & evidence.known)
-    everyone = np.concatenate([objects, missing]).astype(np.int64)
+    missing = np.flatnonzero(asked & ~covered & evidence.objects.known)
     truth = evidence.truth.boxes
-    return CandidateSet(
+    evidence.roles[key] = CandidateSet(
         index=np.concatenate([candidates.index, evidence.detections + missing]).astype(np.int64),
         found=len(candidates.index),
         scores=np.concatenate([candidates.scores, np.full(len(missing), evidence.confidence)]),
-        object=everyone,
+        object=np.concatenate([objects, missing]).astype(np.int64),
         shape_of=np.concatenate([shapes, missing]).astype(np.int64),
         overlap=np.concatenate([overlap, iou_2d(truth[missing], truth).reshape(-1, evidence.labelled)]),
     )
-
-
-def _role(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateSet:
-    """The role of a name, made once for all expressions of the frame that ask for it."""
-    key = (name, asked.tobytes())
-    if key not in evidence.roles:
-        evidence.roles[key] = role_of(evidence, evidence.answers.candidates[name], asked)
     return evidence.roles[key]
 
 
@@ -271,7 +250,8 @@ def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
 
 def _side(role: CandidateSet, conf: np.ndarray, weight: float) -> Side:
     """A role under every subset; `conf` says which of them give true confidences."""
-    both = side(role.index, np.stack([role.scores, given_scores(role)]), weight)
+    true = np.where(role.object >= 0, RIGHT_SCORE, WRONG_SCORE)
+    both = side(role.index, np.stack([role.scores, true]), weight)
     return Side(both.index, both.scores[conf], both.log[conf])
 
 
@@ -305,11 +285,6 @@ def _relation(evidence: FrameEvidence, relation: str, target: CandidateSet, refe
 def names_of(subset: int) -> tuple[str, ...]:
     """The oracles of a subset, which is a number with one bit for each."""
     return tuple(name for k, name in enumerate(ORACLES) if subset >> k & 1)
-
-
-def size(subset: int) -> int:
-    """How many oracles a subset holds."""
-    return subset.bit_count()
 
 
 @dataclass(frozen=True)

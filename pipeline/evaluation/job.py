@@ -162,7 +162,7 @@ def evaluate_dataset(
     measured = measured_of(source, labels.relation_names, spec.system) if spec.grounding else None
     own = () if measured is None else shared_makers(makers, measured)
     of_others = other_systems(others, name, asked, makers)
-    shares = {name: own, **{n: other.shares for n, other in of_others.items()}}
+    shares = {name: own, **{n: shared for n, (_, shared) in of_others.items()}}
     with staged_folder(out, overwrite=overwrite, mark=RUN_FILE) as folder:
         with (
             relation_sink(spec, labels, folder) as sink,
@@ -172,7 +172,7 @@ def evaluate_dataset(
                 writer.write_table(table)
         evaluated = perf_counter() - start
         records = read_records(folder)
-        systems = {name: records, **{n: other.records for n, other in of_others.items()}}
+        systems = {name: records, **{n: answered for n, (answered, _) in of_others.items()}}
         tables = make_tables(systems, bootstrap, shares) if spec.grounding else []
         relations = None if sink is None else measure_relations(spec, source, labels, folder, bootstrap)
         tables += [] if relations is None else relations.tables

@@ -265,11 +265,6 @@ class RelationSystem:
     trained_on: TrainedOn | None = None
     recorded: bool = True
 
-    @property
-    def single_label(self) -> bool:
-        """Whether it says which one relation fits best, and all it can say was labelled."""
-        return bool(self.prior) and not self.unlabelled
-
 
 def geometry_of_labels(spec: RelationSpec, labels: Labels) -> Geometry:
     """The geometry that is asked for, or the one that fits the labels.

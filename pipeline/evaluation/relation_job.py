@@ -32,7 +32,7 @@ from pipeline.evaluation.relation_report import (
     system_figures,
 )
 from pipeline.evaluation.run import EvalSpec, VlmOptions
-from pipeline.evaluation.shared_makers import Share, relation_share
+from pipeline.evaluation.shared_makers import Share, scorer_share
 from pipeline.evaluation.vlm.client import ChatClient
 from pipeline.evaluation.vlm.questions import RelationConfig, score_pairs
 from pipeline.labels.makers import makers_of
@@ -113,7 +113,7 @@ def measure_relations(
     )
     warnings = leak_warnings(records, systems, labels, held_out)
     makers = makers_of(labels.manifest)
-    shares = {s.title: share for s in systems if (share := relation_share(makers, s)) is not None}
+    shares = {s.title: share for s in systems if (share := scorer_share(makers, s.name, s.scorer)) is not None}
     figures = all_systems(records, held_out=held_out, config=bootstrap)
     clusters, unit = records.clusters(counted)
     geometry = geometry_of_labels(how, labels)
@@ -122,20 +122,20 @@ def measure_relations(
     if spec.vlm is not None:
         rows = sample_pairs(records, counted, how.vlm_pairs, how.seed)
         first = records.systems[0]
-        found = ask_relations(spec.vlm, source.dataset, labels, records, rows, first.relations, folder / VLM_FILE)
+        model, reasons, requests = ask_relations(
+            spec.vlm, source.dataset, labels, records, rows, first.relations, folder / VLM_FILE
+        )
         same = replace(first, title=f"{first.title}, on the VLM's pairs", p=first.p[rows], part=first.part[rows])
         if first.title in shares:
             shares[same.title] = shares[first.title]
-        for system in (same, found.system):
+        for system in (same, model):
             truth = records.truth(system.relations)[rows]
             figures.append(system_figures(system, truth, clusters[rows], np.ones(len(rows), np.bool_), bootstrap))
-        unknown = sum(found.unknown.values())
         notes.append(
-            f"The VLM was asked about {len(rows)} pairs drawn at random (seed {how.seed}), {unknown} of "
-            f"{found.system.p.size} answers are not known and count as no."
+            f"The VLM was asked about {len(rows)} pairs drawn at random (seed {how.seed}), {sum(reasons.values())} of "
+            f"{model.p.size} answers are not known and count as no."
         )
-        asked = {"pairs": len(rows), "answers": int(found.system.p.size), "unknown": found.unknown,
-                 "requests": found.requests}  # fmt: skip
+        asked = {"pairs": len(rows), "answers": int(model.p.size), "unknown": reasons, "requests": requests}
     notes += [f"Warning: {warning}." for warning in warnings]
     tables = relation_tables(figures, always_no(records, held_out=held_out), unit, notes, shares)
     record = {
@@ -182,25 +182,6 @@ class Shown:
     bbox: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class VlmRecords:
-    """What the model said.
-
-    Attributes
-    ----------
-    system : SystemRecords
-        Of the M pairs that were asked; 0.5, a no, where the answer is not known.
-    unknown : dict of str to int
-        Why answers are not known, and how often.
-    requests : int
-        Sent to the server; the others stood in the cache.
-    """
-
-    system: SystemRecords
-    unknown: dict[str, int]
-    requests: int
-
-
 def sample_pairs(records: RelationRecords, counted: np.ndarray, number: int, seed: int) -> np.ndarray:
     """(M,) int64: places of at most so many of the counted pairs, without replacement, rising."""
     indices = np.flatnonzero(counted)
@@ -217,8 +198,17 @@ def ask_relations(
     rows: np.ndarray,
     relations: tuple[str, ...],
     path: Path,
-) -> VlmRecords:
+) -> tuple[SystemRecords, dict[str, int], int]:
     """Ask of each of these pairs whether each relation holds, and write every answer to `path`.
+
+    Returns
+    -------
+    system : SystemRecords
+        Of the M pairs that were asked; 0.5, a no, where the answer is not known.
+    unknown : dict of str to int
+        Why answers are not known, and how often.
+    requests : int
+        Sent to the server; the others stood in the cache.
 
     Raises
     ------
@@ -268,4 +258,4 @@ def ask_relations(
     pq.write_table(pa.concat_tables(tables), path, compression="zstd")
     title = f"VLM {options.model}, yes/no question, {len(rows)} pairs"
     system = SystemRecords("vlm", title, relations, p, np.full(len(rows), DROPPED, np.int8))
-    return VlmRecords(system, dict(reasons), client.usage.requests)
+    return system, dict(reasons), client.usage.requests

@@ -152,7 +152,8 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> ArrowS
 
 
 def _prior_of(system: RelationSystem) -> list[float]:
-    if not system.single_label or not isinstance(system.scorer, OnnxScorer):
+    """Of a network that says which one relation fits best, where all it can say was labelled; else empty."""
+    if not system.prior or system.unlabelled or not isinstance(system.scorer, OnnxScorer):
         return []
     shares = dict(zip(system.scorer.contract.vocabulary, system.prior, strict=True))
     return [shares[r] for r in system.relations]

@@ -250,23 +250,10 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
     )
 
 
-@dataclass(frozen=True)
-class OtherSystem:
-    """The system of another run.
-
-    Attributes
-    ----------
-    records : pyarrow.Table
-    shares : tuple of Share
-        What it has in common with what made the labels.
-    """
-
-    records: ArrowTable
-    shares: tuple[Share, ...]
-
-
-def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Makers) -> dict[str, OtherSystem]:
-    """The systems of other runs by their names.
+def other_systems(
+    runs: Sequence[Path], name: str, content_hash: str, makers: Makers
+) -> dict[str, tuple[ArrowTable, tuple[Share, ...]]]:
+    """The systems of other runs by their names: records, and what they have in common with what made the labels.
 
     A name that is taken is told apart by its run's folder, and by a number where that is not enough.
 
@@ -285,7 +272,7 @@ def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Ma
     InputError
         There is no run, or it is of other labels.
     """
-    found: dict[str, OtherSystem] = {}
+    found: dict[str, tuple[ArrowTable, tuple[Share, ...]]] = {}
     taken = {name}
     for run in map(Path, runs):
         manifest = read_manifest(run)
@@ -302,7 +289,7 @@ def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Ma
         choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]
         own = next(n for n in choices if n not in taken)
         taken.add(own)
-        found[own] = OtherSystem(read_records(run), shared_makers(makers, measured_of_run(manifest)))
+        found[own] = read_records(run), shared_makers(makers, measured_of_run(manifest))
     return found
 
 

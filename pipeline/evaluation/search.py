@@ -17,14 +17,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
-from pipeline.evaluation.records import DIAGNOSIS_COLUMNS, ArrowSchema, ArrowTable, read_records
+from pipeline.evaluation.records import DIAGNOSIS_COLUMNS, ArrowSchema, ArrowTable
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted
@@ -153,56 +152,30 @@ def compile_search(query: str, schema: ArrowSchema) -> Search:
     return Search(where, tuple(parameters), tuple(order), tuple(dict.fromkeys(columns)), about_right)
 
 
-def find(source: str | Path | ArrowTable, query: str) -> ArrowTable:
-    """The rows of a run that a search asks for, in the order of the run or as it asks.
-
-    Parameters
-    ----------
-    source : str, Path or pyarrow.Table
-        Run folder, its `records.parquet`, or the records themselves.
-    query : str
-        Empty for all rows.
+def find_rows(records: ArrowTable, query: str) -> np.ndarray:
+    """(N,) int64: indices of the rows of a run that a search asks for, in the order of the run or as it asks.
 
     Raises
     ------
     InputError
-        There is no run, or the search cannot be read.
+        The search cannot be read.
     """
-    records = records_of(source)
-    return _take(records, find_rows(records, query))
-
-
-def find_rows(records: ArrowTable, query: str) -> np.ndarray:
-    """(N,) int64: places of the rows that `find` gives; for a page that holds the records and shows a few of them."""
     return _rows(records, compile_search(query, records.schema))
 
 
-def find_failures(source: str | Path | ArrowTable, query: str = "") -> ArrowTable:
-    """Like `find`, but without what is CORRECT, unless the search asks for a verdict or for what is right (`lucky`).
+def find_failures(records: ArrowTable, query: str = "") -> ArrowTable:
+    """The rows found without what is CORRECT, unless the search asks for a verdict or for what is right (`lucky`).
 
     Raises
     ------
     InputError
-        As in `find`; or the run has no verdicts.
+        As in `find_rows`; or the run has no verdicts.
     """
-    records = records_of(source)
     need_verdicts(records)
     search = compile_search(query, records.schema)
     if not search.about_right:
         search = compile_search(f"-verdict:{','.join(RIGHT)} {query}", records.schema)
-    return _take(records, _rows(records, search))
-
-
-def _take(records: ArrowTable, rows: np.ndarray) -> ArrowTable:
-    return records if len(rows) == records.num_rows and (np.diff(rows) > 0).all() else records.take(rows)
-
-
-def records_of(source: str | Path | ArrowTable) -> ArrowTable:
-    """The records of a run folder, of its file, or as they are given."""
-    if not isinstance(source, (str, Path)):
-        return source
-    path = Path(source)
-    return read_records(path.parent if path.name == "records.parquet" else path)
+    return records.take(_rows(records, search))
 
 
 def _rows(records: ArrowTable, search: Search) -> np.ndarray:
@@ -368,9 +341,8 @@ def _names(field: Field, term: Term) -> Condition:
     return _any(parts), list(chosen)
 
 
-def completions(source: str | Path | ArrowTable, most: int = 200) -> tuple[Field, ...]:
+def completions(records: ArrowTable, most: int = 200) -> tuple[Field, ...]:
     """All fields of a run with the values that occur, for a field that completes what is typed."""
-    records = records_of(source)
     found = fields_of(records.schema).values()
     return tuple(replace(f, values=_occurring(f, records.column(f.column), most)) for f in found)
 

@@ -76,7 +76,7 @@ class Slice:
     ----------
     system, name : str
     query : str or None
-        The search that finds just its expressions (`search.find`); None for the others taken together.
+        The search that finds just its expressions (`search.find_rows`); None for the others taken together.
     n : int
     set_correct, correct : Estimate
         Accuracy: set-valued, and of the labelled target alone.

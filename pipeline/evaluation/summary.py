@@ -277,11 +277,6 @@ class Deltas:
     single: dict[str, Estimate]
     shapley: dict[str, Estimate]
 
-    @property
-    def residual(self) -> float:
-        """1 - v(all): what no oracle mends (bad labels, pairs excluded as one thing, ties)."""
-        return float(1 - self.value[-1])
-
     def record(self) -> dict[str, Any]:
         """As JSON."""
         return {
@@ -291,7 +286,8 @@ class Deltas:
             "shapley": {m: e.record() for m, e in self.shapley.items()},
             "shapley_sum": float(sum(e.value for e in self.shapley.values())),
             "loss_explained": float(self.value[-1] - self.value[0]),
-            "residual": self.residual,
+            # What no oracle mends: bad labels, pairs excluded as one thing, ties.
+            "residual": float(1 - self.value[-1]),
         }
 
 

@@ -78,11 +78,6 @@ class Estimate:
     clusters: int
     note: str = ""
 
-    @property
-    def reliable(self) -> bool:
-        """Whether there is an interval, from at least FEWEST_CLUSTERS clusters."""
-        return math.isfinite(self.low) and math.isfinite(self.high) and self.clusters >= FEWEST_CLUSTERS
-
     def formatted(self, scale: float = 100.0, decimals: int = 1, signed: bool = False) -> str:
         """ "62.7 [59.9, 65.4]"; "62.7 [–]" without an interval, "–" without a value.
 
@@ -228,7 +223,9 @@ def ratio_estimate(
     first = _columns((numerator, denominator))
     second = None if other is None else _columns(other)
     counted = first[:, 1:] != 0 if second is None else (first[:, 1:] != 0) | (second[:, 1:] != 0)
-    return bootstrap(first, clusters, _ratio, counted=counted, other=second, config=config)[0]
+    return bootstrap(
+        first, clusters, lambda sums: ratio(sums[:, :1], sums[:, 1:]), counted=counted, other=second, config=config
+    )[0]
 
 
 def mean_estimate(
@@ -242,10 +239,6 @@ def mean_estimate(
 def _columns(columns: tuple[Any, ...]) -> np.ndarray:
     shape = (len(np.atleast_1d(columns[0])),)
     return np.stack([checked_numbers(c, "counts and values", shape) for c in columns], axis=1)
-
-
-def _ratio(sums: np.ndarray) -> np.ndarray:
-    return ratio(sums[:, :1], sums[:, 1:])
 
 
 def ratio(part: Any, whole: Any) -> np.ndarray:

@@ -148,9 +148,7 @@ def threshold_sweep(outcomes: GroundingOutcomes, thresholds: Any = SWEEP) -> Thr
     cut = np.atleast_1d(np.asarray(thresholds, np.float64))
     if cut.ndim != 1 or not ((cut > 0) & (cut <= 1)).all():
         raise InputError("thresholds of IoU must lie above 0 and up to 1", got=cut.tolist())
-    return ThresholdSweep(
-        cut, *(_shares(iou, cut) for iou in (outcomes.iou, outcomes.iou_strict, outcomes.iou_set))
-    )
+    return ThresholdSweep(cut, *(_shares(iou, cut) for iou in (outcomes.iou, outcomes.iou_strict, outcomes.iou_set)))
 
 
 def _shares(iou: np.ndarray, cut: np.ndarray) -> np.ndarray:

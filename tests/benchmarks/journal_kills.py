@@ -1,6 +1,6 @@
 """Writers that are killed while they save (SIGKILL): all that was acknowledged is there, and no action in part.
 
-    cd tests && python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]
+cd tests && python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]
 """
 
 from __future__ import annotations
@@ -144,9 +144,7 @@ def survive(
     return judge(events, [read_report(r) for r in reports])
 
 
-def _round(
-    where: str, reports: list[Path], first: int, rng: random.Random, disturb: Callable[[], None] | None
-) -> None:
+def _round(where: str, reports: list[Path], first: int, rng: random.Random, disturb: Callable[[], None] | None) -> None:
     processes = []
     paths = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
     try:

@@ -1,6 +1,6 @@
 """Many writers at once: each saves edits, some of cells that others edit too, and afterwards every promise is checked.
 
-    cd tests && python -m benchmarks.journal_writers JOURNAL [WRITERS] [EDITS]
+cd tests && python -m benchmarks.journal_writers JOURNAL [WRITERS] [EDITS]
 """
 
 from __future__ import annotations
@@ -133,9 +133,7 @@ def read_report(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in lines]
 
 
-def judge(
-    events: Iterable[Event], told: list[list[dict[str, Any]]], writers: int, edits: int, seconds: float
-) -> Proof:
+def judge(events: Iterable[Event], told: list[list[dict[str, Any]]], writers: int, edits: int, seconds: float) -> Proof:
     """Compare a journal with what its writers were told."""
     events = list(events)
     after = {event.ulid: event.after for event in events}

@@ -247,9 +247,7 @@ def test_labelled_objects_are_what_the_rows_say(demo_labels: Labels, place: Jour
 def test_a_card_mirrors_the_pair_the_other_way_round(demo_labels: Labels, place: JournalLocation) -> None:
     frame = LabelEditor(demo_labels, place, "ann").frame(FRAME)
     a, b = frame.pairs.numbers[:2].tolist()
-    one, other = (
-        {line.relation: line.state for line in pair_card(frame, *ends).lines} for ends in ((a, b), (b, a))
-    )
+    one, other = ({line.relation: line.state for line in pair_card(frame, *ends).lines} for ends in ((a, b), (b, a)))
     for relation, mirror in (("left", "right"), ("above", "below"), ("front", "behind"), ("near", "near")):
         assert one[relation] == other[mirror]
     for ends in ((a, a), (a, 99_999)):

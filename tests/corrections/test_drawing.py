@@ -32,9 +32,9 @@ from pipeline.geometry.lifting import LiftConfig
 from pipeline.system.errors import InputError
 
 HEIGHT, WIDTH = 60, 80
-near_points = st.lists(
-    st.tuples(st.floats(-20, WIDTH + 20), st.floats(-20, HEIGHT + 20)), min_size=1, max_size=8
-).map(np.array)
+near_points = st.lists(st.tuples(st.floats(-20, WIDTH + 20), st.floats(-20, HEIGHT + 20)), min_size=1, max_size=8).map(
+    np.array
+)
 
 
 def centres() -> np.ndarray:
@@ -76,9 +76,7 @@ def test_what_a_stroke_paints_the_same_stroke_erases(line: np.ndarray, radius: f
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    corners=st.lists(st.tuples(st.floats(-30, WIDTH + 30), st.floats(-30, HEIGHT + 30)), min_size=3, max_size=9)
-)
+@given(corners=st.lists(st.tuples(st.floats(-30, WIDTH + 30), st.floats(-30, HEIGHT + 30)), min_size=3, max_size=9))
 def test_a_polygon_is_filled_as_point_in_polygon_has_it(corners: list[tuple[float, float]]) -> None:
     points = np.array(corners)
     mask = polygon_mask(points, HEIGHT, WIDTH)

@@ -108,9 +108,7 @@ def test_a_corrected_export_that_nobody_changed_brings_no_event(
     assert take(tmp_path / "bare.out").edits == ()
     with pytest.raises(InputError, match="the dataset is needed"):
         take(tmp_path / "full.out")
-    report = import_corrections(
-        demo_labels, journal, tmp_path / "full.out", "eve", open_dataset=lambda: demo_dataset
-    )
+    report = import_corrections(demo_labels, journal, tmp_path / "full.out", "eve", open_dataset=lambda: demo_dataset)
     assert (report.edits, report.conflicts, report.problems) == ((), (), ())
 
 
@@ -222,9 +220,7 @@ def test_a_missing_annotation_rejects_nothing_unless_it_is_asked_for(
     content = instances()
     image = content["images"][0]["id"]
     gone = [a["object"] for a in content["annotations"] if a["image_id"] == image][:2]
-    content["annotations"] = [
-        a for a in content["annotations"] if a["image_id"] == image and a["object"] not in gone
-    ]
+    content["annotations"] = [a for a in content["annotations"] if a["image_id"] == image and a["object"] not in gone]
     content["images"] = content["images"][:1]
     path = put(tmp_path / "part.json", content)
     assert take(path).edits == ()

@@ -220,9 +220,7 @@ def test_any_sequence_of_edits_and_undos_equals_its_replay(
     for author, action, chosen in steps:
         if action in ("edit", "stale"):
             behind = int(action == "stale")
-            edits = [
-                Edit(CELLS[k], now[CELLS[k]][-1], v, max(len(now[CELLS[k]]) - 1 - behind, 0)) for k, v in chosen
-            ]
+            edits = [Edit(CELLS[k], now[CELLS[k]][-1], v, max(len(now[CELLS[k]]) - 1 - behind, 0)) for k, v in chosen]
             result = journal.append(edits, author)
             if any(e.base != len(now[e.ref]) - 1 for e in edits):
                 assert isinstance(result, Conflict)

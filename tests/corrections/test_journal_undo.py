@@ -43,9 +43,10 @@ steps = st.lists(
 def test_what_is_taken_back_is_what_the_whole_history_says(
     steps: list[tuple[str, str, list[int], int]], page: int, empty: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    with pytest.MonkeyPatch.context() as patched, open_journal(
-        shutil.copy(empty, tmp_path_factory.mktemp("undo"))
-    ) as journal:
+    with (
+        pytest.MonkeyPatch.context() as patched,
+        open_journal(shutil.copy(empty, tmp_path_factory.mktemp("undo"))) as journal,
+    ):
         patched.setattr(undoing, "PAGE", page)
         for author, action, cells, number in steps:
             if action == "edit":

@@ -26,9 +26,7 @@ def _queue(rows: list[tuple[int, int, int | None]]) -> pa.Table:
 
 
 @given(ROWS, st.integers(1, 20))
-def test_items_stay_in_their_block_and_frames_together(
-    rows: list[tuple[int, int, int | None]], block: int
-) -> None:
+def test_items_stay_in_their_block_and_frames_together(rows: list[tuple[int, int, int | None]], block: int) -> None:
     found = by_frame(_queue(rows), block)
     at = found.column("at").to_numpy()
     assert sorted(at.tolist()) == list(range(len(rows)))

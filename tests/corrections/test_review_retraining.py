@@ -54,9 +54,7 @@ def test_mended_labels_give_a_better_network(found: tuple[Retraining, Path]) -> 
         assert cell["a"] != cell["b"]
 
 
-def test_cells_are_named_as_the_labels_name_them(
-    found: tuple[Retraining, Path], mended: tuple[Labels, Labels]
-) -> None:
+def test_cells_are_named_as_the_labels_name_them(found: tuple[Retraining, Path], mended: tuple[Labels, Labels]) -> None:
     rows = {(r["frame"], r["a"], r["b"]): r for r in mended[1].relations.to_pylist()}
     for cell in (*found[0].better, *found[0].worse):
         state = rows[cell["frame"], cell["a"], cell["b"]][cell["relation"]]

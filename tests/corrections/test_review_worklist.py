@@ -39,9 +39,7 @@ def queue_of(count: int) -> pa.Table:
 
 
 @given(st.integers(0, 12), st.lists(st.tuples(st.integers(0, 11), st.sampled_from(STATES)), max_size=30), st.data())
-def test_a_list_is_its_queue_with_its_states(
-    count: int, steps: list[tuple[int, str]], data: st.DataObject
-) -> None:
+def test_a_list_is_its_queue_with_its_states(count: int, steps: list[tuple[int, str]], data: st.DataObject) -> None:
     queue = queue_of(count)
     keys = item_keys(queue)
     found, states = worklist(queue), {}

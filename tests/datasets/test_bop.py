@@ -82,9 +82,7 @@ def test_bop_box_is_the_models_own_moved_by_its_pose(tmp_path: Path) -> None:
         ("data", ["000001/000001", "000001/000002"]),
     ],
 )
-def test_bop_scene_split_and_dataset_have_the_same_ids(
-    tmp_path: Path, opened: str, expected: list[str]
-) -> None:
+def test_bop_scene_split_and_dataset_have_the_same_ids(tmp_path: Path, opened: str, expected: list[str]) -> None:
     write_bop(tmp_path / "data" / "test", {"000001": [1, 2]})
     models = tmp_path / "data" / "models_eval"
     models.mkdir()
@@ -96,9 +94,7 @@ def test_bop_scene_split_and_dataset_have_the_same_ids(
     assert dataset.load(expected[0]).annotations[0].label == dataset.class_names[0]
 
 
-def test_bop_scene_opened_as_the_working_folder_keeps_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bop_scene_opened_as_the_working_folder_keeps_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_bop(tmp_path, {"000007": [1]})
     monkeypatch.chdir(tmp_path / "000007")
     assert open_dataset(".").frame_ids == ("000007/000001",)
@@ -124,9 +120,7 @@ def test_bop_opening_decodes_nothing(tmp_path: Path) -> None:
 
 def test_bop_up_is_declared_only_by_the_datasets_own_file(tmp_path: Path) -> None:
     written = write_bop(tmp_path, {"000001": [1, 2]})
-    edit_json(
-        tmp_path / "000001/scene_camera.json", lambda t: [t["2"].pop(k) for k in ("cam_R_w2c", "cam_t_w2c")]
-    )
+    edit_json(tmp_path / "000001/scene_camera.json", lambda t: [t["2"].pop(k) for k in ("cam_R_w2c", "cam_t_w2c")])
     (tmp_path / "spatialviz.toml").write_text("world_up = [0, -2, 0]\n")
     dataset = open_dataset(tmp_path)
     camera = dataset.load("000001/000001").camera
@@ -232,9 +226,7 @@ def test_bop_unlisted_image_is_no_frame(tmp_path: Path) -> None:
 
 def test_bop_unusable_poses_are_left_out_with_a_note(tmp_path: Path) -> None:
     write_bop(tmp_path, {"000001": [1, 2]}, models=MODELS)
-    edit_json(
-        tmp_path / "000001/scene_camera.json", lambda t: t["1"].update(cam_R_w2c=[2, 0, 0, 0, 2, 0, 0, 0, 2])
-    )
+    edit_json(tmp_path / "000001/scene_camera.json", lambda t: t["1"].update(cam_R_w2c=[2, 0, 0, 0, 2, 0, 0, 0, 2]))
     edit_json(tmp_path / "000001/scene_gt.json", lambda t: t["1"][0].update(cam_t_m2c=[float("nan"), 0, 0]))
     frame = open_dataset(tmp_path).load("000001/000001")
     assert frame.camera.T_world_camera is None
@@ -267,9 +259,7 @@ def test_bop_malformed_json_names_file_and_line(tmp_path: Path) -> None:
     refused(lambda: open_dataset(tmp_path), "malformed JSON")
 
 
-@pytest.mark.parametrize(
-    "table", [{"1": 5}, {"1": [5, None, {}]}, {"1": {"obj_id": 1}}, {"1": [{"obj_id": "x"}]}]
-)
+@pytest.mark.parametrize("table", [{"1": 5}, {"1": [5, None, {}]}, {"1": {"obj_id": 1}}, {"1": [{"obj_id": "x"}]}])
 def test_bop_tables_of_a_wrong_shape_do_not_crash(tmp_path: Path, table: Any) -> None:
     write_bop(tmp_path, {"000001": [1]}, models=MODELS)
     (tmp_path / "000001/scene_gt.json").write_text(json.dumps(table))

@@ -79,9 +79,7 @@ def test_the_mesh_leaves_out_what_the_frame_itself_shows(demo: Dataset, fused: C
 
 
 @needs_open3d
-def test_a_mesh_that_was_kept_needs_no_open3d(
-    demo: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mesh_that_was_kept_needs_no_open3d(demo: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frame = demo.load("000001/000001")
     first = fuse_context(demo, frame, folder=tmp_path)
     with monkeypatch.context() as patch:

@@ -141,9 +141,7 @@ def test_settings_are_kept_and_read_back(tmp_path: Path) -> None:
 @given(
     numbers=st.tuples(*[st.floats(1e-6, 1e6)] * 5),
 )
-def test_settings_keep_every_digit(
-    tmp_path_factory: pytest.TempPathFactory, numbers: tuple[float, ...]
-) -> None:
+def test_settings_keep_every_digit(tmp_path_factory: pytest.TempPathFactory, numbers: tuple[float, ...]) -> None:
     folder = tmp_path_factory.getbasetemp()
     fx, fy, cx, cy, scale = numbers
     write_settings(folder, (fx, fy, cx, cy), scale)
@@ -192,9 +190,7 @@ class _Point:
         return self._loaded
 
 
-def test_a_plugin_opens_its_own_format_before_any_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plugin_opens_its_own_format_before_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_folder(tmp_path, [1])
     (tmp_path / "mine.txt").touch()
     opened: list[Settings] = []
@@ -205,9 +201,7 @@ def test_a_plugin_opens_its_own_format_before_any_folder(
 
     mine = DatasetFormat("mine", "mine: mine.txt", lambda root: (root / "mine.txt").exists(), open_mine)
     points = [_Point(ImportError("no such module")), _Point(42), _Point(mine)]
-    monkeypatch.setattr(
-        plugins, "entry_points", lambda group: points if group == "spatialviz.datasets" else []
-    )
+    monkeypatch.setattr(plugins, "entry_points", lambda group: points if group == "spatialviz.datasets" else [])
     with pytest.warns(UserWarning, match="plugin") as warned:
         assert open_dataset(tmp_path, depth_scale=7.0) == "mine"
     assert len(warned) == 2
@@ -293,9 +287,7 @@ def test_real_dining_room(shared_data: Path) -> None:
     reports = list(survey(dataset))
     assert all(r.ok and r.has_pose and not r.notes for r in reports)
     assert all(2 < (r.median_depth or 0) < 4 for r in reports)
-    refused(
-        lambda: open_dataset(root, intrinsics=(518, 519, 325.5, 253.5), depth_scale=1).load("1"), "wrong unit"
-    )
+    refused(lambda: open_dataset(root, intrinsics=(518, 519, 325.5, 253.5), depth_scale=1).load("1"), "wrong unit")
 
 
 def test_real_poses_put_two_views_of_the_dining_room_on_each_other(shared_data: Path) -> None:
@@ -310,9 +302,7 @@ def test_real_poses_put_two_views_of_the_dining_room_on_each_other(shared_data: 
     def error(T: np.ndarray) -> float:
         v, u = np.mgrid[0:480:4, 0:640:4]
         z = a.depth[v, u]
-        rays = np.stack(
-            [(u - a.camera.cx) / a.camera.fx, (v - a.camera.cy) / a.camera.fy, np.ones_like(z)], -1
-        )
+        rays = np.stack([(u - a.camera.cx) / a.camera.fx, (v - a.camera.cy) / a.camera.fy, np.ones_like(z)], -1)
         points = (rays * z[..., None])[(z > 0.5) & (z < 4)]
         moved = points @ T[:3, :3].T + T[:3, 3]
         x = np.round(moved[:, 0] / moved[:, 2] * b.camera.fx + b.camera.cx).astype(int)

@@ -153,9 +153,7 @@ def test_depth_of_a_wrong_kind_is_refused(tmp_path: Path) -> None:
     refused(lambda: read_depth(tmp_path / "1.npy", 1.0), "1.npy")
 
 
-def test_exr_without_its_package_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_exr_without_its_package_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     path = tmp_path / "1.exr"
     path.write_bytes(b"\x76\x2f\x31\x01" + bytes(100))

@@ -29,6 +29,7 @@ def degrees(a: np.ndarray, b: np.ndarray) -> float:
 
 # Which format a folder has
 
+
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_is_told_from_the_others(tmp_path: Path, name: str) -> None:
     root = tmp_path / "data"

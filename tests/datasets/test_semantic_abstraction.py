@@ -112,7 +112,7 @@ def test_boxes_hold_the_whole_object_in_metres(view: tuple[Path, ViewTruth]) -> 
         assert a.box is not None
         assert a.mask is not None
         v, u = np.nonzero(a.mask & (frame.depth > 0))
-        local = (to_world(backproject(frame.depth, frame.camera, v, u), T) - T[:3, :3] @ a.box.center - T[:3, 3])
+        local = to_world(backproject(frame.depth, frame.camera, v, u), T) - T[:3, :3] @ a.box.center - T[:3, 3]
         half = np.abs((T[:3, :3] @ a.box.R) @ np.diag(a.box.size / 2)).sum(axis=1)
         inside = (np.abs(local) <= half + 0.08).all(axis=1)
         low, high = truth.world[a.index].min(axis=0), truth.world[a.index].max(axis=0)

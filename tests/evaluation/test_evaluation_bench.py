@@ -80,9 +80,7 @@ def test_an_answer_that_differs_is_told(labels: Path, recording: Path, monkeypat
     assert len(found["differ"]) == 6 - found["same_answers"]
 
 
-def test_training_without_torch_is_said_plainly(
-    labels: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_training_without_torch_is_said_plainly(labels: Path, recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     record = bench.bench_evaluation("demo", labels, recording=recording, singly=1, pairs=100)
     assert "train" in record["training"]["skipped"]

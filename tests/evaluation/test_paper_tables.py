@@ -58,9 +58,7 @@ def pairs_of(vocabulary: str, seed: int = 0, count: int = 400) -> tuple[Relation
         SystemRecords("net", "net, 3D-Geom", relations, rng.random(p.shape).astype(np.float32), part),
         SystemRecords("chooser", "chooser, 3D-Geom", relations, p, part, prior),
     )
-    records = RelationRecords(
-        relations, states, scene * 10, tuple(f"FloorPlan{k}" for k in range(12)), scene, systems
-    )
+    records = RelationRecords(relations, states, scene * 10, tuple(f"FloorPlan{k}" for k in range(12)), scene, systems)
     ends = rng.choice(["", "@randomized", "@synonyms"], count)
     a, b = (rng.choice(labels, count).tolist() for labels in (["couch", "desk", "mug"], ["tv", "box"]))
     frames = [f"{k:05d}|FloorPlan{s}_physics{end}" for k, (s, end) in enumerate(zip(scene, ends, strict=True))]

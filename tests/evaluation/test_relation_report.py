@@ -202,9 +202,7 @@ def test_one_is_warned_of_pairs_that_were_learnt_by_heart(
     scenes = np.array(records.scenes)[records.scene]
     np.testing.assert_array_equal(flat.part != DROPPED, np.isin(scenes, [*train, *card["split"]["validation_scenes"]]))
 
-    fresh = measured(
-        label_sets["demo"].root, tmp_path / "fresh", others=tuple(networks.values()), pairs="held-out"
-    )
+    fresh = measured(label_sets["demo"].root, tmp_path / "fresh", others=tuple(networks.values()), pairs="held-out")
     assert not fresh.warnings
     assert 0 < fresh.pairs == counted_pairs(records, held_out=True).sum() < report.pairs
     # Away from what it learnt, the tuned threshold is measured on the very same pairs as the plain one.

@@ -63,9 +63,7 @@ def evaluated(
 def test_every_detector_has_its_rows(folder: Path) -> None:
     pytest.importorskip("plotly", reason="the extra report is not installed")
     others = ("annotations", "simulated", "whole", "vlm")
-    report = evaluated(
-        folder, "recorded", others, plots=True, detector="recorded", model=folder / "found.json"
-    )
+    report = evaluated(folder, "recorded", others, plots=True, detector="recorded", model=folder / "found.json")
     tables = {table.key: table for table in report.tables}
     names = [row.name for row in tables["grounding"].rows if row.source == "measured"]
     # What is simulated out of the truth stands below what is not, and the truth itself below that.
@@ -105,8 +103,8 @@ def test_names_that_are_taken_are_told_apart(folder: Path) -> None:
     assert list(found) == [
         "simulated + rule (simulated)", "simulated + rule (again)", "simulated + rule (again, 2)", "annotations + rule",
     ]  # fmt: skip
-    gain, test = relation_gain(found["simulated + rule (again)"].records, config=QUICK)
-    assert gain.n == test.n == found["annotations + rule"].records.num_rows
+    gain, test = relation_gain(found["simulated + rule (again)"][0], config=QUICK)
+    assert gain.n == test.n == found["annotations + rule"][0].num_rows
 
 
 def test_runs_that_cannot_stand_beside_are_refused(folder: Path, tmp_path: Path) -> None:

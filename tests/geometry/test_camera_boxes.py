@@ -187,9 +187,7 @@ def test_iou_2d_counts_the_same_pixels_as_brute_force(a: list, b: list) -> None:
         x0, y0, x1, y1 = box
         return ((grid > y0) & (grid < y1))[:, None] & ((grid > x0) & (grid < x1))[None]
 
-    expected = [
-        [(covered(p) & covered(q)).sum() / max((covered(p) | covered(q)).sum(), 1) for q in b] for p in a
-    ]
+    expected = [[(covered(p) & covered(q)).sum() / max((covered(p) | covered(q)).sum(), 1) for q in b] for p in a]
     np.testing.assert_allclose(iou_2d(np.array(a), np.array(b)), expected, atol=1e-12)
 
 

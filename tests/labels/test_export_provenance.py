@@ -72,9 +72,7 @@ def check_rows(tables: dict[str, list[dict[str, Any]]], events: list[Any], ids: 
     assert label["time"] == events[0].time.isoformat()
     assert label["reason"] == "has a spout"
     assert json.loads(label["was"]) != "samovar"
-    (flipped,) = [
-        r for r in tables["relations"] if (r["frame"], r["a"], r["b"]) == (FRAME, ids["a"], ids["b"])
-    ]
+    (flipped,) = [r for r in tables["relations"] if (r["frame"], r["a"], r["b"]) == (FRAME, ids["a"], ids["b"])]
     relation = by_column(flipped)[ids["row"]["relation"]]
     assert (relation["source"], relation["author"], relation["was"]) == ("human", "bob", "1")
     assert flipped["statuses"] == [{"relation": "near", "status": "accepted"}]

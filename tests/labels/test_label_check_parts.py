@@ -215,7 +215,7 @@ def test_sizes_are_found_by_any_name_and_make_sense() -> None:
         ("find the mug holder left of a mug", "mug holder", "mug", [True, False]),
         ("find the mug holder left of the mug", "mug holder", "mug", [True, True]),
         ("is a mug behind the hot dog?", "mug", "hot_dog", [False, True]),
-        ("Mug on the left of the \"left shoe\"", "mug", "left shoe", [False, True]),
+        ('Mug on the left of the "left shoe"', "mug", "left shoe", [False, True]),
     ],
 )
 def test_the_is_of_the_name_that_follows(text: str, target: str, reference: str, expected: list[bool]) -> None:

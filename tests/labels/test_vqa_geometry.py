@@ -158,7 +158,7 @@ def test_what_does_not_show_is_not_told() -> None:
     mask = cast(np.ndarray, row.mask).copy()
     spill = np.flatnonzero(mask.any(axis=0))[-1]
     rows_in = np.flatnonzero(mask.any(axis=1))
-    mask[rows_in[len(rows_in) // 2] :rows_in[len(rows_in) // 2] + 6, spill : spill + 30] = True
+    mask[rows_in[len(rows_in) // 2] : rows_in[len(rows_in) // 2] + 6, spill : spill + 30] = True
     leaked = replace(bare, annotations=(replace(row, mask=mask), *bare.annotations[1:]))
     width, clean = figures(leaked)[0].extents[0], figures(bare)[0].extents[0]
     assert np.isnan(width) or width == pytest.approx(clean, rel=0.1)

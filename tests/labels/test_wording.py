@@ -342,6 +342,7 @@ def test_the_is_said_only_of_what_is_alone(
             assert f"the {phrase.words}" not in text, text
         for article in {"a", "an"} - {phrase.article}:
             assert not re.search(rf"\b{article} {re.escape(phrase.words)}\b", text), text
+
     # The sentence is the same one, whatever its articles.
     def bare(said: str) -> str:
         return re.sub(r"\b(?:the|an?|some other|some|another) ", "", said)

@@ -214,4 +214,3 @@ def _export(model: Any, args: Sequence[Any], path: Path, inputs: list[str], outp
             model, tuple(args), str(path), input_names=inputs, output_names=outputs, opset_version=17, dynamo=False,
             dynamic_axes=axes,
         )  # fmt: skip
-

@@ -86,9 +86,7 @@ def processor_of(tokenizer: Any, size: dict[str, int]) -> Any:
 
 
 @pytest.mark.parametrize("contract", ["transformers", "original"])
-def test_detections_are_those_of_the_reference(
-    request: pytest.FixtureRequest, contract: str, frame: Frame
-) -> None:
+def test_detections_are_those_of_the_reference(request: pytest.FixtureRequest, contract: str, frame: Frame) -> None:
     import torch
     from open_vocabulary_models import HEIGHT, WIDTH
 

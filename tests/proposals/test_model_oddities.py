@@ -50,9 +50,7 @@ def test_the_thinnest_picture_keeps_a_pixel() -> None:
     ("efficientsam encoder", TensorProto.BFLOAT16, r"'batched_images' cannot be given; got tensor\(bfloat16\)"),
     ("sam2 decoder", TensorProto.STRING, "cannot be given"),
 ])  # fmt: skip
-def test_inputs_of_other_types_are_refused(
-    kind: str, to: int, message: str, tmp_path: Path, frame: Frame
-) -> None:
+def test_inputs_of_other_types_are_refused(kind: str, to: int, message: str, tmp_path: Path, frame: Frame) -> None:
     def edit(model: Any) -> None:
         for value in model.graph.input:
             value.type.tensor_type.elem_type = to

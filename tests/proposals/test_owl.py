@@ -239,9 +239,7 @@ def test_a_broken_file_is_one_clear_line(
 
 
 @pytest.mark.parametrize("kind", [TensorProto.FLOAT16, TensorProto.FLOAT])
-def test_half_precision_and_open_sizes(
-    tmp_path: Path, exported: dict[str, Export], frame: Frame, kind: int
-) -> None:
+def test_half_precision_and_open_sizes(tmp_path: Path, exported: dict[str, Export], frame: Frame, kind: int) -> None:
     dtype = np.float16 if kind == TensorProto.FLOAT16 else np.float32
     inputs: dict[str, Any] = dict(OWL)
     inputs |= {"pixel_values": (kind, ("B", 3, "H", "W")), "input_ids": (TensorProto.INT32, ("L", "S"))}

@@ -245,9 +245,7 @@ def test_a_permutation_of_the_objects_permutes_the_states(seed: int) -> None:
     rng = np.random.default_rng(seed)
     lo, hi = random_extents(rng, 7)
     order = rng.permutation(7)
-    np.testing.assert_array_equal(
-        pairwise_states(lo[order], hi[order]), pairwise_states(lo, hi)[np.ix_(order, order)]
-    )
+    np.testing.assert_array_equal(pairwise_states(lo[order], hi[order]), pairwise_states(lo, hi)[np.ix_(order, order)])
 
 
 @given(SEEDS)
@@ -277,9 +275,7 @@ def test_pitching_the_camera_changes_nothing(seed: int) -> None:
     """The same scene seen by a camera that pitches and rolls about its centre: the level axes take it back."""
     rng = np.random.default_rng(seed)
     centers, sizes = rng.uniform([-1, -0.5, 1.5], [1, 0.5, 3], (5, 3)), rng.uniform(0.1, 0.6, (5, 3))
-    clouds = [
-        filled_cloud(upright(c, s, rng.uniform(0, 90)), rng) for c, s in zip(centers, sizes, strict=True)
-    ]
+    clouds = [filled_cloud(upright(c, s, rng.uniform(0, 90)), rng) for c, s in zip(centers, sizes, strict=True)]
     found = []
     for pitch, roll in ((0.0, 0.0), (rng.uniform(-35, 60), 0.0), (rng.uniform(-20, 40), rng.uniform(-10, 10))):
         viewer = viewer_axes(up_of(pitch, roll))

@@ -49,9 +49,7 @@ def test_labels_give_what_a_network_is_fed_at_run_time(features: str, demo: Labe
         numbers = [row["object"] for row in usable if row["frame"] == frame.key.frame]
         objects = [o for o in all_objects(context, source.needed_detector()) if o.id in numbers]
         assert len(objects) == len(frame.rows)
-        rows = contract.describe(
-            [o.lifted for o in objects], context.viewer, appearance_of(objects, context.frame)
-        )
+        rows = contract.describe([o.lifted for o in objects], context.viewer, appearance_of(objects, context.frame))
         np.testing.assert_allclose(frame.rows, rows, atol=1e-9)
         assert [data.names[k] for k in frame.classes] == [o.label for o in objects]
 
@@ -104,9 +102,7 @@ def test_pairs_in_doubt_change_nothing() -> None:
     rng = np.random.default_rng(0)
     pairs = random_pairs(rng)
     doubtful = PairSet(rng.normal(size=(50, 14)).astype(np.float32) * 9, np.zeros((50, 6), np.int8))
-    both = PairSet(
-        np.concatenate([pairs.features, doubtful.features]), np.concatenate([pairs.states, doubtful.states])
-    )
+    both = PairSet(np.concatenate([pairs.features, doubtful.features]), np.concatenate([pairs.states, doubtful.states]))
     config = FAST
     assert train_pairs(pairs, config).weights_hash == train_pairs(both, config).weights_hash
 

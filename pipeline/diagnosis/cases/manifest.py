@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat
 
 from pipeline.answering.ask import AskConfig
-from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, Four, SavedFrame, Three, damaged
+from pipeline.datasets.saved_case import CASE_FORMAT, DAMAGED, MANIFEST, Four, SavedFrame, Three
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, require
+from pipeline.system.reading import checked
 
 _LETTERS = {int(T): "T", int(U): "U", int(F): "F"}
 _STATES = {letter: state for state, letter in _LETTERS.items()}
@@ -155,9 +156,7 @@ def checked_expected(record: Any, path: Path) -> Expected:
 def validated(model: type[_Model], record: Any, path: Path, *inside: str) -> _Model:
     """A part of a case's file; InputError where it is damaged, which names the place."""
     try:
-        return model.model_validate(record)
-    except ValidationError as error:
-        raise damaged(error, path, *inside) from error
+        return checked(model.model_validate, record, DAMAGED, path, inside=inside)
     except RecursionError as error:
         where = ".".join(inside) or "the top"
         raise InputError(f"the case is damaged at {where}", got="too deep", path=path) from error

@@ -45,7 +45,7 @@ from pipeline.proposals import make_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
 from pipeline.system.errors import InputError, require
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import temporary_beside, write_synced, write_whole
+from pipeline.system.whole_files import sha256_of, temporary_beside, write_synced, write_whole
 
 LARGEST_COPY = 16 * 2**20
 """Bytes of a relation network that may be copied into a case."""
@@ -224,11 +224,6 @@ def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, by
     return record, data
 
 
-def write_expected(root: Path, table: dict[str, Any], record: dict[str, Any]) -> None:
-    """Put another expected answer into a case's manifest, whole or not at all."""
-    write_whole(root / MANIFEST, _json({**table, "expected": record}).encode(), "the case")
-
-
 @dataclass(frozen=True)
 class OpenedCase:
     """A case that is ready to be answered.
@@ -271,6 +266,10 @@ class OpenedCase:
             self.source, self.context, self.manifest.text, truth=self.truth, case=self.case, mark=self.mark,
             confidence=self.confidence, edits=self.manifest.edits,
         )  # fmt: skip
+
+    def expect(self, record: dict[str, Any]) -> None:
+        """Put another expected answer into the manifest, whole or not at all."""
+        write_whole(self.root / MANIFEST, _json({**self.table, "expected": record}).encode(), "the case")
 
     def with_detector(self, name: str, model: Path | None, min_score: float | None = None) -> OpenedCase:
         """The same case with a detector that looks at the picture now; "live" is the one it was made with.
@@ -350,21 +349,17 @@ def _scorer(
     if srm is not None:
         made = make_scorer(srm, vectors)
         path = getattr(made, "path", None)
-        same = record.kind == "rule" if path is None else _sha256(path) == record.sha256
+        same = record.kind == "rule" if path is None else sha256_of(path) == record.sha256
         return made, () if same else (f"relations are scored by {Path(srm).name}, not by the case's {record.name}",)
     if record.kind == "rule":
         return make_scorer("rule"), ()
     if record.in_case:
         return make_scorer(checked_file(root, {"files": manifest.files}, NETWORK), vectors), ()
     if record.kind == "trained":
-        same = _sha256(shipped_network()) == record.sha256
+        same = sha256_of(shipped_network()) == record.sha256
         note = "the network that comes with the program is another than when the case was saved"
         return make_scorer("trained", vectors), () if same else (note,)
     raise InputError(
         f"the relation network {record.file!r} is not in the case", expected="--srm FILE",
         cause=f"its sha256 begins with {(record.sha256 or '')[:12]}", path=root,
     )  # fmt: skip
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.answering.json_records import present, why_no_answer
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.whatif.edits import Edits, checked_lift, checked_profile, checked_rank
+from pipeline.diagnosis.whatif.edits import CHECKS, Edits
 from pipeline.diagnosis.whatif.rerun import Outcome
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import require
@@ -204,8 +204,7 @@ def without_edit(edits: Edits, id: str) -> Edits:
     if group == "hidden":
         return replace(edits, hidden=held - {at})
     left = {key: value for key, value in held.items() if key != at}
-    check = {"rank": checked_rank, "profile": checked_profile, "lift": checked_lift}.get(group)
-    return replace(edits, **{group: left if check is None else check(left)})
+    return replace(edits, **{group: CHECKS[group](left) if group in CHECKS else left})
 
 
 def _id(*parts: str) -> str:

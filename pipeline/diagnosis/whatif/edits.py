@@ -142,6 +142,10 @@ def adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 
+CHECKS = {"rank": checked_rank, "profile": checked_profile, "lift": checked_lift}
+"""Of each group of settings."""
+
+
 @dataclass(frozen=True)
 class PlacedBox:
     """A 3D box as plain numbers, camera frame, metres; `R` row by row.
@@ -318,17 +322,9 @@ class Edits:
         """Detections below are dropped; None for the detector's own threshold."""
         return replace(self, min_score=None if score is None else probability(score))
 
-    def with_rank(self, **values: Any) -> Edits:
-        """Fields of RankConfig."""
-        return replace(self, rank=checked_rank({**self.rank, **values}))
-
-    def with_profile(self, **values: Any) -> Edits:
-        """Fields of `relations.Profile`."""
-        return replace(self, profile=checked_profile({**self.profile, **values}))
-
-    def with_lift(self, **values: Any) -> Edits:
-        """Fields of LiftConfig."""
-        return replace(self, lift=checked_lift({**self.lift, **values}))
+    def with_settings(self, group: Literal["rank", "profile", "lift"], **values: Any) -> Edits:
+        """Fields of RankConfig, of `relations.Profile` or of LiftConfig."""
+        return replace(self, **{group: CHECKS[group]({**getattr(self, group), **values})})
 
     def with_scorer(self, scorer: str | None) -> Edits:
         """What scores relations: "rule", "trained", or the path of a network."""

@@ -38,11 +38,6 @@ class Placement:
     why: str
     measures: Measures
 
-    @property
-    def letter(self) -> str:
-        """ "T", "U" or "F"."""
-        return letter(self.state)
-
 
 def place_in_region(
     target: LiftedObject,

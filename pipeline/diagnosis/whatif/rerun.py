@@ -104,11 +104,6 @@ class Baseline:
         self.outcome = rerun(self, _NO_EDITS)
 
     @property
-    def trace(self) -> Trace:
-        """The answer without edits."""
-        return self.outcome.trace
-
-    @property
     def all_keys(self) -> frozenset[str]:
         """Every detection that an edit of this question may name."""
         return frozenset(key for keys in self.keys.values() for key in keys)
@@ -147,11 +142,6 @@ class Baseline:
         # The masks are kept too, so that their numbers stay their own.
         kept = marks, tuple(o.mask for o in objects), same_object(objects, self.detector.exact)
         return self.keep("same", len(objects), kept)[2]
-
-
-def apply(baseline: Baseline, edits: Edits) -> Trace:
-    """The trace that the whole pipeline gives with these edits; see `rerun`."""
-    return rerun(baseline, edits).trace
 
 
 def foreign_keys(baseline: Baseline, edits: Edits) -> tuple[str, ...]:

@@ -295,24 +295,6 @@ class Grounding:
     notes: tuple[str, ...] = ()
 
 
-def ground(client: ChatClient, frame: Frame, text: str, *, config: GroundingConfig | None = None) -> Grounding:
-    """Ask for the box of one expression.
-
-    Parameters
-    ----------
-    text : str
-        "the mug left of the laptop".
-
-    Raises
-    ------
-    InputError
-        For an expression that cannot be asked.
-    ServerError
-        The server gives no answer.
-    """
-    return ground_many(client, frame, [text], config=config)[0]
-
-
 def ground_many(
     client: ChatClient,
     frame: Frame,
@@ -321,7 +303,20 @@ def ground_many(
     config: GroundingConfig | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Grounding]:
-    """Ask for the boxes of many expressions about one frame; in their order. See `ground`."""
+    """Ask for the boxes of expressions about one frame; in their order.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        Such as "the mug left of the laptop".
+
+    Raises
+    ------
+    InputError
+        For an expression that cannot be asked.
+    ServerError
+        The server gives no answer.
+    """
     config = config or GroundingConfig()
     # An unusable scale is told before the server is asked.
     parse_box("", (1, 1), config.box_scale)
