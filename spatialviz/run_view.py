@@ -119,9 +119,8 @@ def _words(command: View, dataset: str, folder: Path | None) -> list[str]:
     words = ["view"]
     if folder is None or command.dataset != "demo":
         words.append(dataset)
-    opened = (("--run", folder), ("--compare", command.compare), ("--labels", command.labels), ("--also", command.also))
-    for option, value in opened:
-        words += [] if value is None else [option, str(value)]
+    given = {"run": folder, "compare": command.compare, "labels": command.labels, "also": command.also}
+    words += [word for name, value in given.items() if value is not None for word in (f"--{name}", str(value))]
     words += journal_words(command.journal.journal, command.journal.project)
     words += [] if command.author is None else ["--author", command.author]
     return words if folder is not None else [*words, *command.source.words()]

@@ -285,14 +285,14 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
             f"The answer's {' and '.join(false)} {what}; the right pair had {_p(right.p_target)} and "
             f"{_p(right.p_reference)}. With true confidences the right pair wins.{_nearest(right)} Verdict: OPM-CONF."
         )
-    parts = []
-    for name, mine, other, ours, theirs in (
-        (case.target, winner.target, right.target, winner.p_target, right.p_target),
-        (case.reference, winner.reference, right.reference, winner.p_reference, right.p_reference),
-    ):
-        if mine != other:
-            wrong, good = apart(ours, theirs)
-            parts.append(f"the wrong {name} {wrong} and the right one {good}")
+    parts = [
+        "the wrong {} {} and the right one {}".format(name, *apart(ours, theirs))
+        for name, mine, other, ours, theirs in (
+            (case.target, winner.target, right.target, winner.p_target, right.p_target),
+            (case.reference, winner.reference, right.reference, winner.p_reference, right.p_reference),
+        )
+        if mine != other
+    ]
     first, second = apart(*sorted((winner.p_relation, right.p_relation), reverse=True))
     favoured = "the right pair" if right.p_relation >= winner.p_relation else "the answer"
     relation = (

@@ -295,7 +295,11 @@ def ece_estimate(
 ) -> Estimate:
     """Expected calibration error of (N,) probabilities; with `other` (N,), that of `p` less that of `other`."""
     second = None if other is None else _bin_gaps(other, hits)
-    return bootstrap(_bin_gaps(p, hits), clusters, _ece, other=second, config=config)[0]
+
+    def ece(sums: np.ndarray) -> np.ndarray:
+        return ratio(np.abs(sums[:, :-1]).sum(axis=1, keepdims=True), sums[:, -1:])
+
+    return bootstrap(_bin_gaps(p, hits), clusters, ece, other=second, config=config)[0]
 
 
 def _bin_gaps(p: np.ndarray, hits: np.ndarray) -> np.ndarray:
@@ -304,10 +308,6 @@ def _bin_gaps(p: np.ndarray, hits: np.ndarray) -> np.ndarray:
     rows[np.arange(len(p)), np.minimum((p * ECE_BINS).astype(np.int64), ECE_BINS - 1)] = p - hits
     rows[:, -1] = 1.0
     return rows
-
-
-def _ece(sums: np.ndarray) -> np.ndarray:
-    return ratio(np.abs(sums[:, :-1]).sum(axis=1, keepdims=True), sums[:, -1:])
 
 
 def calibration_warnings(source: Pipeline, labels: Labels, records: ArrowTable) -> tuple[str, ...]:

@@ -35,6 +35,7 @@ from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.shared_makers import Share, scorer_share
 from pipeline.evaluation.vlm.client import ChatClient
 from pipeline.evaluation.vlm.questions import RelationConfig, score_pairs
+from pipeline.geometry.frame import Annotation
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
@@ -169,17 +170,7 @@ def _system_record(system: RelationSystem) -> dict[str, Any]:
         contract = system.scorer.contract
         found |= {"features": contract.features, "output": contract.output, "seed": contract.seed,
                   "data": contract.data}  # fmt: skip
-    if system.trained_on is not None:
-        found["trained_on"] = asdict(system.trained_on)
-    return found
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A labelled object as a question names it."""
-
-    label: str
-    bbox: np.ndarray
+    return found | ({} if system.trained_on is None else {"trained_on": asdict(system.trained_on)})
 
 
 def sample_pairs(records: RelationRecords, counted: np.ndarray, number: int, seed: int) -> np.ndarray:
@@ -228,7 +219,8 @@ def ask_relations(
         first = int(np.searchsorted(records.frame_index, index))
         mine = np.flatnonzero(records.frame_index[rows] == index)
         chosen = rows[mine] - first
-        objects = [Shown(n, box) for n, box in zip(pairs.labels, pairs.geometry["bbox"], strict=True)]
+        named = zip(pairs.numbers.tolist(), pairs.labels, pairs.geometry["bbox"], strict=True)
+        objects = [Annotation(number, name, box) for number, name, box in named]
         asked = np.stack([pairs.a[chosen], pairs.b[chosen]], axis=1)
         frame = dataset.load(pairs.key.frame)
         found = score_pairs(client, frame, objects, asked, relations, config=config)

@@ -134,9 +134,7 @@ def compile_search(query: str, schema: ArrowSchema) -> Search:
                 "an order is written sort:FIELD or sort:-FIELD",
                 got=repr(term.field + term.operator),
             )
-            for value in term.values:
-                name = value.text.removeprefix("-")
-                order.append((_field(name, fields).column, value.text.startswith("-")))
+            order += [(_field(v.text.removeprefix("-"), fields).column, v.text.startswith("-")) for v in term.values]
             continue
         field, term = _meant(term, fields)
         condition, values = _condition(field, term, str(schema.field(field.column).type) == "float")

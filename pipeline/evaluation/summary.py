@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import factorial
 from typing import Any
 
@@ -295,14 +296,10 @@ def shapley_weights() -> np.ndarray:
     """(4, 16) float64: phi = weights @ v."""
     n = len(ORACLES)
     weights = np.zeros((n, SUBSETS))
-    for m in range(n):
-        for subset in range(SUBSETS):
-            if subset >> m & 1:
-                continue
-            size = subset.bit_count()
-            share = factorial(size) * factorial(n - 1 - size) / factorial(n)
-            weights[m, subset | 1 << m] += share
-            weights[m, subset] -= share
+    for m, subset in product(range(n), range(SUBSETS)):
+        others = (subset & ~(1 << m)).bit_count()
+        share = factorial(others) * factorial(n - 1 - others) / factorial(n)
+        weights[m, subset] = share if subset >> m & 1 else -share
     return weights
 
 

@@ -90,7 +90,7 @@ def train_on_rooms(
     out = network_path(out)
     require_training()
     tell = progress or (lambda what, done, of: None)
-    split = make_split(
+    train, held_back, test = make_split(
         rooms.seed,
         rooms.rooms,
         views=rooms.views,
@@ -99,7 +99,7 @@ def train_on_rooms(
         workers=workers,
         progress=lambda done, of: tell("rooms", done, of),
     )
-    learnt = with_other_sizes(split.train, rooms.seed)
+    learnt = with_other_sizes(train, rooms.seed)
     model = train_srm(learnt, config, lambda done, loss: tell("epochs", done, config.epochs))
     out.parent.mkdir(parents=True, exist_ok=True)
     name = config.features
@@ -108,8 +108,8 @@ def train_on_rooms(
         save_onnx(uncalibrated, model)
         plain = OnnxScorer(uncalibrated)
     calibration = fit_calibration(
-        [plain.logits(frame.rows[name]) for frame in split.calibration],
-        [frame.truth for frame in split.calibration],
+        [plain.logits(frame.rows[name]) for frame in held_back],
+        [frame.truth for frame in held_back],
         DIRECTIONAL,
     )
     save_onnx(out, model, calibration)
@@ -128,7 +128,7 @@ def train_on_rooms(
         },
         "rooms": {**asdict(rooms), **_room_ranges(rooms), "scales": list(SCALES)},
         "calibration": {relation: [round(v, 6) for v in ab] for relation, ab in calibration.items()},
-        "held_out": held_out_figures(OnnxScorer(out), plain, split.test),
+        "held_out": held_out_figures(OnnxScorer(out), plain, test),
     }
     out.with_suffix(".json").write_text(json.dumps(rounded(card), indent=1) + "\n", encoding="utf-8")
     return card

@@ -210,17 +210,11 @@ def _array(column: pa.ChunkedArray, name: str) -> np.ndarray:
         values[known] = np.asarray(flat, np.float64).reshape(-1, _LENGTHS[name])
         return values
     if pa.types.is_list(column.type):
-        return _objects(column.to_pylist())
+        return np.fromiter(column.to_pylist(), object, len(column))
     if pa.types.is_integer(column.type) and column.null_count:
         # A relation that the profile does not judge of a pair is as unknown as U.
         column = pc.fill_null(column, U)  # pyright: ignore[reportAttributeAccessIssue]
     return np.asarray(column.to_numpy())
-
-
-def _objects(values: list[Any]) -> np.ndarray:
-    found = np.empty(len(values), object)
-    found[:] = values
-    return found
 
 
 def rows_of_frame(sorted_index: np.ndarray, value: int) -> slice:

@@ -127,7 +127,8 @@ def train_on_labels(
     watched = pair_set(validation, data.features, config.output, vectors=vectors)
     model = train_pairs(learnt, config, validation=watched, language=language, progress=progress)
     del learnt, watched
-    test, validation = (_of_vocabulary(frames, model, data) for frames in (test, validation))
+    kept = [data.vocabulary.index(relation) for relation in model.vocabulary]
+    test, validation = ([replace(f, states=f.states[..., kept]) for f in frames] for frames in (test, validation))
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".train-") as folder:
         made = Path(folder) / out.name
@@ -163,11 +164,6 @@ def _language(job: LabelTraining, data: LabelData) -> tuple[ClassVectors | None,
     source = open_vectors(job.vectors)
     table = source.phrases(data.names, normalised=job.normalised)
     return ClassVectors(data.names, table.vectors), LanguageContract.of(source, normalised=job.normalised)
-
-
-def _of_vocabulary(frames: Sequence[LabelledFrame], model: TrainedModel, data: LabelData) -> list[LabelledFrame]:
-    kept = [data.vocabulary.index(relation) for relation in model.vocabulary]
-    return [replace(frame, states=frame.states[..., kept]) for frame in frames]
 
 
 def _worded(scorer: OnnxScorer, frame: LabelledFrame, names: Sequence[str]) -> np.ndarray:

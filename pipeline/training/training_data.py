@@ -106,15 +106,6 @@ class FrameSamples:
         return FrameSamples(self.room, rows, *extents)
 
 
-@dataclass(frozen=True)
-class Split:
-    """Rooms for training, for calibration and for the final figures: no room is in two of them."""
-
-    train: tuple[FrameSamples, ...]
-    calibration: tuple[FrameSamples, ...]
-    test: tuple[FrameSamples, ...]
-
-
 def with_other_sizes(samples: Sequence[FrameSamples], seed: int) -> tuple[FrameSamples, ...]:
     """The views, and each again at a size drawn evenly in logarithm from SCALES."""
     rng = np.random.default_rng([seed, 23])
@@ -202,8 +193,8 @@ def make_split(
     height: int = 360,
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
-) -> Split:
-    """Samples of `rooms` rooms, split by room, and of twice as many scattered ones.
+) -> tuple[tuple[FrameSamples, ...], tuple[FrameSamples, ...], tuple[FrameSamples, ...]]:
+    """Samples of `rooms` rooms, split by room, and of twice as many scattered ones: to train, to calibrate, to test.
 
     Trained on are varied views of furnished rooms and of the scattered ones, and every second furnished room as
     `spatialviz render` shows it; calibrated on rooms of solids; measured on furnished rooms as rendered.
@@ -224,11 +215,12 @@ def make_split(
             if progress is not None:
                 progress(before + count, total)
 
-        made = make_samples(seeds, views=views, width=width, height=height, maker=maker, workers=workers, progress=tell)
-        parts.append(made)
+        parts.append(
+            make_samples(seeds, views=views, width=width, height=height, maker=maker, workers=workers, progress=tell)
+        )
         done += len(seeds)
     *learnt, solids, measured = parts
-    return Split(tuple(frame for part in learnt for frame in part), solids, measured)
+    return tuple(frame for part in learnt for frame in part), solids, measured
 
 
 def _room_samples(job: Job) -> tuple[FrameSamples, ...]:

@@ -11,7 +11,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Edits
-from pipeline.diagnosis.whatif.box_numbers import box_numbers, grown, labelled_mask, rectangle, with_numbers
+from pipeline.diagnosis.whatif.placement import box_numbers, grown, labelled_mask, rectangle, with_numbers
 from pipeline.geometry.boxes import Box3D
 from pipeline.relations.installed import installed_network
 from pipeline.system.errors import InputError

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.diagnosis.whatif import Edits
-from pipeline.diagnosis.whatif.box_numbers import (
+from pipeline.diagnosis.whatif.changes import each_edit, without_edit
+from pipeline.diagnosis.whatif.placement import (
     MOST_PIXELS,
     SMALLEST_SIDE,
     box_numbers,
@@ -19,7 +20,6 @@ from pipeline.diagnosis.whatif.box_numbers import (
     rectangle,
     with_numbers,
 )
-from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes

@@ -138,12 +138,14 @@ def test_rooms_are_split_from_rooms() -> None:
 
 def test_progress_counts_all_rooms() -> None:
     seen = []
-    split = make_split(1, 3, views=1, width=64, height=48, progress=lambda done, of: seen.append((done, of)))
+    train, calibration, test = make_split(
+        1, 3, views=1, width=64, height=48, progress=lambda done, of: seen.append((done, of))
+    )
     total = 4 + 3 * SCATTERED_A_ROOM
     assert seen == [(k, total) for k in range(1, total + 1)]
-    assert len(split.test) == 1
-    assert len(split.calibration) == SOLIDS_A_VIEW
-    assert len(split.train) > 1
+    assert len(test) == 1
+    assert len(calibration) == SOLIDS_A_VIEW
+    assert len(train) > 1
 
 
 # That it learns.

@@ -419,9 +419,7 @@ def _loft(middle: np.ndarray, rings: Sequence[np.ndarray], heights: Sequence[flo
         points = np.empty((len(ring), 3))
         points[:, [0, 2]], points[:, 1] = middle[[0, 2]] + ring, middle[1] + height
         levels.append(points)
-    triangles, lines = [], []
-    for points in levels:
-        lines.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
+    triangles, lines = [], [np.stack([points, np.roll(points, -1, axis=0)], axis=1) for points in levels]
     for low, high in pairwise(levels):
         next_low, next_high = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
         triangles += [np.stack([low, next_low, high], axis=1), np.stack([next_low, next_high, high], axis=1)]
