@@ -47,18 +47,12 @@ def run_whatif(command: WhatIf) -> int:
     verdicts = edited_verdicts(source, context, baseline.outcome.trace, after.trace, weights, labels)
     record = whatif_record(baseline, after, edits, verdicts)
     if command.decision_map is not None:
-        record["decision_map"] = _map(command, baseline, after, edits)
+        key = command.move or ("" if after.trace.ranking is None else after.keys[after.trace.ranking.pairs[0].target])
+        found = decision_map(baseline, edits, key, command.cells)
+        write_picture(map_picture(found, after), command.decision_map)
+        record["decision_map"] = map_record(found)
     command.write(record, print_change)
     return FINE if holds(after.trace) else NO
-
-
-def _map(command: WhatIf, baseline: Baseline, after: Outcome, edits: Edits) -> dict[str, Any]:
-    assert command.decision_map is not None
-    ranking = after.trace.ranking
-    key = command.move or ("" if ranking is None else after.keys[ranking.pairs[0].target])
-    found = decision_map(baseline, edits, key, command.cells)
-    write_picture(map_picture(found, after), command.decision_map)
-    return map_record(found)
 
 
 def run_save_case(command: SaveCase) -> None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.labels.reading import Labels
 from pipeline.labels.statistics import quoted
@@ -16,6 +15,7 @@ from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Row, Table
 from pipeline.relations.relations import F, T, U
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 
 DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
@@ -88,7 +88,7 @@ class Standings:
         return [columns[k] for k in self.cell.tolist()]
 
 
-def answer_standings(records: ArrowTable, labels: Labels, content_hash: str | None = None) -> Standings:
+def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Standings:
     """In which relation the two objects of each answer stand by their labels; see `answer_confusion`."""
     require(
         content_hash is None or labels.manifest.tables["expressions"].content_hash == content_hash,
@@ -113,7 +113,7 @@ def answer_standings(records: ArrowTable, labels: Labels, content_hash: str | No
     return Standings(names, meant, cell)
 
 
-def answer_confusion(records: ArrowTable, labels: Labels, content_hash: str | None = None) -> Confusion:
+def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Confusion:
     """The relation that was asked against the one in which the answer's two objects stand by their labels.
 
     Parameters
@@ -176,7 +176,7 @@ def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt:
 
 
 def _pairs_of_answers(
-    records: ArrowTable, labels: Labels, names: tuple[str, ...]
+    records: pa.Table, labels: Labels, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(P,) rows of the answers whose pair was judged, their (P, R) states and (P, R) margins."""
     import duckdb

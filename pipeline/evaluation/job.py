@@ -30,7 +30,7 @@ from pipeline.evaluation.grounding_tables import (
 from pipeline.evaluation.loss_plots import draw_diagnosis
 from pipeline.evaluation.paper_tables import tables_of_folder
 from pipeline.evaluation.plots import draw, draw_relations, need_plots
-from pipeline.evaluation.records import ArrowTable, is_calibrated, raw_records, read_records, records_schema
+from pipeline.evaluation.records import is_calibrated, raw_records, read_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.relation_records import RelationRecords
@@ -54,7 +54,7 @@ from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
-from pipeline.system.arrow import pq
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import MissingExtra, require
 from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
@@ -304,7 +304,7 @@ def write_tables(tables: Sequence[Table], folder: Path, name: str) -> None:
 
 
 def make_tables(
-    systems: dict[str, ArrowTable],
+    systems: dict[str, pa.Table],
     bootstrap: BootstrapConfig | None = None,
     shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
 ) -> list[Table]:
@@ -391,7 +391,7 @@ class RunDiagnosis:
 
 
 def diagnose_run(
-    systems: Mapping[str, ArrowTable],
+    systems: Mapping[str, pa.Table],
     labels: Labels | None = None,
     relations: RelationRecords | None = None,
     config: BootstrapConfig | None = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +19,6 @@ from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.expression import Query
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    from pyarrow import Schema as ArrowSchema
-    from pyarrow import Table as ArrowTable
-else:
-    # Arrow is loaded where it is needed, and these stand in annotations alone.
-    ArrowSchema = ArrowTable = Any
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
     "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",
@@ -81,7 +74,7 @@ nothing fits; `right_…` is the best-scoring acceptable pair among the candidat
 columns of the diagnosis for systems that are not the pipeline."""
 
 
-def records_schema() -> ArrowSchema:
+def records_schema() -> pa.Schema:
     """The Arrow schema of `COLUMNS`; a box is four numbers in pixels."""
     kinds = {
         "string": pa.string(), "int32": pa.int32(), "int8": pa.int8(), "bool": pa.bool_(), "float32": pa.float32(),
@@ -304,12 +297,12 @@ def raw_columns(
     return found
 
 
-def is_calibrated(records: ArrowTable) -> bool:
+def is_calibrated(records: pa.Table) -> bool:
     """Whether the records hold the answers by raw scores too; those of earlier releases do not."""
     return "raw_iou" in records.column_names and records.column("raw_iou").null_count < records.num_rows
 
 
-def raw_records(records: ArrowTable) -> ArrowTable:
+def raw_records(records: pa.Table) -> pa.Table:
     """The records with the answers by the detector's own scores in place of those that were given.
 
     Columns of the ranking itself (probabilities, margins) stay those of the calibrated one.
@@ -344,7 +337,7 @@ class DetectorScores:
         return self.scenes if len(np.unique(self.scenes)) > 1 else self.frames
 
 
-def detector_scores(records: ArrowTable) -> DetectorScores:
+def detector_scores(records: pa.Table) -> DetectorScores:
     """The detections that calibrated records tell of."""
     parts: dict[tuple[str, str], tuple[Any, Any, Any, str]] = {}
     for end in ("target", "reference"):
@@ -359,7 +352,7 @@ def detector_scores(records: ArrowTable) -> DetectorScores:
     return DetectorScores(raw, calibrated, hits, frames, np.repeat(np.array([p[3] for p in parts.values()]), lengths))
 
 
-def read_records(run: Path) -> ArrowTable:
+def read_records(run: Path) -> pa.Table:
     """The records of a run folder.
 
     Raises

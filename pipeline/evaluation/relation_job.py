@@ -13,7 +13,6 @@ import numpy as np
 
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
-from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_cases import RelationSystem, geometry_of_labels, open_systems, read_pairs
 from pipeline.evaluation.relation_records import (
     FILE,
@@ -78,7 +77,7 @@ class RelationRun:
 
 
 @contextmanager
-def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[Callable[[ArrowTable], None] | None]:
+def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[Callable[[pa.Table], None] | None]:
     """Where relation records go while frames are evaluated; None where relations are not measured."""
     if spec.relations is None:
         yield None
@@ -212,7 +211,7 @@ def ask_relations(
     config = RelationConfig(workers=options.workers, keep_going=True)
     p = np.empty((len(rows), len(relations)), np.float32)
     reasons: Counter[str] = Counter()
-    tables: list[ArrowTable] = []
+    tables: list[pa.Table] = []
     for index in np.unique(records.frame_index[rows]):
         (pairs,) = read_pairs(labels, int(index), int(index) + 1)
         # The rows of a frame stand in one piece and in the order of its pairs.

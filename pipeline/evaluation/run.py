@@ -17,7 +17,6 @@ from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence, matched
 from pipeline.evaluation.records import (
     COLUMNS,
-    ArrowTable,
     asked_columns,
     by_raw_scores,
     diagnosis_columns,
@@ -107,7 +106,7 @@ class Evaluator:
         self.spec = spec
         self.source, self.labels = spec.open()
         self.class_names = class_names_of(self.labels)
-        self.whole: WholeExpression | None = None
+        self.whole: Referring | Vlm | None = None
         if spec.grounding and spec.system == "referring":
             self.whole = Referring(self.source.needed_detector())
         if spec.grounding and spec.system == "vlm":
@@ -120,7 +119,7 @@ class Evaluator:
             chosen = frames_in(self.labels, "relations", spec.relations.frames)
             self.relations = RelationPass(spec.relations, spec.options, self.labels, chosen.tolist())
         self._chosen = chosen_ids(self.labels, spec.limit)
-        self._parsed: dict[str, tuple[Query | None, str | None]] = {}
+        self.parsed: dict[str, tuple[Query | None, str | None]] = {}
 
     def frame(self, truth: FrameCases, context: PreparedFrame | None = None) -> list[dict[str, Any]]:
         """The records of a frame's expressions; the frame is loaded where it is not given.
@@ -156,32 +155,28 @@ class Evaluator:
         answers = FrameAnswers(self.source, context, tuple(names), relations, self.clock)
         with self.clock.stage("parse"):
             for case in truth.cases:
-                if case.text not in self._parsed:
-                    self._parsed[case.text] = read_query(case, self.class_names)
+                if case.text not in self.parsed:
+                    self.parsed[case.text] = read_query(case, self.class_names)
         with self.clock.stage("records"):
             overlap = iou_2d(answers.boxes, truth.boxes)
-            rows = [record(case, truth, answers, self._parsed[case.text], overlap) for case in truth.cases]
+            rows = [record(case, truth, answers, self.parsed[case.text], overlap) for case in truth.cases]
             raw = by_raw_scores(answers)
             if raw is not None:
                 for case, row in zip(truth.cases, rows, strict=True):
-                    row |= raw_columns(case, truth, answers, raw, self._parsed[case.text], overlap)
+                    row |= raw_columns(case, truth, answers, raw, self.parsed[case.text], overlap)
         if not self.spec.verdicts:
             return rows
         with self.clock.stage("verdicts"):
             confidence = DEFAULT_CONFIDENCE if self.spec.confidence is None else self.spec.confidence
             evidence = FrameEvidence(truth, answers, confidence)
             for case, row in zip(truth.cases, rows, strict=True):
-                mark, query = self.spec.marks.get((row["frame"], case.id)), self._parsed[case.text][0]
+                mark, query = self.spec.marks.get((row["frame"], case.id)), self.parsed[case.text][0]
                 row |= diagnosis_columns(
                     diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"])
                 )
         return rows
 
-    def forget_sentences(self) -> None:
-        """Parse every sentence anew when it comes next."""
-        self._parsed.clear()
-
-    def block(self, first: int, stop: int) -> tuple[ArrowTable, ArrowTable | None]:
+    def block(self, first: int, stop: int) -> tuple[pa.Table, pa.Table | None]:
         """The records of the frames from index `first` up to `stop`: of expressions, and of pairs where asked for."""
         with self.clock.stage("read"):
             cases = {t.frame_index: t for t in read_cases(self.labels, first, stop)} if self.spec.grounding else {}
@@ -216,7 +211,7 @@ def chosen_ids(labels: Labels, limit: int | None) -> set[tuple[int, str]] | None
     return set(zip(chosen.column("frame_index").to_pylist(), chosen.column("id").to_pylist(), strict=True))
 
 
-def table_of(rows: Sequence[dict[str, Any]]) -> ArrowTable:
+def table_of(rows: Sequence[dict[str, Any]]) -> pa.Table:
     """Records as an Arrow table."""
     return pa.table({name: [row[name] for row in rows] for name in COLUMNS}, records_schema())
 
@@ -232,9 +227,9 @@ def evaluate_labels(
     *,
     workers: int = 1,
     progress: Progress | None = None,
-    relations: Callable[[ArrowTable], None] | None = None,
+    relations: Callable[[pa.Table], None] | None = None,
     frames_a_block: int = FRAMES_A_BLOCK,
-) -> Iterator[ArrowTable]:
+) -> Iterator[pa.Table]:
     """The records of all expressions, block by block, in the labels' order.
 
     The rows do not depend on the number of workers, nor on how many frames make a block.
@@ -283,7 +278,7 @@ def _opened(spec: EvalSpec) -> tuple[Evaluator]:
     return (Evaluator(spec),)
 
 
-def _block(block: tuple[int, int], evaluator: Evaluator) -> tuple[ArrowTable, ArrowTable | None]:
+def _block(block: tuple[int, int], evaluator: Evaluator) -> tuple[pa.Table, pa.Table | None]:
     return evaluator.block(*block)
 
 
@@ -417,10 +412,6 @@ class Vlm:
         """One answer for each expression, in order."""
         found = ground_many(self.client, frame, texts, config=self._config)
         return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]
-
-
-WholeExpression = Referring | Vlm
-"""Points at what expressions say, without taking them apart."""
 
 
 def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, Any]:

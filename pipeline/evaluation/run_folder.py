@@ -20,7 +20,7 @@ from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.evaluation.records import ArrowTable, read_records
+from pipeline.evaluation.records import read_records
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run
 from pipeline.labels.makers import Makers
@@ -28,6 +28,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import read_table
 from pipeline.proposals.registry import with_model
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import parse_hub_id
 
@@ -81,7 +82,7 @@ class Run:
         return {name: counts[name] for name in VERDICTS if counts[name]}
 
     @cached_property
-    def records(self) -> ArrowTable:
+    def records(self) -> pa.Table:
         """One row an expression.
 
         Raises
@@ -252,7 +253,7 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
 
 def other_systems(
     runs: Sequence[Path], name: str, content_hash: str, makers: Makers
-) -> dict[str, tuple[ArrowTable, tuple[Share, ...]]]:
+) -> dict[str, tuple[pa.Table, tuple[Share, ...]]]:
     """The systems of other runs by their names: records, and what they have in common with what made the labels.
 
     A name that is taken is told apart by its run's folder, and by a number where that is not enough.
@@ -272,7 +273,7 @@ def other_systems(
     InputError
         There is no run, or it is of other labels.
     """
-    found: dict[str, tuple[ArrowTable, tuple[Share, ...]]] = {}
+    found: dict[str, tuple[pa.Table, tuple[Share, ...]]] = {}
     taken = {name}
     for run in map(Path, runs):
         manifest = read_manifest(run)

@@ -23,12 +23,12 @@ import numpy as np
 
 from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
-from pipeline.evaluation.records import DIAGNOSIS_COLUMNS, ArrowSchema, ArrowTable
+from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
-from pipeline.system.arrow import pc
+from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError, require
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ _KINDS: tuple[tuple[str, Kind], ...] = (
 """Types of Arrow, as it writes them, and what can be asked of them."""
 
 
-def fields_of(schema: ArrowSchema) -> dict[str, Field]:
+def fields_of(schema: pa.Schema) -> dict[str, Field]:
     """What a run's records can be searched by, short names first."""
     types = {field.name: str(field.type) for field in schema}
     kinds: dict[str, Kind] = {
@@ -116,7 +116,7 @@ def fields_of(schema: ArrowSchema) -> dict[str, Field]:
     return short | {name: Field(name, name, kind) for name, kind in kinds.items()}
 
 
-def compile_search(query: str, schema: ArrowSchema) -> Search:
+def compile_search(query: str, schema: pa.Schema) -> Search:
     """Read a search against the columns of a run.
 
     Raises
@@ -150,7 +150,7 @@ def compile_search(query: str, schema: ArrowSchema) -> Search:
     return Search(where, tuple(parameters), tuple(order), tuple(dict.fromkeys(columns)), about_right)
 
 
-def find_rows(records: ArrowTable, query: str) -> np.ndarray:
+def find_rows(records: pa.Table, query: str) -> np.ndarray:
     """(N,) int64: indices of the rows of a run that a search asks for, in the order of the run or as it asks.
 
     Raises
@@ -161,7 +161,7 @@ def find_rows(records: ArrowTable, query: str) -> np.ndarray:
     return _rows(records, compile_search(query, records.schema))
 
 
-def find_failures(records: ArrowTable, query: str = "") -> ArrowTable:
+def find_failures(records: pa.Table, query: str = "") -> pa.Table:
     """The rows found without what is CORRECT, unless the search asks for a verdict or for what is right (`lucky`).
 
     Raises
@@ -176,7 +176,7 @@ def find_failures(records: ArrowTable, query: str = "") -> ArrowTable:
     return records.take(_rows(records, search))
 
 
-def _rows(records: ArrowTable, search: Search) -> np.ndarray:
+def _rows(records: pa.Table, search: Search) -> np.ndarray:
     if not search.columns:
         return np.arange(records.num_rows)
     index = "row of the run"
@@ -200,7 +200,7 @@ def _database() -> duckdb.DuckDBPyConnection:
     return duckdb.connect(":memory:", config={"threads": 1})
 
 
-def _defined(name: str, schema: ArrowSchema) -> str:
+def _defined(name: str, schema: pa.Schema) -> str:
     """A column in which what is not a number counts as missing."""
     column = quoted(name)
     floating = str(schema.field(name).type) in ("halffloat", "float", "double")
@@ -339,7 +339,7 @@ def _names(field: Field, term: Term) -> Condition:
     return _any(parts), list(chosen)
 
 
-def completions(records: ArrowTable, most: int = 200) -> tuple[Field, ...]:
+def completions(records: pa.Table, most: int = 200) -> tuple[Field, ...]:
     """All fields of a run with the values that occur, for a field that completes what is typed."""
     found = fields_of(records.schema).values()
     return tuple(replace(f, values=_occurring(f, records.column(f.column), most)) for f in found)

@@ -14,10 +14,9 @@ import numpy as np
 from pipeline.diagnosis.substitution import ORACLES, SUBSETS, names_of
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.evaluation.records import ArrowTable
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, bootstrap, mcnemar, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
-from pipeline.system.arrow import pc
+from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError, require
 
 EXACT = 1e-9
@@ -107,13 +106,13 @@ class RunSummary:
         }
 
 
-def has_verdicts(records: ArrowTable) -> bool:
+def has_verdicts(records: pa.Table) -> bool:
     """Whether a run's expressions were diagnosed: runs of other systems, and older ones, were not."""
     names = records.column_names
     return "verdict" in names and "right_with" in names and records.column("verdict").null_count < records.num_rows
 
 
-def need_verdicts(records: ArrowTable) -> None:
+def need_verdicts(records: pa.Table) -> None:
     """Raise InputError where a run has none."""
     if not has_verdicts(records):
         cause = "only the pipeline's own runs have, without --no-verdicts"
@@ -123,7 +122,7 @@ def need_verdicts(records: ArrowTable) -> None:
         raise InputError("this run has no verdicts", cause=cause)
 
 
-def summarise_run(records: ArrowTable, config: BootstrapConfig | None = None) -> RunSummary:
+def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> RunSummary:
     """Verdicts with clustered intervals, and where the accuracy goes.
 
     Parameters
@@ -377,7 +376,7 @@ class Comparison:
         }
 
 
-def compare(before: ArrowTable, after: ArrowTable, measure: str = "set_correct") -> Comparison:
+def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> Comparison:
     """Compare two runs by the expressions that both have.
 
     Parameters
@@ -423,7 +422,7 @@ def compare(before: ArrowTable, after: ArrowTable, measure: str = "set_correct")
     )
 
 
-def verdict_transitions(before: ArrowTable, after: ArrowTable) -> dict[str, dict[str, int]] | None:
+def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str, int]] | None:
     """How many of the same expressions, row by row, went from which verdict to which; None without verdicts."""
     if not (has_verdicts(before) and has_verdicts(after)):
         return None
@@ -433,5 +432,5 @@ def verdict_transitions(before: ArrowTable, after: ArrowTable) -> dict[str, dict
     return {a: line for a, line in found.items() if line}
 
 
-def _named(records: ArrowTable, chosen: np.ndarray) -> tuple[dict[str, Any], ...]:
+def _named(records: pa.Table, chosen: np.ndarray) -> tuple[dict[str, Any], ...]:
     return tuple(records.select(["id", "frame", "text", "relation"]).take(np.flatnonzero(chosen)).to_pylist())

@@ -17,14 +17,14 @@ from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis.whatif import Baseline, Edits, edits_record, load_edits, read_edits, rerun, what_changed
-from pipeline.diagnosis.whatif.pair_tables import object_keys
+from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile, pairwise_states
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 QUESTIONS = (
     "mug left of the laptop",
@@ -36,6 +36,36 @@ QUESTIONS = (
     "lamp left of the mug",
 )
 FRAME = row()
+
+
+def object_keys(trace: Trace, found: dict[str, Any]) -> tuple[str, ...]:
+    """The key of each object of a trace that was answered without edits, in the order of `trace.objects`.
+
+    Parameters
+    ----------
+    found : mapping of str to Proposals
+        The detector's whole run for each name of the expression.
+
+    Raises
+    ------
+    InputError
+        The trace is of other detections.
+    """
+    keys: list[str | None] = [f"#{o.id}" if o.id >= 0 else None for o in trace.objects]
+    for name, candidates in trace.candidates.items():
+        names, proposals = detection_keys(name, found[name]), found[name]
+        taken: set[int] = set()
+        for at in candidates.index.tolist():
+            if keys[at] is not None:
+                continue
+            entry = trace.objects[at]
+            alike = (proposals.boxes == entry.bbox).all(axis=1) & (proposals.scores == np.float32(entry.score))
+            indices = [k for k in np.flatnonzero(alike).tolist() if k not in taken]
+            require(indices, f"the trace has an object {name!r} that is not among these detections")
+            taken.add(indices[0])
+            keys[at] = names[indices[0]]
+    require(not any(key is None for key in keys), "the trace has an object that is no candidate of any name")
+    return tuple(key for key in keys if key is not None)
 
 
 def apply(baseline: Baseline, edits: Edits) -> Trace:

@@ -25,7 +25,6 @@ _GEOMETRY = {"lo": 3, "hi": 3, "center": 3, "R": 9, "size": 3}
 _FACTS = ("distance", "occluded", "mask_pixels")
 
 PROPOSALS, NETWORK = "proposals.json", "relations.onnx"
-FILES = ("rgb.png", "depth.png", "depth.npy", PROPOSALS, NETWORK)
 
 
 _Model = TypeVar("_Model", bound=BaseModel)

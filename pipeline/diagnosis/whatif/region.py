@@ -24,7 +24,6 @@ from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
 from pipeline.system.errors import require
 
-_Line = tuple[float, float]
 _Level = Callable[[np.ndarray, np.ndarray], np.ndarray]
 _CORNER_STEPS = 8
 SOLIDS = ("above", "below", "on", "in", "near")
@@ -202,7 +201,7 @@ def _exact_cuts(
     upright = _uprights(axis, side, float(half[axis]), float(shorter[axis]), depth, profile)
     band = [profile.gap_switch, *profile.gap_switch_band, 0.0]
     # A line t = c + m s, and its mirror image.
-    sloped: list[_Line] = [(float(half[across]) + g, 0.0) for g in band]
+    sloped: list[tuple[float, float]] = [(float(half[across]) + g, 0.0) for g in band]
     for angle in (profile.cone, profile.doubtful_cone):
         if angle < 90:
             slope = float(np.tan(np.deg2rad(angle)))

@@ -34,7 +34,6 @@ from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
 from pipeline.system.errors import require
 
-_NO_EDITS = Edits()
 _T = TypeVar("_T")
 _MOST_KEPT = {"context": 3, "scorer": 3, "tables": 6, "selected": 64, "same": 4}
 """What a dragged slider would make without end; of objects so many contexts full are kept."""
@@ -101,7 +100,7 @@ class Baseline:
         self._lock = RLock()
         self._shelves: defaultdict[str, OrderedDict[Hashable, Any]] = defaultdict(OrderedDict)
         self._most_objects = _MOST_KEPT["context"] * max(1, sum(len(keys) for keys in self.keys.values()))
-        self.outcome = rerun(self, _NO_EDITS)
+        self.outcome = rerun(self, Edits())
 
     @property
     def all_keys(self) -> frozenset[str]:
