@@ -24,8 +24,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import file_hash
 from pipeline.system.threads import one_thread
-from pipeline.training.card import network_path, rounded, save_onnx, versions
-from pipeline.training.evaluation import evaluate, evaluate_classes
+from pipeline.training.card import evaluate, evaluate_classes, network_path, rounded, save_onnx, versions
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set, read_label_data, trained_on
 from pipeline.training.train import Epoch, TrainConfig, TrainedModel, require_training, train_pairs
 
