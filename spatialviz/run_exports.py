@@ -42,7 +42,13 @@ def run_export(command: Export) -> None:
         not (not command.corrected and command.journal != JournalOptions()),
         "--journal and --project go with --corrected",
     )
-    _keep(automatic, command.out)
+    target, root = command.out.expanduser().resolve(), automatic.root.resolve()
+    require(
+        target != root and target not in root.parents,
+        "an export cannot replace the labels",
+        expected="another folder",
+        path=command.out,
+    )
     with _labels(command, automatic) as labels, rate_bar("exporting", "frames") as advance:
         report = export_labels(
             labels,
@@ -133,16 +139,6 @@ def _journal(command: Import, labels: Labels) -> Iterator[Journal | None]:
         return
     with command.journal.open(labels) as journal:
         yield journal
-
-
-def _keep(labels: Labels, out: Path) -> None:
-    target, root = out.expanduser().resolve(), labels.root.resolve()
-    require(
-        target != root and target not in root.parents,
-        "an export cannot replace the labels",
-        expected="another folder",
-        path=out,
-    )
 
 
 def print_import(report: ImportReport, show: int) -> None:

@@ -91,9 +91,9 @@ def _journal(command: View, labels: Labels) -> JournalLocation:
     where: str | Path | None = command.journal.journal
     if where is None and labels.root.resolve().is_relative_to(demo_run().parent.resolve()):
         where = user_data_path("spatialviz", ensure_exists=True) / "demo-journal.sqlite"
-    place = JournalLocation(labels, where, command.journal.project)
-    place.check()
-    return place
+    location = JournalLocation(labels, where, command.journal.project)
+    location.check()
+    return location
 
 
 def _named(command: View, view: ViewState) -> tuple[str, Path | None]:

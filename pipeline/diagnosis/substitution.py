@@ -120,7 +120,7 @@ class OracleScores:
         return None if at < 0 else divmod(at, self.covered.shape[1])
 
     def pair(self, subset: int = 0) -> tuple[int, int] | None:
-        """The winner under a subset as places in the two roles."""
+        """The winner under a subset as indices in the two roles."""
         at = int(self.winners[subset])
         return None if at < 0 else divmod(at, self.covered.shape[1])
 
@@ -133,14 +133,9 @@ class OracleScores:
     @cached_property
     def right_target(self) -> np.ndarray:
         """(16,) bool: the answer's target is right by set-valued accuracy; without any pair the best target answers."""
-        found = np.zeros(SUBSETS, np.bool_)
-        for subset, winner in enumerate(self.winners):
-            if winner >= 0:
-                found[subset] = self.right[winner // self.covered.shape[1]]
-                continue
-            alone = self.alone(subset)
-            found[subset] = alone is not None and self.right[alone]
-        return found
+        columns = self.covered.shape[1]
+        answers = [self.alone(s) if w < 0 else w // columns for s, w in enumerate(self.winners.tolist())]
+        return np.array([target is not None and bool(self.right[target]) for target in answers])
 
     def alone(self, subset: int = 0) -> int | None:
         """The target that answers where all pairs are one thing; None where a role has no candidate at all."""

@@ -152,7 +152,7 @@ class Missed:
     score : float or None
         Of the box that was cut off, or of the best overlapping one.
     rank : int or None
-        With RANK: its place from 1 by score, before suppression.
+        With RANK: its rank from 1 by score, before suppression.
     suppressed : bool
         With RANK: a better-scored box overlapped it too much.
     """

@@ -67,7 +67,7 @@ COLUMNS: dict[str, str] = {
 }  # fmt: skip
 COLUMNS |= {f"raw_{name}": COLUMNS[name] for name in RAW}
 COLUMNS |= {f"{end}_{what}": kind for end in ("target", "reference") for what, kind in DETECTIONS.items()}
-"""The columns of `records.parquet`. Places of objects are those of the labels, ranks count from 1 and are null where
+"""The columns of `records.parquet`. Indices of objects are those of the labels, ranks count from 1 and are null where
 nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer.
 `degenerate` is set where all pairs are one thing, so that the detector's best target answers alone, as in `ask`.
 `raw_…`, `target_scores` and so on are null where scores are not calibrated: see `raw_columns`; the

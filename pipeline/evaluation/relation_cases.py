@@ -52,7 +52,7 @@ class FramePairs:
     labels : tuple of str
         Their class names.
     a, b : (P,) int64
-        Places in `numbers`.
+        Indices in `numbers`.
     relations : tuple of str
         Those that were labelled.
     states : (P, R) int8

@@ -173,7 +173,7 @@ def _system_record(system: RelationSystem) -> dict[str, Any]:
 
 
 def sample_pairs(records: RelationRecords, counted: np.ndarray, number: int, seed: int) -> np.ndarray:
-    """(M,) int64: places of at most so many of the counted pairs, without replacement, rising."""
+    """(M,) int64: indices of at most so many of the counted pairs, without replacement, rising."""
     indices = np.flatnonzero(counted)
     if number >= len(indices):
         return indices

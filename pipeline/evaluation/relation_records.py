@@ -70,7 +70,7 @@ class RelationRecords:
     scenes : tuple of str
         Names, in the order of the frames.
     scene : (P,) int32
-        Places in `scenes`.
+        Indices in `scenes`.
     systems : tuple of SystemRecords
     """
 

@@ -17,7 +17,7 @@ from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, bootstrap, mcnemar, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.arrow import pa, pc
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 EXACT = 1e-9
 """Sums that must agree agree to this."""
@@ -114,12 +114,13 @@ def has_verdicts(records: pa.Table) -> bool:
 
 def need_verdicts(records: pa.Table) -> None:
     """Raise InputError where a run has none."""
-    if not has_verdicts(records):
-        cause = "only the pipeline's own runs have, without --no-verdicts"
-        cause = cause if records.num_rows else "it has no expressions"
-        if not {"verdict", "right_with"} <= set(records.column_names):
-            cause = "it was made by an older release; run `eval` again"
-        raise InputError("this run has no verdicts", cause=cause)
+    cause = "only the pipeline's own runs have, without --no-verdicts" if records.num_rows else "it has no expressions"
+    old = not {"verdict", "right_with"} <= set(records.column_names)
+    require(
+        has_verdicts(records),
+        "this run has no verdicts",
+        cause="it was made by an older release; run `eval` again" if old else cause,
+    )
 
 
 def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> RunSummary:
@@ -402,7 +403,7 @@ def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> 
     tests = {name: mcnemar(b > 0, a > 0) for name, (a, b) in columns.items()}
     was, now = column(first, measure) > 0, column(second, measure) > 0
     same_target, same_reference = (
-        # An object that is no labelled one has no place: two of them count as the same.
+        # An object that is no labelled one has no index: two of them count as the same.
         np.nan_to_num(column(first, name), nan=-1) == np.nan_to_num(column(second, name), nan=-1)
         for name in ("matched_target", "matched_reference")
     )

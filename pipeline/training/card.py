@@ -324,7 +324,7 @@ def evaluate_classes(
     probabilities : sequence of (N, N, R) float
         Of each view, softmax over the vocabulary, the prior not divided out.
     truth : sequence of (N, N) int
-        Place of the one true relation; -1 for pairs that take no part.
+        Index of the one true relation; -1 for pairs that take no part.
     prior : sequence of float
         Share of each class in training.
     vocabulary : sequence of str
@@ -410,7 +410,7 @@ def clear_cut(lo: np.ndarray, hi: np.ndarray, by_centers: bool = False) -> np.nd
     Returns
     -------
     (N, N) int64
-        Place in DIRECTIONAL of the relation along the dominant axis, where the
+        Index in DIRECTIONAL of the relation along the dominant axis, where the
         extents are more than 10 cm apart along it; -1 elsewhere.
     """
     measured = measure_pairs(lo, hi)

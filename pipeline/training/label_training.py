@@ -225,16 +225,15 @@ def _labels_record(labels: Labels, data: LabelData) -> dict[str, Any]:
 
 
 def _warnings(model: TrainedModel, plan: SplitPlan, data: LabelData, given: bool) -> list[str]:
-    found = [] if given else [CIRCULAR]
-    if plan.warning is not None:
-        found.append(plan.warning)
     lost = [r for r in data.vocabulary if r not in model.vocabulary]
-    if lost:
-        found.append(f"too few pairs of {', '.join(lost)} to learn from: the network has no output for them")
     empty = [name for k, name in enumerate(PARTS) if not (plan.part == k).any()]
-    if empty:
-        found.append(f"no frames for {', '.join(empty)}")
-    return found
+    reasons = (
+        (not given, CIRCULAR),
+        (plan.warning, plan.warning),
+        (lost, f"too few pairs of {', '.join(lost)} to learn from: the network has no output for them"),
+        (empty, f"no frames for {', '.join(empty)}"),
+    )
+    return [text for holds, text in reasons if holds and text]
 
 
 def _command(job: LabelTraining, out: Path) -> str:

@@ -276,7 +276,7 @@ def train_pairs(
 
 
 def _classes_with_examples(states: np.ndarray, vocabulary: Sequence[str]) -> list[int]:
-    """Places of the classes that can be learnt; of two inverse ones both or none."""
+    """Indices of the classes that can be learnt; of two inverse ones both or none."""
     enough = (states == T).sum(axis=0) >= FEWEST_EXAMPLES
     return [
         k

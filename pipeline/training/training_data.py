@@ -98,10 +98,10 @@ class FrameSamples:
 
     def scaled(self, factor: float) -> FrameSamples:
         """The same view of a scene `factor` times as large. Its labels are judged anew: the rule knows metres."""
-        rows = {}
-        for name, described in self.rows.items():
-            rows[name] = described.copy()
-            rows[name][:, list(FEATURES[name].lengths)] *= factor
+        rows = {
+            name: described * np.where(np.isin(np.arange(described.shape[1]), FEATURES[name].lengths), factor, 1.0)
+            for name, described in self.rows.items()
+        }
         extents = (e * factor for e in (self.seen_lo, self.seen_hi, self.exact_lo, self.exact_hi))
         return FrameSamples(self.room, rows, *extents)
 
@@ -209,14 +209,18 @@ def make_split(
         (test, "furnished"),
     ]
     total, done, parts = sum(len(seeds) for seeds, _ in jobs), 0, []
+    tell = progress or (lambda done, of: None)
     for seeds, maker in jobs:
-
-        def tell(count: int, before: int = done) -> None:
-            if progress is not None:
-                progress(before + count, total)
-
         parts.append(
-            make_samples(seeds, views=views, width=width, height=height, maker=maker, workers=workers, progress=tell)
+            make_samples(
+                seeds,
+                views=views,
+                width=width,
+                height=height,
+                maker=maker,
+                workers=workers,
+                progress=lambda count, before=done: tell(before + count, total),
+            )
         )
         done += len(seeds)
     *learnt, solids, measured = parts

@@ -35,7 +35,7 @@ class KeptDetection(RecordedDetection, extra="forbid"):
 
 
 class KeptAnswer(BaseModel, extra="forbid"):
-    """Places of the detections of one name, in the detector's order, or why it refused the name."""
+    """Indices of the detections of one name, in the detector's order, or why it refused the name."""
 
     given: tuple[int, ...] = ()
     unfiltered: tuple[int, ...] = ()
@@ -168,7 +168,7 @@ def read_proposals(path: Path) -> tuple[KeptProposals, str]:
     Raises
     ------
     InputError
-        It is damaged; the message names the place.
+        It is damaged; the message names the field.
     """
     data = path.read_bytes()
     try:

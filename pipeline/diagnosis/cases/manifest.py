@@ -140,7 +140,7 @@ def checked_manifest(root: Path, table: dict[str, Any]) -> tuple[Manifest, Expec
     Raises
     ------
     InputError
-        It is damaged; the message names the place.
+        It is damaged; the message names the field.
     """
     path = root / MANIFEST
     manifest = validated(Manifest, table, path)
@@ -153,7 +153,7 @@ def checked_expected(record: Any, path: Path) -> Expected:
 
 
 def validated(model: type[_Model], record: Any, path: Path, *inside: str) -> _Model:
-    """A part of a case's file; InputError where it is damaged, which names the place."""
+    """A part of a case's file; InputError where it is damaged, which names the field."""
     try:
         return checked(model.model_validate, record, DAMAGED, path, inside=inside)
     except RecursionError as error:
@@ -179,7 +179,7 @@ class TrueObject(_Strict):
 
 
 class TrueExpression(_Strict):
-    """`pipeline.labels.cases.Case`; objects by their place."""
+    """`pipeline.labels.cases.Case`; objects by their index."""
 
     id: str
     text: str
@@ -236,7 +236,7 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
     Raises
     ------
     InputError
-        The record is damaged; the message names the place.
+        The record is damaged; the message names the field.
     """
     saved = validated(TruthRecord, record, path, "truth")
     n, e = len(saved.objects), saved.expression

@@ -40,7 +40,7 @@ from pipeline.diagnosis.cases.manifest import (
     truth_record,
 )
 from pipeline.labels.cases import Case, FrameCases
-from pipeline.language.naming import Synonyms, default_synonyms
+from pipeline.language.naming import default_synonyms
 from pipeline.proposals import make_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
 from pipeline.system.errors import InputError, require
@@ -131,7 +131,12 @@ def save_case(
         "frame": frame.model_dump(mode="json"),
         "dataset": {"format": source.dataset.format, "name": source.dataset.root.resolve().name},
         "class_names": list(source.dataset.class_names),
-        "synonyms": _synonyms_record(source.synonyms),
+        "synonyms": None
+        if source.synonyms is None or source.synonyms == default_synonyms()
+        else {
+            "groups": [sorted(g) for g in source.synonyms.groups],
+            "exceptions": sorted(source.synonyms.exceptions),
+        },
         "detector": {
             "name": detector.name,
             "exact": detector.exact,
@@ -155,7 +160,7 @@ def save_case(
 
 
 def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record: dict[str, Any]) -> None:
-    """Write beside the place, replay, and rename."""
+    """Write beside the folder, replay, and rename."""
     partial = temporary_beside(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -192,12 +197,6 @@ def _proposals(source: Pipeline, context: PreparedFrame, now: Answer, case: Case
 
 def _json(record: dict[str, Any]) -> str:
     return json.dumps(record, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
-
-
-def _synonyms_record(table: Synonyms | None) -> dict[str, Any] | None:
-    if table is None or table == default_synonyms():
-        return None
-    return {"groups": [sorted(g) for g in table.groups], "exceptions": sorted(table.exceptions)}
 
 
 def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, bytes | None]:

@@ -60,7 +60,7 @@ class DecisionMap:
     keys : tuple of str
         All objects.
     winner, reference : (G, G) int64
-        Place in `keys` of the target and of the reference that win at [row of forward, column of right];
+        Index in `keys` of the target and of the reference that win at [row of forward, column of right];
         -1 where no pair is allowed.
     margin : (G, G) float64
         Posterior of the winning pair less that of the next.

@@ -194,7 +194,7 @@ def of_pairs(
     Parameters
     ----------
     pair : (P, 2) int
-        Places in the lists.
+        Indices in the lists.
     extents : ((N, 3), (N, 3)) float64
         Along (right, up, forward), metres.
     clouds : sequence of (M, 3)
@@ -224,7 +224,7 @@ def of_pairs(
 
 
 def _grouped(indices: np.ndarray, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Each object ((P,) places) with those of the wanted pairs ((P,) bool) in which it stands."""
+    """Each object ((P,) indices) with those of the wanted pairs ((P,) bool) in which it stands."""
     order = np.flatnonzero(wanted)
     order = order[np.argsort(indices[order], kind="stable")]
     if not len(order):

@@ -89,7 +89,7 @@ def _horizontal(measured: Measured, relation: str, state: int) -> tuple[Measures
     farther = float(np.abs(pairs.center[:, 2]).max())
     deep = max(profile.dead_zone_depth, profile.dead_zone_depth_relative * farther)
     dead, along = (profile.dead_zone, "right") if axis == 0 else (deep, "forward")
-    cone, doubtful = profile.cone, profile.doubtful_cone
+    cone, undecided = profile.cone, profile.doubtful_cone
     measures = {
         "alpha_deg": alpha,
         "alpha_by_gaps_deg": by_gap,
@@ -100,17 +100,17 @@ def _horizontal(measured: Measured, relation: str, state: int) -> tuple[Measures
         "dead_zone_m": dead,
         "rho": rho,
         "cone_deg": cone,
-        "doubtful_cone_deg": doubtful,
+        "doubtful_cone_deg": undecided,
     }
     off, overlap = f"{alpha:.0f}° off the axis by {read}", f"The two overlap by {rho:.0%} along {along}"
     return measures, _first(
         (offset <= 0, f"It lies on the other side, by {-offset:.2f} m"),
         (rho >= profile.overlap_excludes, f"{overlap}, {profile.overlap_excludes:.0%} or more"),
-        (state < 0, f"{off}, beyond {doubtful:g}°"),
+        (state < 0, f"{off}, beyond {undecided:g}°"),
         (state > 0, f"{off}, within {cone:g}°"),
         (offset < dead, f"Only {offset:.2f} m to that side, within the dead zone of {dead:.2f} m"),
         (rho >= profile.overlap_doubts, f"{overlap}, {profile.overlap_doubts:.0%} or more"),
-        (cone < alpha <= doubtful, f"{off}, between {cone:g}° and {doubtful:g}°"),
+        (cone < alpha <= undecided, f"{off}, between {cone:g}° and {undecided:g}°"),
         (True, f"At a gap of {widest:.2f} m gaps ({by_gap:.0f}°) and centres ({by_center:.0f}°) disagree"),
     )
 
@@ -162,7 +162,7 @@ def _on(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
     covered, ratio, gap = (float(m[0, 1]) for m in on_measures(measured))
     touching = max(profile.on_gap, profile.on_gap_relative * float(measured.pairs.extent[0, 1]))
     measures = {"covered": covered, "area_ratio": ratio, "gap_m": gap, "touching_m": touching}
-    above, doubtful = f"{gap:.2f} m between its bottom and the surface below", profile.on_gap_doubtful
+    above, undecided = f"{gap:.2f} m between its bottom and the surface below", profile.on_gap_doubtful
     return measures, _first(
         (
             covered < profile.on_overlap,
@@ -173,9 +173,9 @@ def _on(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
             f"Its footprint is {ratio:.1f} times the reference's, too large to stand on it",
         ),
         (state > 0, f"{above}, within {touching:.2f} m"),
-        (state == 0, f"{above}, up to {doubtful:.2f} m"),
-        (gap <= max(touching, doubtful), "Each could be on the other, and its middle is not the higher one"),
-        (True, f"{above}, more than {doubtful:.2f} m"),
+        (state == 0, f"{above}, up to {undecided:.2f} m"),
+        (gap <= max(touching, undecided), "Each could be on the other, and its middle is not the higher one"),
+        (True, f"{above}, more than {undecided:.2f} m"),
     )
 
 
@@ -196,12 +196,12 @@ def _in(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
 def _near(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
     profile = measured.profile
     gap, mean = (float(m[0, 1]) for m in near_measures(measured.pairs))
-    close, doubtful = profile.near_diagonals * mean, profile.near_diagonals_doubtful * mean
+    close, undecided = profile.near_diagonals * mean, profile.near_diagonals_doubtful * mean
     between = f"{gap:.2f} m between the two"
-    return {"gap_m": gap, "mean_diagonal_m": mean, "near_m": close, "doubtful_m": doubtful}, _first(
+    return {"gap_m": gap, "mean_diagonal_m": mean, "near_m": close, "doubtful_m": undecided}, _first(
         (state > 0, f"{between}, within {close:.2f} m"),
-        (state == 0, f"{between}, between {close:.2f} m and {doubtful:.2f} m"),
-        (True, f"{between}, more than {doubtful:.2f} m"),
+        (state == 0, f"{between}, between {close:.2f} m and {undecided:.2f} m"),
+        (True, f"{between}, more than {undecided:.2f} m"),
     )
 
 

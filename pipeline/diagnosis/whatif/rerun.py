@@ -207,8 +207,6 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
 
 def _context(baseline: Baseline, edits: Edits) -> PreparedFrame:
     """The frame under the edited cleaning; the viewer and the pixels are the same."""
-    if not edits.lift:
-        return baseline.context
     config = replace(baseline.context.config, **edits.lift)
     if config == baseline.context.config:
         return baseline.context
@@ -216,7 +214,7 @@ def _context(baseline: Baseline, edits: Edits) -> PreparedFrame:
 
 
 def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
-    """Places in the whole run of what goes on for a name."""
+    """Indices in the whole run of what goes on for a name."""
     found, keys = baseline.found[name], baseline.keys[name]
     hidden = frozenset(key for key in edits.hidden if key in keys)
     k = edits.k or baseline.source.config.k
@@ -282,8 +280,6 @@ def _repainted(
 
 
 def _with_confidences(candidates: dict[str, Candidates], keys: tuple[str, ...], edits: Edits) -> dict[str, Candidates]:
-    if not edits.confidences:
-        return candidates
     result = dict(candidates)
     for name, own in candidates.items():
         given = [edits.confidences.get((name, keys[at])) for at in own.index.tolist()]
@@ -329,8 +325,6 @@ def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits)
         for (r, a, b), p in edits.relations.items()
         if r in known and a in index and b in index
     ]
-    if not given:
-        return scores
     probabilities = scores.probabilities.copy()
     for a, b, r, p in given:
         probabilities[a, b, r] = p
@@ -340,8 +334,6 @@ def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits)
 def with_superlatives(lookup: RelationLookup, keys: tuple[str, ...], edits: Edits) -> RelationLookup:
     """The lookup with the edited probabilities of closest and farthest, which stand in no table."""
     given = {k: p for k, p in edits.relations.items() if k[0] in ("closest", "farthest")}
-    if not given:
-        return lookup
     index = {key: at for at, key in enumerate(keys)}
 
     def edited(attachment: Attachment, heads: np.ndarray, ends: Any) -> np.ndarray:

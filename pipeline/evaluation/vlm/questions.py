@@ -127,7 +127,7 @@ def score_pairs(
     objects : sequence
         Things with a label and a bbox, such as the frame's annotations.
     pairs : (N, 2) int
-        Places of a and b in `objects`.
+        Indices of a and b in `objects`.
     relations : sequence of str
         Out of `relations.PAIRWISE`.
     progress : callable
