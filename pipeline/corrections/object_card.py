@@ -13,7 +13,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame, object_
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref, same_value, shown_value
 from pipeline.corrections.journal.replay import Origin, statuses_of_items
 from pipeline.corrections.scene import labelled_box
-from pipeline.diagnosis.whatif.box_numbers import BoxNumbers, box_numbers
+from pipeline.diagnosis.whatif.placement import BoxNumbers, box_numbers
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import needed, require

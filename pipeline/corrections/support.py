@@ -15,7 +15,7 @@ from pipeline.corrections.journal.effective import Corrector, Relifter
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.scene import labelled_box, labelled_objects
-from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE
+from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import lift

@@ -221,13 +221,6 @@ def _frame_part(manifest: dict[str, Any], path: Path) -> SavedFrame:
     return checked(SavedFrame.model_validate, manifest.get("frame"), DAMAGED, path, inside=("frame",))
 
 
-def damaged(error: ValidationError, path: Path, *inside: str) -> InputError:
-    """The first fault of a record, and where it stands."""
-    first = error.errors()[0]
-    place = ".".join(str(p) for p in (*inside, *first["loc"])) or "the top"
-    return InputError(DAMAGED.replace("{}", place), got=first["msg"], path=path)
-
-
 def _annotation(saved: SavedAnnotation, shape: tuple[int, ...]) -> Annotation:
     mask = None
     if saved.mask is not None:

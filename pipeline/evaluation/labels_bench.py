@@ -91,7 +91,11 @@ def bench_labels(spec: SourceSpec, *, views: int = 12, repeat: int = 3, workers:
     found = [v for k in range(-(-views // VIEWS_A_ROOM)) for v in bench_views(FIRST_ROOM + k)][:views]
     with one_thread():
         ours = _timed(found, our_lifting, repeat)
-        recipe = _recipe_or_reason(found)
+        try:
+            open3d_recipe(found[0])  # The first call pays for the import.
+            recipe = _timed(found, open3d_recipe, 1)
+        except MissingExtra as error:
+            recipe = {"skipped": str(error)}
         record: dict[str, Any] = {
             "views": len(found),
             "objects": sum(len(v.masks) for v in found),
@@ -209,14 +213,6 @@ def _timed(views: list[BenchView], job: Callable[[BenchView], Extents], repeat: 
         "face_error_p95_cm": round(float(np.nanpercentile(centimetres, 95)), 2),
         "lost": int(np.isnan(centimetres).any(axis=1).sum()),
     }
-
-
-def _recipe_or_reason(views: list[BenchView]) -> dict[str, Any]:
-    try:
-        open3d_recipe(views[0])  # The first call pays for the import.
-        return _timed(views, open3d_recipe, 1)
-    except MissingExtra as error:
-        return {"skipped": str(error)}
 
 
 def pairs_per_second(repeat: int = 3) -> dict[str, int]:

@@ -19,7 +19,7 @@ from pipeline.corrections.object_card import back_to_automatic, bring_back, judg
 from pipeline.corrections.scene import MovingBox
 from pipeline.corrections.support import fit_to_points, snap_to_support
 from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
-from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
+from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, box_numbers, with_numbers
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.palette import palette
 from pipeline.system.errors import InputError

@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.corrections.object_card import FieldLine, ObjectCard
 from pipeline.corrections.scene import Moved
-from pipeline.diagnosis.whatif.box_numbers import BoxNumbers
+from pipeline.diagnosis.whatif.placement import BoxNumbers
 from pipeline.geometry.palette import RGB
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE

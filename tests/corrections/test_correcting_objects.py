@@ -21,7 +21,7 @@ from pipeline.corrections.object_card import FIELDS, back_to_automatic, bring_ba
 from pipeline.corrections.scene import MovingBox, labelled_box, pair_card
 from pipeline.corrections.support import fit_to_points, snap_to_support, support_of
 from pipeline.corrections.unsaved import Waiting
-from pipeline.diagnosis.whatif.box_numbers import box_numbers
+from pipeline.diagnosis.whatif.placement import box_numbers
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T

@@ -16,9 +16,8 @@ from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.relation_cases import RelationSpec
 from pipeline.evaluation.relation_records import read_relation_records
 from pipeline.evaluation.relation_report import BY_RELATION, MEASURES, all_systems, counted_pairs
-from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.shared_makers import AGREEMENT
-from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.language.relation_names import DIRECTIONAL, PHRASE, VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig, Estimate

@@ -12,7 +12,7 @@ from onnx import TensorProto
 from onnx_stubs import GROUNDING, grounding_outputs, write_stub
 from scenes import frame_of, upright
 
-from pipeline.evaluation.whole_expression import Referring
+from pipeline.evaluation.run import Referring
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.captions import build_captions, load_tokenizer, sigmoid, span_scores, token_blocks

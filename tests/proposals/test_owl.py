@@ -11,7 +11,7 @@ from onnx import TensorProto
 from onnx_stubs import OWL, write_stub
 from scenes import camera_of, frame_of, upright
 
-from pipeline.evaluation.whole_expression import Referring
+from pipeline.evaluation.run import Referring
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.contracts import OWL_CONTRACTS
