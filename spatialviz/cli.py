@@ -23,12 +23,51 @@ from tyro.conf import subcommand
 
 from pipeline import __version__
 from pipeline.system.errors import InputError, MissingExtra
-from spatialviz.cli_ask import Ask, Context, Frames, Relations, Render, View
-from spatialviz.cli_bench import Bench, BenchDetect, BenchEval, BenchLabel, BenchReview, BenchSrm
-from spatialviz.cli_corrections import Correct, Effective, Redo, Review, Show, ShowJournal, Undo
-from spatialviz.cli_eval import Eval, Failures, Query, Replay, Report, SaveCase, Tables, WhatIf
-from spatialviz.cli_labels import Check, Export, Import, Label, Merge
-from spatialviz.cli_models import Agree, Calibrate, Detect, Install, Models, Retrain, Train
+from spatialviz.cli_ask import (
+    Ask,
+    Context,
+    Eval,
+    Failures,
+    Frames,
+    Query,
+    Relations,
+    Render,
+    Replay,
+    Report,
+    SaveCase,
+    Tables,
+    View,
+    WhatIf,
+)
+from spatialviz.cli_labels import (
+    Check,
+    Correct,
+    Effective,
+    Export,
+    Import,
+    Label,
+    Merge,
+    Redo,
+    Review,
+    Show,
+    ShowJournal,
+    Undo,
+)
+from spatialviz.cli_models import (
+    Agree,
+    Bench,
+    BenchDetect,
+    BenchEval,
+    BenchLabel,
+    BenchReview,
+    BenchSrm,
+    Calibrate,
+    Detect,
+    Install,
+    Models,
+    Retrain,
+    Train,
+)
 from spatialviz.options import BAD, FINE, INTERRUPTED, one_line_warnings, warn
 
 GROUPS: dict[str, dict[str, tuple[type, str]]] = {

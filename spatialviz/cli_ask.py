@@ -1,4 +1,4 @@
-"""The commands that browse a dataset and ask it."""
+"""The commands that browse a dataset, ask it, evaluate, look into runs, and debug one answer."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from spatialviz.options import (
     CPUS,
     CameraOptions,
     DatasetArg,
+    ExpressionArg,
     Flag,
     FrameArg,
     JournalOptions,
     NewFolder,
     OneFrameArg,
     Output,
+    Overwrite,
+    RunArg,
     SourceOptions,
     Truth,
     Workers,
@@ -125,3 +128,174 @@ class Render:
     width: int = 640
     height: int = 480
     workers: Workers = CPUS
+
+
+@dataclass(frozen=True)
+class Eval(Output):
+    """Answer every expression of labels, and write tables with intervals, plots and records."""
+
+    dataset: DatasetArg
+    labels: Path
+    """Labels folder."""
+    out: Path
+    """Run folder to write."""
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    system: Literal["pipeline", "referring", "vlm"] = "pipeline"
+    """pipeline | referring: the detector fed the whole expression | vlm: a vision-language model."""
+    vlm_url: str | None = None
+    """OpenAI-compatible server, such as http://localhost:8000/v1 (vLLM, Ollama, llama.cpp). Key: SPATIALVIZ_VLM_KEY."""
+    vlm_model: str | None = None
+    """The model's name on that server."""
+    vlm_rate: float | None = None
+    """Requests a minute at most."""
+    marks: Path | None = None
+    """JSON of labels that a person found wrong: [{"frame", "id", "mark": "BAD_LABEL" | "BAD_BOX"}]."""
+    tables: Literal["grounding", "relations", "both", "paper"] | None = None
+    """grounding: expressions | relations: relations alone, pair by pair | both | paper: both, printed as the paper's
+    tables with its published rows. Default: both for --system pipeline, else grounding."""
+    relations_of: tuple[str, ...] = ()
+    """Further relation scorers to measure beside --srm: trained | rule | ONNX files. --vectors is for all of them."""
+    relation_frames: int | None = None
+    """Measure relations on so many frames, spread evenly. Default: all with labelled pairs."""
+    relation_boxes: Literal["lifted", "stored"] | None = None
+    """lifted: the labelled objects from the dataset's annotations and depth | stored: their boxes in the labels.
+    Default: lifted, where the labels were made of annotations."""
+    relation_pairs: Literal["all", "held-out"] = "all"
+    """held-out: without frames that any of the relation networks was trained or calibrated on."""
+    vlm_pairs: int = 200
+    """About how many pairs the vision-language model is asked, drawn at random."""
+    seed: int = 0
+    """Of that draw."""
+    verdicts: bool = True
+    """Say of each expression which module failed. Without, no diagnosis is written, and it is faster."""
+    limit: int | None = None
+    """Only so many expressions, spread evenly."""
+    name: str | None = None
+    """Of the system in the tables. Default: detector and relation scorer."""
+    others: tuple[Path, ...] = ()
+    """Runs on the same labels whose systems become rows too."""
+    compare: Path | None = None
+    """A run to compare with: what was fixed, what was broken, what is right for another reason."""
+    workers: Workers = CPUS
+    plots: bool = True
+    """Draw plots (extra: report)."""
+    overwrite: Overwrite = False
+    show: int = 5
+    """Expressions shown of each kind with --compare."""
+
+
+@dataclass(frozen=True)
+class Failures(Output):
+    """What a run got wrong: what a search finds, with the reasons, or, without a search, verdicts, what each module
+    costs, slices, and all that failed."""
+
+    run_folder: RunArg
+    search: Positional[str] = ""
+    """Words, such as "verdict:SRM relation:behind class:chair margin<0.1 -lucky sort:margin". One that begins with "-"
+    goes after all options and a "--"."""
+    limit: int = 20
+    """Expressions shown at most."""
+    slices: str | None = None
+    """By what the run is cut, with commas: relation, class, reference, distance, size, occlusion, same_class,
+    label_margin, scene, frame. Default: relation; beside a search, tables of the run are shown where this is given."""
+
+
+@dataclass(frozen=True)
+class Query(Output):
+    """Ask a run in SQL: the view records, and labels_frames, labels_objects, labels_relations, labels_expressions."""
+
+    run_folder: RunArg
+    sql: Positional[str]
+    """One SELECT, such as "SELECT verdict, count(*) FROM records GROUP BY ALL". It can read nothing else."""
+    csv: Flag = False
+    """Print CSV."""
+
+
+@dataclass(frozen=True)
+class Tables(Output):
+    """The paper's tables of a run, with its published rows; those of the vocabulary of the run's labels."""
+
+    run_folder: RunArg
+    format: Literal["text", "markdown", "latex"] = "text"
+    """text | markdown | latex."""
+
+
+@dataclass(frozen=True)
+class WhatIf(Output):
+    """Answer an expression with and without edits: moved boxes, other masks, confidences, thresholds.
+
+    Exit status: 0 where a pair stands in the relation after the edits, 1 where none does, 2 for bad usage or input.
+    """
+
+    dataset: DatasetArg
+    frame: OneFrameArg
+    expression: ExpressionArg
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    edits: Path | None = None
+    """JSON file of edits. Without it the objects are listed with the keys that edits name them by."""
+    decision_map: Path | None = None
+    """Write a picture (.png or .jpg): the floor, coloured by which answer wins if one object stands there."""
+    move: str | None = None
+    """Key of the object that the decision map moves. Default: the target of the answer."""
+    cells: int = 48
+    """Cells of the decision map on each side."""
+    labels: Truth = None
+
+
+@dataclass(frozen=True)
+class SaveCase(Output):
+    """Keep one answer as a small folder that `replay` runs again: a failure becomes a regression test."""
+
+    dataset: DatasetArg
+    frame: OneFrameArg
+    expression: ExpressionArg
+    out: NewFolder
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    labels: Truth = None
+    edits: Path | None = None
+    """Edits as a JSON file."""
+    name: str | None = None
+    """Title of the case."""
+    copy_srm: Flag = False
+    """Put the file of the relation network into the case."""
+
+
+@dataclass(frozen=True)
+class Replay(Output):
+    """Run kept cases again; status 1 when an answer changed, 2 when a case is damaged."""
+
+    cases: Positional[tuple[Path, ...]]
+    """Case folders, or folders that hold cases."""
+    srm: str | None = None
+    """Another relation scorer: trained | rule | an ONNX file. Default: the case's own."""
+    vectors: Path | None = None
+    """Text vectors of a language network."""
+    detector: str = "kept"
+    """kept: the detections in the case | live: its detector looks at the picture again | another detector's name."""
+    model: Path | None = None
+    """Model file or options for a detector that looks again."""
+    min_score: float | None = None
+    """Its minimum score."""
+    tolerance: float = 1e-4
+    """A probability that moves by more is shown as a warning."""
+    update: Flag = False
+    """Take the answers of now as the expected ones."""
+
+
+@dataclass(frozen=True)
+class Report(Output):
+    """One self-contained page of an answer: why it failed, the picture, the scene in 3D, all tables."""
+
+    dataset: Positional[str]
+    """Case folder; or a dataset folder or "demo", with FRAME and EXPRESSION."""
+    frame: Positional[str | None] = None
+    """Frame id, or its index."""
+    expression: Positional[str | None] = None
+    """TARGET RELATION REFERENCE, in quotes."""
+    out: Path = Path("report.html")
+    """File to write."""
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    labels: Truth = None
+    scene: bool = True
+    """Show the scene in 3D, about 1.5 MB."""
+    overwrite: Overwrite = False

@@ -11,10 +11,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tyro.conf import FlagCreatePairsOff, Positional, arg
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
 from pipeline.system.errors import InputError, require
-from pipeline.system.execution import Provider, ProviderWarning, use_execution
+from pipeline.system.onnx_session import Provider, ProviderWarning, use_execution
 
 if TYPE_CHECKING:
     from pipeline.answering.opening import Pipeline
@@ -125,8 +125,7 @@ def task_of(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     k, n = numbers(text, "k/N", int, "--shard must be two numbers", ", such as 1/8")
-    if not 1 <= k <= n:
-        raise InputError("no such shard", got=text, expected=f"1/{max(n, 1)} to {max(n, 1)}/{max(n, 1)}")
+    require(1 <= k <= n, "no such shard", got=text, expected=f"1/{max(n, 1)} to {max(n, 1)}/{max(n, 1)}")
     return k, n
 
 
@@ -217,6 +216,20 @@ class JournalOptions:
         return opened
 
 
+@dataclass(frozen=True, kw_only=True)
+class OnJournal(OnLabels):
+    """A command on a labels folder and what people corrected in it."""
+
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnPictures(OnJournal):
+    """One that may need the pictures too."""
+
+    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
+
+
 @dataclass(frozen=True)
 class DetectorOptions:
     """A detector, and those that are fused with it."""
@@ -253,9 +266,12 @@ class SecondDetectorOptions(DetectorOptions):
     def check(self) -> None:
         """Raise InputError where an option is of no detector."""
         own = ("model", "model_config", "fuse", "min_score")
-        given = [name for name in own if getattr(self, name) not in (None, ())]
-        if self.detector is None and given:
-            raise InputError(f"--{given[0].replace('_', '-')} needs --detector", cause="of which detector?")
+        for name in own:
+            require(
+                self.detector is not None or getattr(self, name) in (None, ()),
+                f"--{name.replace('_', '-')} needs --detector",
+                cause="of which detector?",
+            )
 
     def setup(self) -> DetectorSetup | None:
         """What it is made from; None where none is asked."""
@@ -372,7 +388,7 @@ class SourceOptions(ProposalOptions):
     def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Pipeline:
         """The dataset with its models; `frame` is the one that is asked, `labels` judge what is answered."""
         from pipeline.answering.opening import open_pipeline
-        from pipeline.datasets.given_up import told_doubts
+        from pipeline.datasets.up import told_doubts
         from pipeline.labels.reading import labelled_up
 
         options = self.arguments(frame)

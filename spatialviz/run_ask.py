@@ -13,10 +13,10 @@ from pipeline.answering.opening import FrameRelations, open_pipeline, relate_fra
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.suggestions import MissedNames, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
-from pipeline.datasets.given_up import told_up
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.synthetic import render_dataset
+from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.geometry.viewer import ViewerAxes
@@ -24,11 +24,10 @@ from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 from spatialviz.cli_ask import Ask, Context, Frames, Relations, Render
 from spatialviz.options import ALL_FRAMES, FINE, NO, one_frame, print_json, warn_skipped
-from spatialviz.printing import print_rows, rate_bar, say
-from spatialviz.printing_statistics import print_summary
+from spatialviz.printing import print_rows, print_summary, rate_bar, say
 from spatialviz.report.picture import save_picture
 
 SHOWN_PAIRS = 5
@@ -36,8 +35,11 @@ SHOWN_PAIRS = 5
 
 def run_ask(command: Ask) -> int:
     require(command.expressions, "an expression is missing", expected='for example "mug left of the laptop"')
-    if command.save is not None and (command.frame == ALL_FRAMES or len(command.expressions) > 1):
-        raise InputError("--save takes one frame and one expression", path=command.save)
+    require(
+        command.save is None or (command.frame != ALL_FRAMES and len(command.expressions) <= 1),
+        "--save takes one frame and one expression",
+        path=command.save,
+    )
     labels = None if command.labels is None else open_labels(command.labels)
     answered = 0
     source = command.source.open(command.dataset, command.frame, labels)

@@ -17,7 +17,7 @@ from pipeline.relations.features import CLI_FEATURES
 from pipeline.system.errors import require
 from pipeline.training.ablation import AblationConfig, compare_features
 from pipeline.training.train import TrainConfig
-from spatialviz.cli_bench import Bench, BenchDetect, BenchEval, BenchLabel, BenchReview, BenchSrm
+from spatialviz.cli_models import Bench, BenchDetect, BenchEval, BenchLabel, BenchReview, BenchSrm
 from spatialviz.options import FINE, NO, LabelledOptions
 from spatialviz.printing import figure, print_rows, print_table, progress_bars, rate_bar, say, table_record
 

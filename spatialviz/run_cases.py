@@ -10,11 +10,11 @@ from pipeline.answering.json_records import NO_SUCH_PAIR, holds, probability
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import MANIFEST
-from pipeline.diagnosis.answer import Answer
-from pipeline.diagnosis.asking import edited_verdicts, known_truth
-from pipeline.diagnosis.cases import answer, answer_record, find_cases, open_case, save_case
+from pipeline.diagnosis.answer import Answer, answer_record
+from pipeline.diagnosis.asking import answer, edited_verdicts, known_truth
 from pipeline.diagnosis.cases.manifest import Expected
-from pipeline.diagnosis.cases.replay import Result, replay_all
+from pipeline.diagnosis.cases.replay import Result, find_cases, replay_all
+from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
 from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
 from pipeline.diagnosis.whatif.placement import place_in_region
@@ -22,9 +22,9 @@ from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.relations import Profile
+from pipeline.relations.relations import Profile, letter
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_eval import Replay, Report, SaveCase, WhatIf
+from spatialviz.cli_ask import Replay, Report, SaveCase, WhatIf
 from spatialviz.options import BAD, FINE, NO, one_frame
 from spatialviz.printing import figure, print_rows, say
 from spatialviz.report import Subject, failure_page, write_page
@@ -47,18 +47,12 @@ def run_whatif(command: WhatIf) -> int:
     verdicts = edited_verdicts(source, context, baseline.outcome.trace, after.trace, weights, labels)
     record = whatif_record(baseline, after, edits, verdicts)
     if command.decision_map is not None:
-        record["decision_map"] = _map(command, baseline, after, edits)
+        key = command.move or ("" if after.trace.ranking is None else after.keys[after.trace.ranking.pairs[0].target])
+        found = decision_map(baseline, edits, key, command.cells)
+        write_picture(map_picture(found, after), command.decision_map)
+        record["decision_map"] = map_record(found)
     command.write(record, print_change)
     return FINE if holds(after.trace) else NO
-
-
-def _map(command: WhatIf, baseline: Baseline, after: Outcome, edits: Edits) -> dict[str, Any]:
-    assert command.decision_map is not None
-    ranking = after.trace.ranking
-    key = command.move or ("" if ranking is None else after.keys[ranking.pairs[0].target])
-    found = decision_map(baseline, edits, key, command.cells)
-    write_picture(map_picture(found, after), command.decision_map)
-    return map_record(found)
 
 
 def run_save_case(command: SaveCase) -> None:
@@ -80,8 +74,11 @@ def run_save_case(command: SaveCase) -> None:
 
 def run_replay(command: Replay) -> int:
     require(command.cases, "a case is missing", expected="the folder that save-case wrote")
-    if command.detector == "kept" and (command.model is not None or command.min_score is not None):
-        raise InputError("--model and --min-score need --detector", expected="live or a detector's name")
+    require(
+        command.detector != "kept" or (command.model is None and command.min_score is None),
+        "--model and --min-score need --detector",
+        expected="live or a detector's name",
+    )
     folders = [folder for path in command.cases for folder in find_cases(path)]
     totals = {"same": 0, "changed": 0, "updated": 0, "damaged": 0}
     for result in replay_all(
@@ -109,8 +106,11 @@ def run_report(command: Report) -> None:
         expected="--overwrite",
         path=command.out,
     )
-    if command.frame is None and not (Path(command.dataset) / MANIFEST).is_file():
-        raise InputError("FRAME and EXPRESSION are missing", cause=f"{command.dataset} is no saved case")
+    require(
+        command.frame is not None or (Path(command.dataset) / MANIFEST).is_file(),
+        "FRAME and EXPRESSION are missing",
+        cause=f"{command.dataset} is no saved case",
+    )
     if command.frame is None:
         srm = None if command.source.srm == "trained" else command.source.srm
         opened = open_case(command.dataset, srm=srm, vectors=command.source.vectors)
@@ -161,7 +161,7 @@ def whatif_record(
         placed = place_in_region(first, second, relation, trace.viewer, Profile(**edits.profile))
         record["placement"] = {
             "relation": relation,
-            "state": placed.letter,
+            "state": letter(placed.state),
             "why": placed.why,
             "measures": {name: round(value, 6) for name, value in placed.measures.items()},
         }

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
-from pipeline.corrections.cards import PairCard, pair_card
-from pipeline.corrections.journal import rescue
 from pipeline.corrections.journal.batch import apply_actions, needs_pictures, read_actions
+from pipeline.corrections.journal.connection import back_up, check_journal, examined_record, recover, written_record
 from pipeline.corrections.journal.effective import Corrector, EffectiveLabels
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, NotSaved, Saved, event_record, outcome_record
@@ -16,9 +16,9 @@ from pipeline.corrections.journal.examining import Examined
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
 from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.journal.rescue import examined_record, written_record
-from pipeline.corrections.journal.undo import redo, undo
+from pipeline.corrections.journal.replay import redo, undo
 from pipeline.corrections.object_card import ObjectCard, object_card
+from pipeline.corrections.scene import PairCard, pair_card
 from pipeline.corrections.support import Support, support_name, support_of
 from pipeline.corrections.wording import event_text
 from pipeline.labels.reading import Labels, open_labels
@@ -26,7 +26,7 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_corrections import Correct, Effective, OfPerson, Redo, Show, ShowJournal, Undo
+from spatialviz.cli_labels import Correct, Effective, OfPerson, Show, ShowJournal
 from spatialviz.options import FINE, NO, Output, numbers, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
 
@@ -36,10 +36,8 @@ FrameOf = Callable[[str], EffectiveFrame | None]
 def run_show(command: Show) -> int:
     from pipeline.corrections.journal_location import JournalLocation  # Brings the review of labels in.
 
-    if command.object is not None and command.pair is not None:
-        raise InputError("--object and --pair exclude each other")
-    if command.support and command.object is None:
-        raise InputError("--support needs --object")
+    require(command.object is None or command.pair is None, "--object and --pair exclude each other")
+    require(not command.support or command.object is not None, "--support needs --object")
     labels = open_labels(command.labels)
     if command.journal.journal is not None:
         journal = command.journal.open(labels, must_exist=True)
@@ -72,8 +70,7 @@ def run_journal(command: ShowJournal) -> int:
             "--check, --backup and --recover are of the whole journal, and one at a time",
         )
         return _as_a_whole(command)
-    if command.last is not None and command.last < 1:
-        raise InputError("--last must be at least 1", got=command.last)
+    require(command.last is None or command.last >= 1, "--last must be at least 1", got=command.last)
     labels = open_labels(command.labels)
     frame = command.frame
     if frame is not None:
@@ -89,14 +86,14 @@ def run_journal(command: ShowJournal) -> int:
 def _as_a_whole(command: ShowJournal) -> int:
     where = command.journal.journal or open_labels(command.labels).root / JOURNAL_FILE
     if command.check:
-        found = rescue.check_journal(where).known()
+        found = check_journal(where).known()
         command.write(examined_record(found), print_examined, found)
         return NO if found.damage else FINE
     if command.backup is not None:
-        made = found = rescue.back_up(where, command.backup)
+        made = found = back_up(where, command.backup)
     else:
         assert command.recover is not None
-        found, made = rescue.recover(where, command.recover)
+        found, made = recover(where, command.recover)
     command.write(written_record(found, made), print_written, found, made)
     return FINE
 
@@ -104,19 +101,11 @@ def _as_a_whole(command: ShowJournal) -> int:
 def run_correct(command: Correct) -> int:
     labels = open_labels(command.labels)
     actions = read_actions(command.edits)
-    dataset = command.pictures.open(labels) if needs_pictures(actions) else None
+    dataset = command.source.open(labels) if needs_pictures(actions) else None
     with command.journal.open(labels) as journal, _told_how_to_try_again():
         corrector = Corrector(labels, dataset)
         done = apply_actions(corrector, journal, actions, command.author, again=command.again)
         return _told(command, done, "saved", frames_of(corrector, journal))
-
-
-def run_undo(command: Undo) -> int:
-    return _undo_or_redo(command, undo, "taken back")
-
-
-def run_redo(command: Redo) -> int:
-    return _undo_or_redo(command, redo, "brought back")
 
 
 def _undo_or_redo(command: OfPerson, way: Callable[..., Saved | Conflict | None], verb: str) -> int:
@@ -124,6 +113,10 @@ def _undo_or_redo(command: OfPerson, way: Callable[..., Saved | Conflict | None]
     with command.journal.open(labels, must_exist=True) as journal, _told_how_to_try_again():
         done = way(journal, command.author, group=command.group, again=command.again)
         return _told(command, done, verb, frames_of(Corrector(labels), journal))
+
+
+run_undo = partial(_undo_or_redo, way=undo, verb="taken back")
+run_redo = partial(_undo_or_redo, way=redo, verb="brought back")
 
 
 def run_effective(command: Effective) -> None:

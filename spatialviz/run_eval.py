@@ -6,29 +6,34 @@ import csv
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Literal
 
 from rich.text import Text
 
 from pipeline.diagnosis.verdict import VERDICTS, read_marks
-from pipeline.evaluation.compare import Comparison, read_records
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
+from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
-from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.run_folder import QueryRows, labels_of, manifest_of, open_database
 from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
-from pipeline.evaluation.summary import RunSummary, need_verdicts, oracle_table, summarise_run, verdict_table
-from pipeline.evaluation.whole_expression import VlmOptions
+from pipeline.evaluation.summary import (
+    Comparison,
+    RunSummary,
+    need_verdicts,
+    oracle_table,
+    summarise_run,
+    verdict_table,
+)
 from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_eval import Eval, Failures, Query, Tables
+from spatialviz.cli_ask import Eval, Failures, Query, Tables
 from spatialviz.options import FINE, NO, print_json, warn
 from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, table_record
 
@@ -39,21 +44,6 @@ MOST_ROWS = 15
 SHOWN = ("id", "frame", "text", "target", "relation", "reference", "verdict", "detail", "lucky", "said", "repair",
          "margin", "p_target", "p_reference", "p_relation")  # fmt: skip
 """Columns of a failure in JSON."""
-
-
-@dataclass(frozen=True)
-class Failed:
-    """What `failures` shows: the run's name, what it shares with what made its labels, its summary and slices, the rows
-    that the search found, how many of them are shown, and whether tables of the whole run are."""
-
-    name: str
-    shares: Sequence[Share]
-    summary: RunSummary
-    slices: Sequence[Slices]
-    found: pa.Table
-    limit: int
-    search: str
-    with_tables: bool
 
 
 def run_eval(command: Eval) -> None:
@@ -106,11 +96,17 @@ def _tables(command: Eval) -> Literal["grounding", "relations", "both"]:
         chosen = "both"
     given = {"--relations-of": command.relations_of, "--relation-frames": command.relation_frames,
              "--relation-boxes": command.relation_boxes}  # fmt: skip
-    unused = [name for name, value in given.items() if value not in ((), None)]
-    if chosen == "grounding" and unused:
-        raise InputError(f"{unused[0]} belongs to relations alone", expected="--tables relations or both")
-    if chosen == "relations" and (command.compare is not None or command.others or command.limit is not None):
-        raise InputError("--compare, --others and --limit are about expressions", got="--tables relations")
+    for name, value in given.items():
+        require(
+            chosen != "grounding" or value in ((), None),
+            f"{name} belongs to relations alone",
+            expected="--tables relations or both",
+        )
+    require(
+        chosen != "relations" or (command.compare is None and not command.others and command.limit is None),
+        "--compare, --others and --limit are about expressions",
+        got="--tables relations",
+    )
     return chosen
 
 
@@ -138,17 +134,19 @@ def run_failures(command: Failures) -> int:
     found = find_failures(records, command.search)
     manifest = manifest_of(command.run_folder)
     name = str(manifest.get("name") or command.run_folder.name)
-    looked_into = Failed(
-        name,
-        shares_of_run(manifest, labels_of(command.run_folder)),
-        summarise_run(records),
-        [slice_by({name: records}, d, most=None if command.json else MOST_ROWS) for d in dimensions],
-        found,
-        command.limit,
-        command.search,
-        with_tables=not command.search or command.slices is not None,
-    )
-    command.write(failures_record(looked_into), print_failures, looked_into)
+    shares, summary = shares_of_run(manifest, labels_of(command.run_folder)), summarise_run(records)
+    cuts = [slice_by({name: records}, d, most=None if command.json else MOST_ROWS) for d in dimensions]
+    shown = found.slice(0, command.limit).select([c for c in SHOWN if c in found.column_names])
+    record = {
+        "search": command.search,
+        "system": name,
+        "shares": [share.record() for share in shares],
+        "found": found.num_rows,
+        "failures": [{key: plain(value) for key, value in row.items()} for row in shown.to_pylist()],
+        "summary": summary.record(),
+        "slices": {s.dimension.name: s.record() for s in cuts},
+    }
+    command.write(record, print_failures, command, name, shares, summary, cuts, found)
     return FINE if found.num_rows else NO
 
 
@@ -236,10 +234,8 @@ def print_answer(answer: QueryRows) -> int:
     """Rows as a table, the first ones; how many there were to show."""
     rows = list(islice(answer.rows, MOST_SHOWN + 1))
 
-    def is_figures(k: int) -> bool:
-        return bool(rows) and all(isinstance(r[k], (int, float)) and not isinstance(r[k], bool) for r in rows)
-
-    columns = (f">{name}" if is_figures(k) else name for k, name in enumerate(answer.columns))
+    kinds = [{type(value) for value in column} for column in zip(*rows, strict=True)] or [set()] * len(answer.columns)
+    columns = (f">{n}" if kind and kind <= {int, float} else n for n, kind in zip(answer.columns, kinds, strict=True))
     print_rows(columns, (map(_shown, row) for row in rows[:MOST_SHOWN]))
     if len(rows) > MOST_SHOWN:
         say(f"only the first {MOST_SHOWN:,} rows are shown; --csv and --json print them all", style="dim")
@@ -285,45 +281,35 @@ def _shown(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def failures_record(looked_into: Failed) -> dict[str, Any]:
-    """`failures --json`."""
-    found = looked_into.found.slice(0, looked_into.limit)
-    rows = found.select([c for c in SHOWN if c in found.column_names]).to_pylist()
-    return {
-        "search": looked_into.search,
-        "system": looked_into.name,
-        "shares": [share.record() for share in looked_into.shares],
-        "found": looked_into.found.num_rows,
-        "failures": [{key: plain(value) for key, value in row.items()} for row in rows],
-        "summary": looked_into.summary.record(),
-        "slices": {s.dimension.name: s.record() for s in looked_into.slices},
-    }
-
-
-def print_failures(looked_into: Failed) -> None:
+def print_failures(
+    command: Failures,
+    name: str,
+    shares: Sequence[Share],
+    summary: RunSummary,
+    cuts: Sequence[Slices],
+    found: pa.Table,
+) -> None:
     """What a search found before verdicts, costs and slices of the run; without a search all that failed after them."""
-    if looked_into.search:
-        _print_found(looked_into)
-    if looked_into.with_tables:
-        of_run = {looked_into.name: looked_into.summary}
-        cuts = [slice_table(s, intervals=False) for s in looked_into.slices]
-        for table in (verdict_table(of_run), oracle_table(of_run), *cuts):
-            print_table(with_caveats(table, {looked_into.name: looked_into.shares}), caveats=False)
+    if command.search:
+        _print_found(command, name, summary.expressions, found)
+    if not command.search or command.slices is not None:
+        of_run = {name: summary}
+        for table in (verdict_table(of_run), oracle_table(of_run), *(slice_table(s, intervals=False) for s in cuts)):
+            print_table(with_caveats(table, {name: shares}), caveats=False)
             say()
-    if not looked_into.search:
-        _print_found(looked_into)
-    for share in looked_into.shares:
+    if not command.search:
+        _print_found(command, name, summary.expressions, found)
+    for share in shares:
         say(share.sentence, style="yellow")
 
 
-def _print_found(looked_into: Failed) -> None:
-    found = looked_into.found
-    what = f"search {looked_into.search}" if looked_into.search else "failed"
-    of = counted(looked_into.summary.expressions, "expression")
-    say((f"{what}: {found.num_rows} of {of}", "bold"), (f"  in {looked_into.name}", "dim"))
-    for row in found.slice(0, looked_into.limit).to_pylist():
+def _print_found(command: Failures, name: str, expressions: int, found: pa.Table) -> None:
+    what = f"search {command.search}" if command.search else "failed"
+    of = counted(expressions, "expression")
+    say((f"{what}: {found.num_rows} of {of}", "bold"), (f"  in {name}", "dim"))
+    for row in found.slice(0, command.limit).to_pylist():
         verdict = "CORRECT LUCKY" if row["lucky"] else " ".join(filter(None, (row["verdict"], row["detail"])))
         say((row["frame"], "dim"), "  ", row["text"], (f"  {verdict}", "bold yellow"))
         say(f"    {row['said'] or ''}  ({row['id']})", style="dim")
-    if found.num_rows > looked_into.limit:
-        say(f"and {found.num_rows - looked_into.limit} more (--limit)", style="dim")
+    if found.num_rows > command.limit:
+        say(f"and {found.num_rows - command.limit} more (--limit)", style="dim")

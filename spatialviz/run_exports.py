@@ -19,14 +19,13 @@ from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.datasets import Dataset
 from pipeline.labels.exports import export_labels
-from pipeline.labels.exports.exporting import MARK
-from pipeline.labels.exports.hub import HubConfig
+from pipeline.labels.exports.exporting import MARK, HubConfig
 from pipeline.labels.plan import load_plan
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.store import Store
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError, require
-from pipeline.system.staging import check_target
+from pipeline.system.errors import require
+from pipeline.system.whole_files import check_target
 from spatialviz.cli_labels import Export, Import
 from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, warn
 from spatialviz.printing import rate_bar, say
@@ -42,7 +41,13 @@ def run_export(command: Export) -> None:
         not (not command.corrected and command.journal != JournalOptions()),
         "--journal and --project go with --corrected",
     )
-    _keep(automatic, command.out)
+    target, root = command.out.expanduser().resolve(), automatic.root.resolve()
+    require(
+        target != root and target not in root.parents,
+        "an export cannot replace the labels",
+        expected="another folder",
+        path=command.out,
+    )
     with _labels(command, automatic) as labels, rate_bar("exporting", "frames") as advance:
         report = export_labels(
             labels,
@@ -69,8 +74,12 @@ def _labels(command: Export, automatic: Labels) -> Iterator[Labels]:
         yield automatic
         return
 
-    if automatic.manifest.corrections is not None:
-        raise InputError("these labels are corrected already", cause="leave --corrected out", path=command.labels)
+    require(
+        automatic.manifest.corrections is None,
+        "these labels are corrected already",
+        cause="leave --corrected out",
+        path=command.labels,
+    )
     check_target(command.out, overwrite=command.overwrite, mark=MARK)
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
         where = Path(folder) / "corrected"
@@ -129,16 +138,6 @@ def _journal(command: Import, labels: Labels) -> Iterator[Journal | None]:
         return
     with command.journal.open(labels) as journal:
         yield journal
-
-
-def _keep(labels: Labels, out: Path) -> None:
-    target, root = out.expanduser().resolve(), labels.root.resolve()
-    require(
-        target != root and target not in root.parents,
-        "an export cannot replace the labels",
-        expected="another folder",
-        path=out,
-    )
 
 
 def print_import(report: ImportReport, show: int) -> None:

@@ -5,17 +5,16 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable
-from typing import Any
 
 from rich.text import Text
 
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check import check_labels, finding_record
-from pipeline.labels.check.findings import Finding
-from pipeline.labels.config import LabelConfig, SelectConfig
+from pipeline.labels.check.view import Finding
 from pipeline.labels.job import LabelReport, label_dataset
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import merge_labels
+from pipeline.labels.plan import LabelConfig, SelectConfig
 from pipeline.labels.reading import open_labels
 from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
 from pipeline.labels.schema import Manifest
@@ -24,8 +23,7 @@ from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, MissingExtra
 from spatialviz.cli_labels import Check, Label, Merge, Selection
 from spatialviz.options import FINE, NO, print_json, task_of, warn
-from spatialviz.printing import print_rows, rate_bar, say
-from spatialviz.printing_statistics import print_statistics
+from spatialviz.printing import print_rows, print_statistics, rate_bar, say
 
 COLORS = {"error": "red", "warning": "yellow"}
 
@@ -60,7 +58,20 @@ def run_label(command: Label) -> int:
         more = "run the same command again" + ("" if part else " with --resume")
         warn(f"finished shards are kept in {command.out}; to go on, {more}")
         raise
-    command.write(label_record(report), print_labelled, report, command.out)
+    manifest = report.manifest
+    record = {
+        "frames": report.frames,
+        "reused": report.reused,
+        "broken": report.broken,
+        "frames_up_assumed": None if manifest is None else manifest.counts["frames_up_assumed"],
+        "objects": report.objects,
+        "pairs": report.pairs,
+        "candidates": report.candidates,
+        "seconds": round(report.seconds, 3),
+        "expressions": None if manifest is None else manifest.counts["expressions"],
+        "hashes": None if manifest is None else {n: t.content_hash for n, t in manifest.tables.items()},
+    }
+    command.write(record, print_labelled, report, command.out)
     # A task of more than there are shards has nothing to do, and that is fine.
     return FINE if report.frames > report.broken or not report.frames else NO
 
@@ -107,23 +118,6 @@ def _selection(options: Selection) -> SelectConfig:
     return SelectConfig(
         options.expressions, options.per_frame, options.balance or None, options.selection_seed, telling
     )
-
-
-def label_record(report: LabelReport) -> dict[str, Any]:
-    """`label --json`."""
-    manifest = report.manifest
-    return {
-        "frames": report.frames,
-        "reused": report.reused,
-        "broken": report.broken,
-        "frames_up_assumed": None if manifest is None else manifest.counts["frames_up_assumed"],
-        "objects": report.objects,
-        "pairs": report.pairs,
-        "candidates": report.candidates,
-        "seconds": round(report.seconds, 3),
-        "expressions": None if manifest is None else manifest.counts["expressions"],
-        "hashes": None if manifest is None else {n: t.content_hash for n, t in manifest.tables.items()},
-    }
 
 
 def print_labelled(report: LabelReport, out: str) -> None:

@@ -23,12 +23,11 @@ from pipeline.answering.model_catalogue import (
     look_around,
 )
 from pipeline.answering.recording import RecordingReport, record_detections
-from pipeline.proposals.contracts import Contract
 from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.proposals.score_calibration import ScoreCalibration, save_calibration
 from pipeline.system.errors import require
-from pipeline.system.execution import ACCELERATORS
 from pipeline.system.model_files import KnownModel
+from pipeline.system.onnx_session import ACCELERATORS
 from spatialviz.cli_models import Agree, Calibrate, Detect, Models
 from spatialviz.options import ALL_FRAMES, FINE, NO, warn_skipped
 from spatialviz.printing import figure, print_rows, rate_bar, say
@@ -194,7 +193,13 @@ def print_calibration(calibration: ScoreCalibration, report: dict[str, Any], out
         ("", ">Brier", ">ECE", ">log loss"),
         ((name, *(f"{report[name][k]:.4f}" for k in ("brier", "ece", "log_loss"))) for name in times),
     )
-    bins = [{round(row["low"], 2): _reliability(row) for row in report[name]["reliability"]} for name in times]
+    bins = [
+        {
+            round(row["low"], 2): (str(row["count"]), f"{row['score']:.3f}", f"{row['hits']:.3f}")
+            for row in report[name]["reliability"]
+        }
+        for name in times
+    ]
     print_rows(
         (">score", ">before: n", ">mean score", ">hits", ">after: n", ">mean score", ">hits"),
         (
@@ -204,10 +209,6 @@ def print_calibration(calibration: ScoreCalibration, report: dict[str, Any], out
     )
     say("after: each half of the frames under the fit of the other half", style="dim")
     say(f"-> {out}")
-
-
-def _reliability(row: dict[str, Any]) -> tuple[str, str, str]:
-    return str(row["count"]), f"{row['score']:.3f}", f"{row['hits']:.3f}"
 
 
 def catalogue_record(known: Sequence[Adapter], here: Here) -> dict[str, Any]:
@@ -237,22 +238,20 @@ def print_catalogue(known: Sequence[Adapter], here: Here) -> None:
             say(f"  not installed: pip install 'spatialviz[{adapter.needs}]'", style="yellow")
         for contract in adapter.contracts:
             say(f"  {contract.what}")
-            say(f"    {_tensors(contract)}", style="dim")
+            outputs = f" -> {shapes(contract.outputs)}" if contract.outputs else ""
+            say(f"    {shapes(contract.inputs)}{outputs}", style="dim")
         for model in adapter.known:
             for line in _model_lines(model):
                 say(f"  {line}", style="cyan")
     say("here", style="bold")
-    say(f"  ONNX Runtime {here.version}, --provider {' or '.join(_choices(here.providers))}")
+    providers = [*(name for name, own in ACCELERATORS.items() if own in here.providers), "cpu"]
+    say(f"  ONNX Runtime {here.version}, --provider {' or '.join(providers)}")
     for name, path in here.fetched:
         say(f"  fetched {name} -> {path}")
     for name, path in here.networks:
         say(f"  relation network --srm {name} -> {path}")
     if not here.fetched and not here.networks:
         say("  no model was fetched, and no relation network installed", style="dim")
-
-
-def _tensors(contract: Contract) -> str:
-    return shapes(contract.inputs) + (f" -> {shapes(contract.outputs)}" if contract.outputs else "")
 
 
 def _model_lines(model: KnownModel) -> list[str]:
@@ -284,34 +283,25 @@ def file_record(report: FileReport) -> dict[str, Any]:
 
 
 def print_files(reports: Sequence[FileReport]) -> None:
-    """What each file is."""
+    """What each file is, in a few lines."""
     for report in reports:
-        print_file(report)
-
-
-def print_file(report: FileReport) -> None:
-    """What a file is, in a few lines."""
-    size = "" if report.megabytes is None else f", {_size(report.megabytes)}"
-    say(f"{report.path}{size}", style="bold")
-    if report.problem is not None:
-        say(f"  {report.problem}", style="red")
-        return
-    say(f"  {shapes(report.inputs)} -> {shapes(report.outputs)}", style="dim")
-    if report.kind is None:
-        say("  no option reads it; a detector of boxes can be described in a TOML file", style="yellow")
-        return
-    say(f"  {report.kind.sentence}", style="" if report.kind.options else "yellow")
-    if report.class_names:
-        say(f"  {len(report.class_names)} class names inside: {', '.join(report.class_names)}")
-    for what in report.missing:
-        say(f"  missing: {what}", style="yellow")
-    for line in _commands(report):
-        say(f"    {line}", style="cyan")
-
-
-def _choices(providers: Sequence[str]) -> list[str]:
-    """Those of ONNX Runtime's providers that can be asked for."""
-    return [*(name for name, own in ACCELERATORS.items() if own in providers), "cpu"]
+        megabytes = report.megabytes or 0.0
+        size = f", {megabytes:.1f} MB" if megabytes >= 0.1 else f", {megabytes * 1000:.1f} kB"
+        say(f"{report.path}{'' if report.megabytes is None else size}", style="bold")
+        if report.problem is not None:
+            say(f"  {report.problem}", style="red")
+            continue
+        say(f"  {shapes(report.inputs)} -> {shapes(report.outputs)}", style="dim")
+        if report.kind is None:
+            say("  no option reads it; a detector of boxes can be described in a TOML file", style="yellow")
+            continue
+        say(f"  {report.kind.sentence}", style="" if report.kind.options else "yellow")
+        if report.class_names:
+            say(f"  {len(report.class_names)} class names inside: {', '.join(report.class_names)}")
+        for what in report.missing:
+            say(f"  missing: {what}", style="yellow")
+        for line in _commands(report):
+            say(f"    {line}", style="cyan")
 
 
 def _commands(report: FileReport) -> list[str]:
@@ -329,7 +319,3 @@ def _commands(report: FileReport) -> list[str]:
         else:
             lines.append(f"{face} {path}")
     return lines
-
-
-def _size(megabytes: float) -> str:
-    return f"{megabytes:.1f} MB" if megabytes >= 0.1 else f"{megabytes * 1000:.1f} kB"

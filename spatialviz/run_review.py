@@ -35,7 +35,7 @@ from pipeline.relations.features import CLI_FEATURES
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.training.train import TrainConfig, need_torch
-from spatialviz.cli_corrections import Review
+from spatialviz.cli_labels import Review
 from spatialviz.options import FINE, NO, warn, warn_skipped
 from spatialviz.printing import figure, print_rows, progress_bars, say
 
@@ -67,12 +67,17 @@ def run_review(command: Review) -> int:
 def _check(command: Review) -> None:
     require(command.limit >= 0, "--limit must not be negative", got=command.limit)
     command.second.check()
-    if command.author is None and (command.overlap or command.second_opinion_of is not None):
-        raise InputError("--overlap and --second-opinion-of need --author", cause="whose second opinion?")
-    if command.author is not None and command.all:
-        raise InputError("--all and --author exclude each other")
-    if command.queue is not None and (command.other is not None or command.second.detector is not None):
-        raise InputError("--queue is a queue that was built before", cause="leave out --queue, or the other options")
+    require(
+        command.author is not None or (not command.overlap and command.second_opinion_of is None),
+        "--overlap and --second-opinion-of need --author",
+        cause="whose second opinion?",
+    )
+    require(command.author is None or not command.all, "--all and --author exclude each other")
+    require(
+        command.queue is None or (command.other is None and command.second.detector is None),
+        "--queue is a queue that was built before",
+        cause="leave out --queue, or the other options",
+    )
 
 
 def _reviewed(command: Review, labels: Labels, folder: Path) -> Reviewed:

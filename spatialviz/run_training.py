@@ -15,7 +15,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.tables import shown
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.relations.installed import install_network
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 from pipeline.training.card import RoomConfig, train_on_rooms
 from pipeline.training.label_training import LabelTraining, train_on_labels
 from pipeline.training.train import Epoch, TrainConfig
@@ -24,8 +24,8 @@ from spatialviz.options import warn
 from spatialviz.printing import figure, print_rows, print_table, progress_bars, say
 
 ROOMS = "rooms"
-OF_ROOMS = ("rooms", "views", "width", "height")
-"""Options of training on rooms alone."""
+OF_ROOMS, OF_LABELS = ("rooms", "views", "width", "height"), ("vectors", "split", "pairs", "normalised")
+"""Options of training on the one alone."""
 FIGURES = {"precision": "precision", "recall": "recall", "F1": "f1"}
 BARS = "▁▂▃▄▅▆▇█"
 SHOWN_CELLS = 5
@@ -33,44 +33,27 @@ SHOWN_CELLS = 5
 
 def run_train(command: Train) -> None:
     on_rooms = command.labels == ROOMS
-    card = _on_rooms(command) if on_rooms else _on_labels(command)
-    command.write(card, print_training if on_rooms else print_label_training, card, command.out)
-
-
-def _config(command: Train) -> TrainConfig:
-    features = command.features or ("rel26" if command.labels == ROOMS else "rel14")
-    return TrainConfig(
-        CLI_FEATURES[features], command.vocabulary, batch=command.batch, epochs=command.epochs, seed=command.seed
-    )
-
-
-def _on_labels(command: Train) -> dict:
-    _refuse(command, "the word rooms", OF_ROOMS)
-    job = LabelTraining(
-        Path(command.labels), _config(command), command.split, command.vectors, command.normalised, command.pairs
-    )
-    with epoch_bar(command.epochs) as tell:
-        return train_on_labels(job, command.out, tell)
-
-
-def _on_rooms(command: Train) -> dict:
-    _refuse(command, "a labels folder", ("vectors", "split", "pairs", "normalised"))
-    given = {name: getattr(command, name) for name in OF_ROOMS if getattr(command, name) is not None}
-    with progress_bars() as advance:
-        return train_on_rooms(
-            command.out,
-            RoomConfig(**given, seed=command.seed),
-            _config(command),
-            workers=command.workers,
-            progress=advance,
+    # Options that say nothing about what is trained on are a mistake, not to be passed over.
+    for name in OF_LABELS if on_rooms else OF_ROOMS:
+        require(
+            getattr(command, name) in (None, False),
+            f"--{name} belongs to training on {'a labels folder' if on_rooms else 'the word rooms'}",
+            got=f"training on {command.labels!r}",
         )
-
-
-def _refuse(command: Train, needed: str, names: tuple[str, ...]) -> None:
-    """Options that say nothing about what is trained on are a mistake, not to be passed over."""
-    for name in names:
-        if getattr(command, name) not in (None, False):
-            raise InputError(f"--{name} belongs to training on {needed}", got=f"training on {command.labels!r}")
+    features = CLI_FEATURES[command.features or ("rel26" if on_rooms else "rel14")]
+    config = TrainConfig(features, command.vocabulary, batch=command.batch, epochs=command.epochs, seed=command.seed)
+    if on_rooms:
+        given = {name: getattr(command, name) for name in OF_ROOMS if getattr(command, name) is not None}
+        rooms = RoomConfig(**given, seed=command.seed)
+        with progress_bars() as advance:
+            card = train_on_rooms(command.out, rooms, config, workers=command.workers, progress=advance)
+    else:
+        job = LabelTraining(
+            Path(command.labels), config, command.split, command.vectors, command.normalised, command.pairs
+        )
+        with epoch_bar(command.epochs) as tell:
+            card = train_on_labels(job, command.out, tell)
+    command.write(card, print_training if on_rooms else print_label_training, card, command.out)
 
 
 def run_retrain(command: Retrain) -> None:
@@ -93,8 +76,7 @@ def run_retrain(command: Retrain) -> None:
             done = run_retraining(job, advance)
         command.write(done.record(), print_retraining_run, done)
         return
-    if command.run_folder is not None:
-        raise InputError("--run goes with the labels' own journal, not with AFTER")
+    require(command.run_folder is None, "--run goes with the labels' own journal, not with AFTER")
     require(command.out.suffix == ".onnx", "with AFTER, --out is the ONNX file to write", got=str(command.out))
     with progress_bars() as advance:
         found = retrain(

@@ -21,16 +21,19 @@ from spatialviz.options import SourceOptions, warn
 
 
 def run_view(command: View) -> None:
-    if command.author is not None and not command.author.strip():
-        raise InputError("--author must not be empty")
+    require(command.author is None or command.author.strip(), "--author must not be empty")
     view = None if command.state is None else decode(command.state)
     dataset, folder = (command.dataset, command.run_folder) if view is None else _named(command, view)
     built_in = dataset == DEMO_NAME and not Path(DEMO_NAME).exists()
     if folder is None and built_in and command.labels is None and command.source == SourceOptions():
         folder = demo_run()
     runs, others, labels = {}, {}, {}
-    if command.compare is not None and folder is None:
-        raise InputError("--compare needs --run", expected="--run RUN --compare OTHER_RUN", path=command.compare)
+    require(
+        command.compare is None or folder is not None,
+        "--compare needs --run",
+        expected="--run RUN --compare OTHER_RUN",
+        path=command.compare,
+    )
     if folder is not None:
         own = None if command.labels is None else str(command.labels)
         run = open_run(folder, dataset=None if dataset == DEMO_NAME else dataset, labels=own)
@@ -88,9 +91,9 @@ def _journal(command: View, labels: Labels) -> JournalLocation:
     where: str | Path | None = command.journal.journal
     if where is None and labels.root.resolve().is_relative_to(demo_run().parent.resolve()):
         where = user_data_path("spatialviz", ensure_exists=True) / "demo-journal.sqlite"
-    place = JournalLocation(labels, where, command.journal.project)
-    place.check()
-    return place
+    location = JournalLocation(labels, where, command.journal.project)
+    location.check()
+    return location
 
 
 def _named(command: View, view: ViewState) -> tuple[str, Path | None]:
@@ -102,11 +105,12 @@ def _named(command: View, view: ViewState) -> tuple[str, Path | None]:
             warn(f"opening the run that the view names: {view.run}")
             return command.dataset, Path(view.run)
         warn(f"the run of the view is not here: {view.run}")
-    if view.dataset != DEMO_NAME and not (Path(view.dataset).name == view.dataset and Path(view.dataset).is_dir()):
-        raise InputError(
-            "the view is of a dataset that is not in this folder", got=view.dataset,
-            expected="spatialviz view DATASET --state STRING",
-        )  # fmt: skip
+    require(
+        view.dataset == DEMO_NAME or (Path(view.dataset).name == view.dataset and Path(view.dataset).is_dir()),
+        "the view is of a dataset that is not in this folder",
+        got=view.dataset,
+        expected="spatialviz view DATASET --state STRING",
+    )
     return view.dataset, None
 
 
@@ -115,9 +119,8 @@ def _words(command: View, dataset: str, folder: Path | None) -> list[str]:
     words = ["view"]
     if folder is None or command.dataset != "demo":
         words.append(dataset)
-    opened = (("--run", folder), ("--compare", command.compare), ("--labels", command.labels), ("--also", command.also))
-    for option, value in opened:
-        words += [] if value is None else [option, str(value)]
+    given = {"run": folder, "compare": command.compare, "labels": command.labels, "also": command.also}
+    words += [word for name, value in given.items() if value is not None for word in (f"--{name}", str(value))]
     words += journal_words(command.journal.journal, command.journal.project)
     words += [] if command.author is None else ["--author", command.author]
     return words if folder is not None else [*words, *command.source.words()]

@@ -96,7 +96,7 @@ def world(seed: int, rank: RankConfig | None = None) -> tuple[FrameEvidence, Cas
     evidence.same_box = evidence.same.copy()
     evidence.same_box[:d, :d] &= np.eye(d, dtype=np.bool_) | (iou_2d(found, found) >= 0.7)
     evidence.mask_sizes = np.concatenate([answers.mask_sizes, np.full(n, 150)])
-    hidden = np.concatenate([np.zeros(d, np.bool_), ~evidence.known])
+    hidden = np.concatenate([np.zeros(d, np.bool_), ~evidence.objects.known])
     table = np.where(hidden[:, None] | hidden[None, :], np.nan, p)
     evidence.probabilities = lambda relation: table
     return evidence, case

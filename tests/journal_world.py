@@ -11,7 +11,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Edit, Event, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.undo import redo, undo
+from pipeline.corrections.journal.replay import redo, undo
 from pipeline.geometry.masks import decode_run_length, encode_run_length
 
 FRAME = "000001/000000"

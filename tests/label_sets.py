@@ -11,12 +11,18 @@ import numpy as np
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import viewer_axes
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
-from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
+from pipeline.labels.plan import LabelConfig, SourceSpec
+from pipeline.labels.reading import (
+    MANIFEST_FILE,
+    Labels,
+    arrow_schema,
+    build_table,
+    content_hash,
+    open_labels,
+    write_table,
+)
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, TableFile
-from pipeline.labels.tables import arrow_schema, build_table, content_hash, write_table
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa
 

@@ -12,9 +12,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
+from pipeline.labels.plan import LabelConfig, SourceSpec
 from pipeline.labels.reading import open_labels
 from pipeline.language.relation import DECLARED, Relation
 from pipeline.language.relation_names import PAIRWISE, RELATIONS, checked
@@ -44,13 +43,13 @@ from pipeline.diagnosis.asking import annotated_truth, contexts
 from pipeline.diagnosis.whatif.placement import place_in_region
 from pipeline.diagnosis.whatif.region import region_of
 from pipeline.labels.check.linter import check_labels
-from pipeline.labels.config import LabelConfig
+from pipeline.labels.plan import LabelConfig
 from pipeline.labels.exports.exporting import export_labels
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, json_schemas
-from pipeline.labels.tables import content_hash
+from pipeline.labels.reading import content_hash
 from pipeline.language.expression import parse
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.training.label_data import read_label_data

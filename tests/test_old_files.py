@@ -16,8 +16,8 @@ import pytest
 
 from pipeline.corrections.journal.effective import effective_tables
 from pipeline.corrections.journal.journal import open_journal
-from pipeline.diagnosis.cases import open_case
 from pipeline.diagnosis.cases.replay import replay_case
+from pipeline.diagnosis.cases.saving import open_case
 from pipeline.diagnosis.whatif.state import decode, state_record
 from pipeline.evaluation.run_folder import open_database, open_run
 from pipeline.labels.reading import open_labels

@@ -13,10 +13,17 @@ import numpy as np
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.base import FrameRows, iterate_frames
 from pipeline.labels.exports.provenance import load_json, open_provenance
-from pipeline.labels.exports.vqa import boxed_by_people
-from pipeline.labels.exports.vqa_geometry import Depths, Figures, figures_of
-from pipeline.labels.exports.vqa_questions import SIZE_AXES, distance
-from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, IMAGE_TOKEN, KINDS, Question, VqaConfig
+from pipeline.labels.exports.vqa_geometry import (
+    CONVERSATIONS_FILE,
+    IMAGE_TOKEN,
+    KINDS,
+    Depths,
+    Figures,
+    Question,
+    VqaConfig,
+    figures_of,
+)
+from pipeline.labels.exports.vqa_questions import SIZE_AXES, boxed_by_people, distance
 from pipeline.labels.reading import Labels, labelled_dataset
 from pipeline.language.naming import same_class
 from pipeline.language.noun_phrase import readable

@@ -13,8 +13,8 @@ from test_failure_case import TEXT, NamedDataset, keep, made
 from whatif_scenes import ScoringDetector, context_of, row
 
 from pipeline.answering.objects import PreparedFrame
-from pipeline.diagnosis.asking import annotated_truth
-from pipeline.diagnosis.cases import answer, open_case
+from pipeline.diagnosis.asking import annotated_truth, answer
+from pipeline.diagnosis.cases.saving import open_case
 from pipeline.evaluation.shared_makers import PERFECT
 from pipeline.proposals import AnnotationDetector
 from pipeline.system.errors import InputError

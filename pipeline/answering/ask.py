@@ -21,9 +21,8 @@ from pipeline.language.expression import parse
 from pipeline.language.lexicon import wording
 from pipeline.language.naming import Synonyms
 from pipeline.language.tree import Attachment, Node, Query
-from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.base import Detector, Proposals, top_k
 from pipeline.proposals.score_calibration import ScoreCalibration
-from pipeline.proposals.selection import top_k
 from pipeline.relations.scorer import (
     RelationScorer,
     RelationScores,

@@ -20,7 +20,7 @@ from pipeline.metrics.calibration_metrics import (
     sigmoid,
 )
 from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.proposals.base import Detector
+from pipeline.proposals.base import Detector, top_k
 from pipeline.proposals.score_calibration import (
     HIT_IOU,
     RELIABILITY_BINS,
@@ -30,7 +30,6 @@ from pipeline.proposals.score_calibration import (
     fit_scores,
     score_logit,
 )
-from pipeline.proposals.selection import top_k
 from pipeline.system.errors import InputError, UnknownClass, require
 
 ClassNames = Callable[[Frame], Sequence[str]]

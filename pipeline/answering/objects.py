@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.base import Dataset
-from pipeline.datasets.scene_up import resolved_camera
+from pipeline.datasets.up import resolved_camera
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.camera import backproject
 from pipeline.geometry.frame import Frame

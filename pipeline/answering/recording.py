@@ -19,11 +19,10 @@ import numpy as np
 from pipeline.answering.opening import Pipeline
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import encode_run_length
-from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.base import Detector, Proposals, top_k
 from pipeline.proposals.recorded import MADE_BY, MADE_BY_FILE
-from pipeline.proposals.selection import top_k
 from pipeline.system.errors import InputError, UnknownClass, require
-from pipeline.system.staging import text_file
+from pipeline.system.whole_files import text_file
 
 
 @dataclass(frozen=True)

@@ -162,9 +162,7 @@ def edits_of_draft(draft: Draft, frame: EffectiveFrame, label: str = "") -> Edit
             f"the pixels of object {draft.number} have changed since you began: {origin}",
             cause="apply again to replace them, cancel to keep them",
         )
-    if len(parts) > 1:
-        return split_object(frame, draft.number, parts)
-    return set_mask(frame, draft.number, draft.mask)
+    return split_object(frame, draft.number, parts) if len(parts) > 1 else set_mask(frame, draft.number, draft.mask)
 
 
 def rebased(draft: Draft, frame: EffectiveFrame) -> Draft:

@@ -12,7 +12,7 @@ from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved, new_ulid
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, plain_text, shown_value
-from pipeline.corrections.journal.undo import history, redo, undo
+from pipeline.corrections.journal.replay import history, redo, undo
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.unsaved import Waiting, decided
 from pipeline.datasets import Dataset
@@ -199,8 +199,14 @@ class LabelEditor:
     ) -> tuple[EventLine, ...]:
         """Who changed what of an object, a pair or an expression, the newest first, when the frame was last seen."""
         events = [*self._events.get(frame, ()), *self._unsaved(frame)]
-        groups = [w.group for w in self.waiting]
-        return event_lines(events, self.author, objects=objects, pair=pair, expression=expression, waiting=groups)
+        return event_lines(
+            events,
+            self.author,
+            objects=objects,
+            pair=pair,
+            expression=expression,
+            waiting=[w.group for w in self.waiting],
+        )
 
     # ---- saving ---------------------------------------------------------------------
 

@@ -13,10 +13,10 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame, object_
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref, same_value, shown_value
 from pipeline.corrections.journal.replay import Origin, statuses_of_items
 from pipeline.corrections.scene import labelled_box
-from pipeline.diagnosis.whatif.box_numbers import BoxNumbers, box_numbers
+from pipeline.diagnosis.whatif.placement import BoxNumbers, box_numbers
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import needed, require
 
 FIELDS = ("label", "status", "mask", "bbox", "box")
 """What of an object can be corrected, in the order in which it is shown."""
@@ -154,9 +154,7 @@ def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
     InputError
         There is no such object.
     """
-    row = frame.object(number)
-    if row is None:
-        raise InputError(f"frame {frame.frame} has no object {number}")
+    row = needed(frame.object(number), f"frame {frame.frame} has no object {number}")
     box, viewer = labelled_box(row), viewer_of(frame)
     created = number not in frame.auto.objects
     return ObjectCard(
@@ -323,8 +321,10 @@ def _card(
     row = frame.expression(name)
     assert row is not None
     refs = {field: FieldRef("expression", frame.frame, name, field) for field in CORRECTED_FIELDS}
-    numbers = dict.fromkeys([row["target_object"], row["reference_object"], *row["targets"], *row["acceptable"]])
-    rows = {n: frame.object(n) for n in numbers}
+    rows = {
+        n: frame.object(n)
+        for n in dict.fromkeys([row["target_object"], row["reference_object"], *row["targets"], *row["acceptable"]])
+    }
     return ExpressionCard(
         frame.frame, name, row["text"], row["target"], row["relation"], row["reference"], row["target_object"],
         row["reference_object"], tuple(row["targets"]), tuple(row["acceptable"]),

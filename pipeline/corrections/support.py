@@ -15,13 +15,13 @@ from pipeline.corrections.journal.effective import Corrector, Relifter
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.scene import labelled_box, labelled_objects
-from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE
+from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import lift
 from pipeline.geometry.normals import surface_normals
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import needed, require
 
 SnapMode = Literal["extend", "move"]
 """extend: the top stays, the bottom goes to the support. move: the whole box does, with the height that it has."""
@@ -146,8 +146,7 @@ def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObje
         reached = (o for o in beside if _covered(o, lo, hi, BESIDE_M) >= CARRIED_SHARE)
         touched = (c for o in reached for c in _surfaces_of(o, level, near) if abs(bottom - c.height) <= TOUCH_M)
         best = next(touched, best)
-    if best is None:
-        raise InputError("nothing level is seen under the box: there is nothing to stand it on")
+    best = needed(best, "nothing level is seen under the box: there is nothing to stand it on")
     height, spread = best.height, 0.0
     if len(best.points):
         height, spread = _plane(level.plan[best.points] - middle, level.height[best.points])
@@ -309,9 +308,7 @@ def fit_to_points(frame: EffectiveFrame, number: int, corrector: Corrector, reas
     (lifted,) = lift(
         context.frame.depth, context.frame.camera, [inside], context.viewer, config=context.config, edges=context.edges
     )
-    if lifted.box is None:
-        raise InputError("no point with a depth lies in the box")
-    return set_box(frame, number, lifted.box, reason)
+    return set_box(frame, number, needed(lifted.box, "no point with a depth lies in the box"), reason)
 
 
 def support_of(frame: EffectiveFrame, number: int, corrector: Corrector) -> tuple[Support, float]:
@@ -350,13 +347,9 @@ def _standing(frame: EffectiveFrame, number: int) -> dict:
 
 
 def _box(frame: EffectiveFrame, number: int) -> Box3D:
-    box = labelled_box(_standing(frame, number))
-    if box is None:
-        raise InputError(f"object {number} has no 3D box: there is no depth in its pixels")
-    return box
+    what = f"object {number} has no 3D box: there is no depth in its pixels"
+    return needed(labelled_box(_standing(frame, number)), what)
 
 
 def _relifter(corrector: Corrector) -> Relifter:
-    if corrector.relifter is None:
-        raise InputError("this needs the dataset's depth, and the dataset is not at hand")
-    return corrector.relifter
+    return needed(corrector.relifter, "this needs the dataset's depth, and the dataset is not at hand")

@@ -176,8 +176,7 @@ def unsaved_actions(unsaved: Unsaved, author: str) -> list[list[dict[str, Any]]]
     waiting = _merged(e for w in unsaved.waiting(author) for e in w.edits)
     new = {(e.ref.frame, n) for e in waiting if e.ref.field == "exists" for n in e.ref.numbers}
     later = [e for e in waiting if e.ref.field != "exists" and new & {(e.ref.frame, n) for n in e.ref.numbers}]
-    disputed = [_merged(c.edits) for c in unsaved.disputed(author)]
-    lists = [[e for e in waiting if e not in later], later, *disputed]
+    lists = [[e for e in waiting if e not in later], later, *(_merged(c.edits) for c in unsaved.disputed(author))]
     return [
         [{"edit": "value", "frame": e.ref.frame, "kind": e.ref.kind, "key": e.ref.key, "field": e.ref.field,
           "to": e.after, "base": e.base, "reason": e.reason} for e in edits]
@@ -217,8 +216,7 @@ class Dispute:
 
 def disputes(conflict: Conflict, setting: Setting) -> tuple[Dispute, ...]:
     """The disputed fields of an action: a relation with its inverse is one, and so are the answers of an expression."""
-    edits = conflict.edits or tuple(r.edit for r in conflict.rivals)
-    groups = grouped(edits, lambda e: _together(e.ref, setting))
+    groups = grouped(conflict.edits or tuple(r.edit for r in conflict.rivals), lambda e: _together(e.ref, setting))
     rivals = grouped(conflict.rivals, lambda r: _together(r.edit.ref, setting))
     return tuple(Dispute(tuple(members), tuple(rivals[key])) for key, members in groups.items() if key in rivals)
 

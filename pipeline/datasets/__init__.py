@@ -15,7 +15,7 @@ from pipeline.datasets.base import (
 )
 from pipeline.datasets.opening import open_dataset
 from pipeline.datasets.settings import Settings, read_settings, write_settings
-from pipeline.datasets.survey import FrameReport, SurveyCounts, summarise, survey
+from pipeline.datasets.survey import FrameReport, SurveyCounts, survey
 
 __all__ = [
     "MOVES",
@@ -32,7 +32,6 @@ __all__ = [
     "read_settings",
     "resolve_frame",
     "splits",
-    "summarise",
     "survey",
     "write_settings",
 ]

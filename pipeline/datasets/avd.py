@@ -29,10 +29,11 @@ from pipeline.datasets.avd_scan import (
 )
 from pipeline.datasets.base import MOVES, DatasetFormat
 from pipeline.datasets.cameras import Recording, one_file, or_note, read_pair
-from pipeline.datasets.files import listing
+from pipeline.datasets.files import listing, readable
 from pipeline.datasets.settings import Settings, unit_notes
-from pipeline.geometry.frame import Annotation, Frame
-from pipeline.system.errors import InputError
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError, require
+from pipeline.system.recent import Recent
 
 UNITS_PER_METRE = 1000.0
 FARTHEST_M = 7.0
@@ -93,7 +94,7 @@ class AvdDataset(Recording):
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        self._tables: dict[str, _Tables] = {}
+        self._tables: Recent[str, _Tables] = Recent(SCANS_KEPT)
         self._scans: dict[str, _Scan] = {}
         self._index: dict[str, tuple[str, str]] = {}
         labels: dict[int, str] = {}
@@ -112,7 +113,7 @@ class AvdDataset(Recording):
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
         scan, stem = self._stem(frame_id)
-        tables = self._read(scan)
+        tables = self._tables.get(scan.name, lambda: _read_tables(scan))
         first = stem == scan.first
         notes: list[str] = list(tables.problems)
         jpg = scan.folder / "jpg_rgb"
@@ -123,13 +124,13 @@ class AvdDataset(Recording):
         height, width = metres.shape
         own, path = self._camera(scan)
         annotated = DEFAULT_SIZE if own is None else (own.width, own.height)
-        if abs(width * annotated[1] / (height * annotated[0]) - 1) > SAME_SHAPE:
-            raise InputError(
-                "the image has another shape than the camera's",
-                got=f"{width}x{height}",
-                expected=f"{annotated[0]}x{annotated[1]} or a smaller copy of all of it",
-                path=color,
-            )
+        require(
+            abs(width * annotated[1] / (height * annotated[0]) - 1) <= SAME_SHAPE,
+            "the image has another shape than the camera's",
+            got=f"{width}x{height}",
+            expected=f"{annotated[0]}x{annotated[1]} or a smaller copy of all of it",
+            path=color,
+        )
         if first:
             notes += _remarks(scan, own, annotated, (width, height))
         pose, up = None, None
@@ -140,7 +141,10 @@ class AvdDataset(Recording):
             elif pose is not None:
                 up = pose[:3, :3].T @ tables.poses.up
         K = None if own is None else own.resized(width, height)
-        annotations = self._annotations(scan, stem, tables, annotated, (width, height), notes)
+        entry = tables.annotations.get(stem)
+        if entry is None and tables.annotations:
+            notes.append("no entry in annotations.json")
+        annotations = () if entry is None else read_boxes(entry, scan.names, annotated, (width, height), notes)
         return self._frame(frame_id, (rgb, metres), K, pose, path, depth, annotations, notes, up)
 
     def moves(self, frame_id: str) -> dict[str, str]:
@@ -149,7 +153,7 @@ class AvdDataset(Recording):
         A pointer to an image that is not there is left out.
         """
         scan, stem = self._stem(frame_id)
-        entry = self._read(scan).annotations.get(stem, {})
+        entry = self._tables.get(scan.name, lambda: _read_tables(scan)).annotations.get(stem, {})
         found = {move: image_stem(entry.get(move)) for move in MOVES}
         return {move: scan.prefix + to for move, to in found.items() if to is not None and to in scan.images}
 
@@ -165,15 +169,6 @@ class AvdDataset(Recording):
         name, stem = self._found(self._index, frame_id)
         return self._scans[name], stem
 
-    def _read(self, scan: _Scan) -> _Tables:
-        tables = self._tables.get(scan.name)
-        if tables is None:
-            tables = _read_tables(scan)
-            while len(self._tables) >= SCANS_KEPT:
-                self._tables.pop(next(iter(self._tables)), None)
-            self._tables[scan.name] = tables
-        return tables
-
     def _camera(self, scan: _Scan) -> tuple[AvdCamera | None, Path]:
         """The scan's camera and the file to blame; none where it is missing or where a person told the intrinsics.
 
@@ -188,22 +183,6 @@ class AvdDataset(Recording):
             if self._settings.intrinsics is None:
                 raise
             return None, path
-
-    @staticmethod
-    def _annotations(
-        scan: _Scan,
-        stem: str,
-        tables: _Tables,
-        annotated: tuple[int, int],
-        size: tuple[int, int],
-        notes: list[str],
-    ) -> tuple[Annotation, ...]:
-        entry = tables.annotations.get(stem)
-        if entry is None:
-            if tables.annotations:
-                notes.append("no entry in annotations.json")
-            return ()
-        return read_boxes(entry, scan.names, annotated, size, notes)
 
 
 def _remarks(scan: _Scan, own: AvdCamera | None, annotated: tuple[int, int], size: tuple[int, int]) -> list[str]:
@@ -288,10 +267,7 @@ def _recognises(root: Path) -> bool:
     """A scan; a folder with scans that has the dataset's own files beside them, or little else than scans."""
     if _is_scan(root):
         return True
-    try:
-        folders = listing(root)[0]
-    except InputError:
-        return False
+    folders = readable(root)[0]
     scans = sum(_is_scan(root / name) for name in folders)
     marked = os.path.isfile(root / "instance_id_map.txt") or os.path.isdir(root / "camera_params")
     return scans > 0 and (marked or 2 * scans > len(folders))

@@ -17,7 +17,7 @@ from pipeline.datasets.cameras import inverse, rigid
 from pipeline.datasets.files import as_floats, numbered_lines, read_json, read_mat
 from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Annotation
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 DEFAULT_SIZE = (1920, 1080)
 """Width and height of the dataset's own images: the pixels that its boxes speak of where no camera file says more."""
@@ -116,8 +116,12 @@ def read_camera(path: Path) -> AvdCamera:
     values = as_floats(words[2:], len(words) - 2, path, f"line {number}")
     width, height, fx, fy, cx, cy = values[:6].tolist()
     whole = np.isfinite(values).all() and width == int(width) and height == int(height)
-    if not whole or min(width, height, fx, fy) <= 0:
-        raise InputError(f"line {number}: no camera has these numbers", got=line[:100], path=path)
+    require(
+        whole and min(width, height, fx, fy) > 0,
+        f"line {number}: no camera has these numbers",
+        got=line[:100],
+        path=path,
+    )
     return AvdCamera(intrinsics(fx, fy, cx, cy), int(width), int(height), tuple(values[6:].tolist()), len(lines) - 1)
 
 
@@ -132,10 +136,13 @@ def read_names(path: Path) -> dict[int, str]:
     names: dict[int, str] = {}
     for number, line in numbered_lines(path):
         words = line.rsplit(maxsplit=1)
-        if len(words) != 2 or not re.fullmatch(r"[0-9]{1,9}", words[1], re.ASCII):
-            raise InputError(f"line {number} must be a name and a number", got=repr(line[:60]), path=path)
-        if int(words[1]) in names:
-            raise InputError(f"line {number}: an instance is listed twice", got=words[1], path=path)
+        require(
+            len(words) == 2 and re.fullmatch(r"[0-9]{1,9}", words[1], re.ASCII),
+            f"line {number} must be a name and a number",
+            got=repr(line[:60]),
+            path=path,
+        )
+        require(int(words[1]) not in names, f"line {number}: an instance is listed twice", got=words[1], path=path)
         names[int(words[1])] = words[0]
     return names
 
@@ -232,12 +239,15 @@ def read_poses(path: Path) -> AvdPoses:
         Missing, cut off, no MATLAB file, or of other content.
     """
     table = read_mat(path, "image_structs", "scale")
-    structs, scale = table.get("image_structs"), np.asarray(table.get("scale", ()))
-    fields = structs.dtype.names or () if isinstance(structs, np.ndarray) else ()
-    if not isinstance(structs, np.ndarray) or not {"image_name", "R", "t"} <= set(fields):
-        raise InputError("no image_structs with image_name, R and t", path=path)
-    if scale.size != 1 or scale.dtype.kind not in "fiu" or not 0 < scale.item() < np.inf:
-        raise InputError("scale must be one positive number", got=str(scale.ravel()[:3].tolist()), path=path)
+    structs, scale = np.asarray(table.get("image_structs")), np.asarray(table.get("scale", ()))
+    fields = set(structs.dtype.names or ())
+    require({"image_name", "R", "t"} <= fields, "no image_structs with image_name, R and t", path=path)
+    require(
+        scale.size == 1 and scale.dtype.kind in "fiu" and 0 < scale.item() < np.inf,
+        "scale must be one positive number",
+        got=str(scale.ravel()[:3].tolist()),
+        path=path,
+    )
     registered: dict[str, tuple[np.ndarray, np.ndarray]] = {}
     for record in structs.ravel():
         stem = image_stem(_text(record["image_name"]))

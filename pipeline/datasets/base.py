@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, overload
 
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 class Dataset(Protocol):
@@ -257,6 +258,13 @@ def load_picture(dataset: Dataset, frame_id: str) -> Frame:
     return dataset.load(frame_id) if method is None else method(frame_id)
 
 
+def readable_frames(load: Callable[[str], Frame], ids: Iterable[str]) -> Iterator[Frame]:
+    """The frames of these ids that can be loaded; a broken one only means less to go by."""
+    for frame_id in ids:
+        with suppress(InputError):
+            yield load(frame_id)
+
+
 def _ask(dataset: Dataset, capability: str, nothing: Any, *arguments: str) -> Any:
     method = getattr(dataset, capability, None)
     return method(*arguments) if callable(method) else nothing
@@ -310,10 +318,11 @@ class InMemoryDataset:
     def __init__(self, frames: Iterable[Frame]) -> None:
         frames = tuple(frames)
         self._frames = {frame.id: frame for frame in frames}
-        if not frames or len(self._frames) < len(frames):
-            raise InputError(
-                "frames of a dataset have ids of their own", got=", ".join(f.id for f in frames[:6]) or "no frame"
-            )
+        require(
+            frames and len(self._frames) >= len(frames),
+            "frames of a dataset have ids of their own",
+            got=", ".join(f.id for f in frames[:6]) or "no frame",
+        )
         self.frame_ids = tuple(self._frames)
         self.class_names = tuple(sorted({a.label for f in frames for a in f.annotations}))
 

@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,13 @@ import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import Recording, inverse, one_file, or_note, read_pair, rigid
-from pipeline.datasets.files import COLOR_SUFFIXES, as_floats, listing, read_bytes, read_json
+from pipeline.datasets.files import COLOR_SUFFIXES, as_floats, listing, read_bytes, read_json, readable
 from pipeline.datasets.images import read_mask
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.system.errors import InputError, require
+from pipeline.system.recent import Recent
 
 SCENES_KEPT = 8
 """How many scenes' tables stay parsed in memory."""
@@ -44,12 +46,11 @@ class BopDataset(Recording):
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
         self._models: dict[int, ObjectModel] = read_models(root)
-        self._scenes: dict[str, BopScene] = {}
+        self._scenes: Recent[str, BopScene] = Recent(SCENES_KEPT)
         self._folders = _scene_folders(root)
         gray = [f for f in self._folders.values() if (f / "gray").is_dir() and not (f / "rgb").is_dir()]
         if gray and len(gray) == len(self._folders):
             raise InputError("grey-scale images only", expected="a folder rgb/ with colour images", path=gray[0])
-        self._class_names: tuple[str, ...] | None = None
         self._index = {
             f"{scene}/{image:06d}": (scene, image)
             for scene, folder in self._folders.items()
@@ -57,12 +58,15 @@ class BopDataset(Recording):
         }
         self.frame_ids = tuple(self._index)
 
-    @property
-    def class_names(self) -> tuple[str, ...]:
+    @cached_property
+    def _class_names(self) -> tuple[str, ...]:
         """The classes that are annotated anywhere, in the order of their object numbers."""
-        if self._class_names is None:
-            numbers: set[int] = set().union(*map(annotated_objects, self._folders.values()))
-            self._class_names = tuple(dict.fromkeys(self._label(number) for number in sorted(numbers)))
+        numbers: set[int] = set().union(*map(annotated_objects, self._folders.values()))
+        return tuple(dict.fromkeys(self._label(number) for number in sorted(numbers)))
+
+    @property
+    def class_names(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """As `Dataset` has it; read when it is first asked for."""
         return self._class_names
 
     def load(self, frame_id: str) -> Frame:
@@ -75,7 +79,7 @@ class BopDataset(Recording):
 
     def _load(self, frame_id: str, annotated: bool) -> Frame:
         name, image = self._found(self._index, frame_id)
-        scene = self._scene(name)
+        scene = self._scenes.get(name, lambda: read_scene(self._folders[name]))
         table = scene.folder / "scene_camera.json"
         require(image in scene.camera, f"image {image} is no longer listed", path=table)
         entry, settings = scene.camera[image], self._settings
@@ -87,15 +91,6 @@ class BopDataset(Recording):
         pose = or_note(notes, "no camera pose: ", read_pose, entry, table)
         annotations = self._annotations(scene, image, pair[1].shape, notes) if annotated else ()
         return self._frame(frame_id, pair, K, pose, table, depth, annotations, notes)
-
-    def _scene(self, name: str) -> BopScene:
-        scene = self._scenes.get(name)
-        if scene is None:
-            scene = read_scene(self._folders[name])
-            while len(self._scenes) >= SCENES_KEPT:
-                self._scenes.pop(next(iter(self._scenes)), None)
-            self._scenes[name] = scene
-        return scene
 
     def _label(self, number: int) -> str:
         model = self._models.get(number)
@@ -111,8 +106,7 @@ class BopDataset(Recording):
             notes.append("no entry in scene_gt.json")
             return ()
         entries = scene.gt[image]
-        if not isinstance(entries, list):
-            raise InputError(f"image {image}: a list was expected", got=type(entries).__name__, path=path)
+        require(isinstance(entries, list), f"image {image}: a list was expected", got=type(entries).__name__, path=path)
         infos = scene.gt_info.get(image) if scene.gt_info is not None else None
         if infos is not None and (not isinstance(infos, list) or len(infos) != len(entries)):
             notes.append(f"scene_gt_info.json is ignored: its list does not match the {len(entries)} objects")
@@ -142,7 +136,7 @@ class BopDataset(Recording):
         """The exact box in the camera frame: center = R (min + size / 2) + t."""
         if model is None or model.center is None or model.size is None:
             return None
-        T = or_note(remarks, "no 3D box, ", object_pose, entry, path)
+        T = or_note(remarks, "no 3D box, ", _rigid_mm, entry, "cam_R_m2c", "cam_t_m2c", path)
         return None if T is None else Box3D(T[:3, :3] @ model.center + T[:3, 3], T[:3, :3], model.size)
 
 
@@ -168,8 +162,9 @@ def _extent(
         mask = read_mask(mask_path)
     except InputError as error:
         raise InputError(f"a broken mask, {error.what}, {mask_path.name}") from error
-    if mask.shape != size:
-        raise InputError(f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}")
+    require(
+        mask.shape == size, f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}"
+    )
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     require(w != 0, "empty mask")
     return np.array([x, y, x + w, y + h]), mask
@@ -197,10 +192,7 @@ def _scene_folders(root: Path) -> dict[str, Path]:
         return scenes
     splits: dict[str, dict[str, Path]] = {}
     for split in folders:
-        try:
-            names = listing(root / split)[0]
-        except InputError:  # A folder that may not be read is no split.
-            continue
+        names = readable(root / split)[0]
         if any(name.startswith("models") for name in names):
             # It names its own objects, so it is a dataset beside others and no split of this one.
             continue
@@ -274,13 +266,13 @@ def read_images(path: Path) -> dict[int, Any]:
     """
     images: dict[int, Any] = {}
     for key, value in read_json(path).items():
-        if not re.fullmatch(r"[0-9]{1,12}", key):
-            raise InputError(
-                "an image number must be digits only",
-                got=repr(key)[:60],
-                expected='a key such as "20"',
-                path=path,
-            )
+        require(
+            re.fullmatch(r"[0-9]{1,12}", key),
+            "an image number must be digits only",
+            got=repr(key)[:60],
+            expected='a key such as "20"',
+            path=path,
+        )
         require(int(key) not in images, "an image number is listed twice", got=repr(key), path=path)
         images[int(key)] = value
     return dict(sorted(images.items()))
@@ -307,8 +299,9 @@ def read_camera(entry: Any, path: Path, image: int) -> tuple[np.ndarray, float]:
     InputError
         Either is missing, not a number, or not finite.
     """
-    if not isinstance(entry, Mapping):
-        raise InputError(f"image {image}: a camera must be an object", got=type(entry).__name__, path=path)
+    require(
+        isinstance(entry, Mapping), f"image {image}: a camera must be an object", got=type(entry).__name__, path=path
+    )
     for key in ("cam_K", "depth_scale"):
         require(key in entry, f"image {image}: {key} is missing", path=path)
     K = as_floats(entry["cam_K"], 9, path, f"image {image}: cam_K").reshape(3, 3)
@@ -330,17 +323,6 @@ def read_pose(entry: Mapping[str, Any], path: Path) -> np.ndarray | None:
     if "cam_R_w2c" not in entry and "cam_t_w2c" not in entry:
         return None
     return inverse(_rigid_mm(entry, "cam_R_w2c", "cam_t_w2c", path))
-
-
-def object_pose(entry: Mapping[str, Any], path: Path) -> np.ndarray:
-    """T_camera_object (4, 4) in metres of one entry of `scene_gt.json`.
-
-    Raises
-    ------
-    InputError
-        A missing key, or no rigid motion.
-    """
-    return _rigid_mm(entry, "cam_R_m2c", "cam_t_m2c", path)
 
 
 def _rigid_mm(entry: Mapping[str, Any], R_key: str, t_key: str, path: Path) -> np.ndarray:
@@ -367,8 +349,12 @@ def read_models(root: Path) -> dict[int, ObjectModel]:
         if not re.fullmatch(r"models(_\w+)?", folder) or not path.is_file():
             continue
         for key, entry in read_json(path).items():
-            if not re.fullmatch(r"[0-9]{1,12}", key) or not isinstance(entry, Mapping):
-                raise InputError(f"model {key[:60]!r} is malformed", expected='"12": {...}', path=path)
+            require(
+                re.fullmatch(r"[0-9]{1,12}", key) and isinstance(entry, Mapping),
+                f"model {key[:60]!r} is malformed",
+                expected='"12": {...}',
+                path=path,
+            )
             found, known = _model(entry), models.get(int(key), ObjectModel(None, None, None))
             exact = known if known.size is not None else found
             models[int(key)] = ObjectModel(known.name or found.name, exact.center, exact.size)

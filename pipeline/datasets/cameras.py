@@ -14,7 +14,7 @@ from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 
 Value = TypeVar("Value")
 ROUNDING = 1e-2
@@ -40,12 +40,12 @@ def nearest_rotation(R: np.ndarray) -> np.ndarray:
     R = np.asarray(R, dtype=np.float64)
     require(np.isfinite(R).all(), "a rotation with inf or NaN")
     deviation = float(np.abs(R @ R.T - np.eye(3)).max())
-    if deviation >= ROUNDING or np.linalg.det(R) < 0:
-        raise InputError(
-            "not a rotation",
-            got=f"det {np.linalg.det(R):.3g}, {deviation:.2g} from orthonormal",
-            cause="is the matrix scaled or left-handed?",
-        )
+    require(
+        deviation < ROUNDING and np.linalg.det(R) >= 0,
+        "not a rotation",
+        got=lambda: f"det {np.linalg.det(R):.3g}, {deviation:.2g} from orthonormal",
+        cause="is the matrix scaled or left-handed?",
+    )
     U, _, Vt = np.linalg.svd(R)
     return U @ Vt
 
@@ -83,8 +83,7 @@ def pose_from_matrix(T: np.ndarray) -> np.ndarray:
         inf or NaN (the tracker was lost), a last row other than 0 0 0 1, or no rotation.
     """
     require(np.isfinite(T).all(), "inf or NaN, the tracker was lost")
-    if np.abs(T[3] - (0, 0, 0, 1)).max() > 1e-6:
-        raise InputError("the last row is not 0 0 0 1", got=T[3].tolist())
+    require(np.abs(T[3] - (0, 0, 0, 1)).max() <= 1e-6, "the last row is not 0 0 0 1", got=T[3].tolist())
     return rigid(T[:3, :3], T[:3, 3])
 
 
@@ -141,8 +140,7 @@ def make_camera(
     height, width = size[:2]
     if settings.intrinsics is not None:
         K = intrinsics(*settings.intrinsics)
-    if K is None:
-        raise InputError("the camera is not known", expected="--intrinsics fx,fy,cx,cy", path=path)
+    K = needed(K, "the camera is not known", expected="--intrinsics fx,fy,cx,cy", path=path)
     try:
         camera = Camera(K, width, height, T_world_camera)
     except InputError as error:
@@ -189,6 +187,8 @@ class Recording:
     """What the readers of files share; a reader lists `frame_ids` and loads one."""
 
     frame_ids: tuple[str, ...] = ()
+    class_names: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
         self.root = root
@@ -246,13 +246,13 @@ def known_intrinsics(
     numbers: tuple[float, float, float, float], whose: str, size: Sequence[int], expected: str, path: Path
 ) -> np.ndarray:
     """(3, 3) intrinsics that a format is known for, which are for 640x480; InputError for images of another size."""
-    if tuple(size) != (480, 640):
-        raise InputError(
-            f"the camera is not known: {whose} own intrinsics are for 640x480",
-            got=f"{size[1]}x{size[0]}",
-            expected=f"{expected}--intrinsics fx,fy,cx,cy",
-            path=path,
-        )
+    require(
+        tuple(size) == (480, 640),
+        f"the camera is not known: {whose} own intrinsics are for 640x480",
+        got=f"{size[1]}x{size[0]}",
+        expected=f"{expected}--intrinsics fx,fy,cx,cy",
+        path=path,
+    )
     return intrinsics(*numbers)
 
 

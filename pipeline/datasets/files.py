@@ -55,14 +55,8 @@ def read_json(path: Path) -> dict[str, Any]:
         ) from error
     except (UnicodeDecodeError, RecursionError, ValueError) as error:
         raise InputError("malformed JSON", got=f"{type(error).__name__}: {error}", path=path) from error
-    if not isinstance(table, dict):
-        raise InputError("a JSON object was expected", got=type(table).__name__, path=path)
+    require(isinstance(table, dict), "a JSON object was expected", got=type(table).__name__, path=path)
     return table
-
-
-def read_lines(path: Path) -> list[str]:
-    """The lines of a text file that say something: no blanks, no # comments."""
-    return [line for _, line in numbered_lines(path)]
 
 
 def numbered_lines(path: Path) -> list[tuple[int, str]]:
@@ -91,19 +85,19 @@ def path_inside(root: Path, name: str, source: Path, line: int) -> Path:
     """
     windows = PureWindowsPath(name)
     outside = PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts
-    if not name or outside or not name.isprintable():
-        raise InputError(
-            f"line {line} names a file outside the dataset",
-            got=repr(name[:80]),
-            expected="a path relative to the dataset's folder, without ..",
-            path=source,
-        )
+    require(
+        name and not outside and name.isprintable(),
+        f"line {line} names a file outside the dataset",
+        got=repr(name[:80]),
+        expected="a path relative to the dataset's folder, without ..",
+        path=source,
+    )
     return root / name
 
 
 def read_matrix(path: Path, rows: int, columns: int) -> np.ndarray:
     """A text file of rows x columns numbers, as float64. inf and NaN may be among them."""
-    words = " ".join(read_lines(path)).replace(",", " ").split()
+    words = " ".join(line for _, line in numbered_lines(path)).replace(",", " ").split()
     return as_floats(words, rows * columns, path).reshape(rows, columns)
 
 
@@ -155,6 +149,14 @@ def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
     except OSError as error:
         raise InputError("a folder cannot be listed", got=error.strerror, path=folder) from error
     return sorted(folders, key=natural), sorted(files, key=natural)
+
+
+def readable(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
+    """`listing`, and nothing where the folder cannot be read: what may not be looked at is no data."""
+    try:
+        return listing(folder, links)
+    except InputError:
+        return [], []
 
 
 def natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
@@ -240,12 +242,12 @@ def pair_files(naming: Naming, colors: list[Path], depths: list[Path]) -> list[P
     """
     color = {naming(path): path for path in colors}
     depth = {naming(path): path for path in depths}
-    if not color.keys() & depth.keys():
-        raise InputError(
-            "colour and depth do not pair: no number or name in common",
-            got=f"{colors[0].name} ... {colors[-1].name} and {depths[0].name} ... {depths[-1].name}",
-            path=colors[0].parent.parent,
-        )
+    require(
+        color.keys() & depth.keys(),
+        "colour and depth do not pair: no number or name in common",
+        got=f"{colors[0].name} ... {colors[-1].name} and {depths[0].name} ... {depths[-1].name}",
+        path=colors[0].parent.parent,
+    )
     keys = sorted(color.keys() | depth.keys(), key=lambda key: [natural(part) for part in key])
     return [Pair(key, color.get(key), depth.get(key)) for key in keys]
 

@@ -24,8 +24,8 @@ from pipeline.datasets.files import (
     choose_naming,
     image_files,
     listing,
+    numbered_lines,
     pair_files,
-    read_lines,
     read_matrix,
     twice,
 )
@@ -61,7 +61,6 @@ class FolderDataset(Recording):
     """
 
     format = "folder"
-    class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
@@ -71,7 +70,6 @@ class FolderDataset(Recording):
         naming = choose_naming(colors, depths)
         self._pairs = {pair.stem: pair for pair in pair_files(naming, colors, depths)}
         self.frame_ids = tuple(self._pairs)
-        self.notes: tuple[str, ...] = ()
         if settings.depth_scale is None:
             self.notes = ("floating-point depth is taken for metres: --depth-scale UNITS_PER_METRE tells another unit",)
         self._poses, self._pose_problem = _poses(root, naming, [pair.key for pair in self._pairs.values()])
@@ -115,7 +113,7 @@ def _poses(root: Path, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _Pose
     if not path.is_file():
         return {}, None
     try:
-        lines = read_lines(path)
+        lines = [line for _, line in numbered_lines(path)]
     except InputError as error:
         return {}, f"pose.txt: {error.what}"
     if len(lines) == len(keys):

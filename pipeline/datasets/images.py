@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.files import CUT_OFF, read_bytes
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy")
 INTEGER_DEPTH_SUFFIXES = (".png", ".pgm")
@@ -60,9 +60,7 @@ def read_mask(path: Path) -> np.ndarray:
     data, kind = _checked(path, "png")
     require(kind not in ("exr", "npy"), "a mask must be a png", got=kind, path=path)
     pixels = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
-    if pixels.ndim == 3:
-        return np.any(pixels[..., :3] > 0, axis=2)
-    return pixels > 0
+    return np.any(pixels[..., :3] > 0, axis=2) if pixels.ndim == 3 else pixels > 0
 
 
 def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0) -> np.ndarray:
@@ -127,15 +125,14 @@ def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = 
 def _checked(path: Path, expected: str) -> tuple[bytes, str]:
     """The bytes of an image file that is whole, and its kind by its first bytes."""
     data = read_bytes(path)
-    kind = next((name for magic, name in _MAGIC.items() if data.startswith(magic)), None)
-    if kind is None:
-        raise InputError(
-            "not an image that can be read",
-            got=f"a file that begins with {data[:8]!r}",
-            expected=f"a {expected}",
-            cause="is it a text file, a Git LFS pointer or a saved web page?",
-            path=path,
-        )
+    kind = needed(
+        next((name for magic, name in _MAGIC.items() if data.startswith(magic)), None),
+        "not an image that can be read",
+        got=f"a file that begins with {data[:8]!r}",
+        expected=f"a {expected}",
+        cause="is it a text file, a Git LFS pointer or a saved web page?",
+        path=path,
+    )
     if kind == "png":
         _check_png(data, path)
     elif kind == "jpeg":
@@ -197,32 +194,28 @@ def _decode(data: bytes, kind: str, path: Path, flags: int) -> np.ndarray:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         raise InputError(f"a {kind} that cannot be decoded", got=str(error)[-120:], path=path) from error
-    if pixels is None:
-        raise InputError(f"a {kind} that cannot be decoded", cause="is the file cut off or corrupt?", path=path)
-    return pixels
+    return needed(pixels, f"a {kind} that cannot be decoded", cause="is the file cut off or corrupt?", path=path)
 
 
 def _decode_pnm(data: bytes, path: Path, flags: int) -> np.ndarray:
     """Binary PGM (P5) or PPM (P6); 16-bit samples are big-endian. Colour comes back BGR, like OpenCV's."""
     gap = rb"(?:\s|#[^\n]*\n)+"
     number = rb"([0-9]{1,9})"
-    header = re.match(rb"P([56])" + gap + number + gap + number + gap + number + rb"\s", data)
-    if header is None:
-        raise InputError("a PGM or PPM with a malformed header", got=repr(data[:20]), path=path)
+    found = re.match(rb"P([56])" + gap + number + gap + number + gap + number + rb"\s", data)
+    header = needed(found, "a PGM or PPM with a malformed header", got=repr(data[:20]), path=path)
     channels = 3 if header[1] == b"6" else 1
     width, height, largest = (int(header[k]) for k in (2, 3, 4))
     dtype = np.dtype(">u2" if largest > 255 else "u1")
     count = width * height * channels
-    if count == 0 or not 0 < largest < 65536:
-        raise InputError("a PGM or PPM with a malformed header", got=repr(header[0]), path=path)
-    if len(data) - header.end() < count * dtype.itemsize:
-        raise InputError(
-            "a PGM or PPM that is cut off",
-            got=f"{len(data) - header.end()} bytes of pixels",
-            expected=count * dtype.itemsize,
-            cause=CUT_OFF,
-            path=path,
-        )
+    require(count != 0 and 0 < largest < 65536, "a PGM or PPM with a malformed header", got=repr(header[0]), path=path)
+    require(
+        len(data) - header.end() >= count * dtype.itemsize,
+        "a PGM or PPM that is cut off",
+        got=f"{len(data) - header.end()} bytes of pixels",
+        expected=count * dtype.itemsize,
+        cause=CUT_OFF,
+        path=path,
+    )
     pixels = np.frombuffer(data, dtype, count, header.end()).reshape(height, width, channels)
     pixels = pixels.astype(dtype.newbyteorder("="))
     if flags == cv2.IMREAD_UNCHANGED:

@@ -17,9 +17,9 @@ from pipeline.datasets import (
     tum,
 )
 from pipeline.datasets.base import Dataset, DatasetFormat
-from pipeline.datasets.given_up import with_given_up
 from pipeline.datasets.settings import GivenUp, read_settings
-from pipeline.system.errors import InputError, UnknownFormat, require
+from pipeline.datasets.up import with_given_up
+from pipeline.system.errors import UnknownFormat, require
 from pipeline.system.plugins import load_plugins
 
 FORMATS: tuple[DatasetFormat, ...] = (
@@ -81,8 +81,7 @@ def open_dataset(
     root = Path(path).expanduser()
     require(root.exists(), "there is no such dataset", expected="a folder", path=root)
     require(root.is_dir(), "a dataset is a folder", got="a file", cause="is its parent folder the dataset?", path=root)
-    if up is not None and level_at is not None:
-        raise InputError("--up and --level-at say the same", expected="one of them")
+    require(up is None or level_at is None, "--up and --level-at say the same", expected="one of them")
     told = None if up is None else GivenUp.parse(up)
     settings = read_settings(root).overridden(intrinsics, depth_scale, told)
     added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))

@@ -24,10 +24,11 @@ from pipeline.datasets.files import (
     numbered_lines,
     paired_files,
     read_json,
+    readable,
 )
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 
 UNITS_PER_METRE = 1000.0
 COLOR_FOLDERS = ("color", "image", "rgb")
@@ -59,30 +60,23 @@ class RedwoodDataset(Recording):
     """
 
     format = "redwood"
-    class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        layout = _layout(root)
-        if layout is None:
-            raise InputError("no colour and depth folders", path=root)
+        layout = needed(_layout(root), "no colour and depth folders", path=root)
         super().__init__(root, settings)
         self._camera_file = layout.camera
-        if layout.camera is None and settings.intrinsics is None:
-            raise InputError(
-                "the camera is not known",
-                expected=f"{' or '.join(CAMERA_FILES)}, or --intrinsics fx,fy,cx,cy",
-                path=root,
-            )
+        require(
+            layout.camera is not None or settings.intrinsics is not None,
+            "the camera is not known",
+            expected=f"{' or '.join(CAMERA_FILES)}, or --intrinsics fx,fy,cx,cy",
+            path=root,
+        )
         self._pairs = paired_files(layout.frames, COLOR_FOLDERS, (".png",), DEPTH_FOLDERS)
         self.frame_ids = tuple(self._pairs)
         self.notes = unit_notes(settings, UNITS_PER_METRE, "Redwood's")
-        self._poses: dict[Key, np.ndarray] = {}
-        self._pose_problem: str | None = None
-        if layout.trajectory is not None:
-            try:
-                self._poses = _poses(layout.trajectory, [pair.key for pair in self._pairs.values()])
-            except InputError as error:
-                self._pose_problem = error.what
+        self._pose_notes: list[str] = []
+        read = (layout.trajectory, [pair.key for pair in self._pairs.values()])
+        self._poses = or_note(self._pose_notes, f"no camera pose, {TRAJECTORY}: ", _poses, *read) or {}
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
@@ -90,17 +84,14 @@ class RedwoodDataset(Recording):
         present = files.color or files.depth or self.root
         color, depth = files_of(files, present, present)
         pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE)
-        notes: list[str] = []
-        if self._pose_problem is not None:
-            notes.append(f"no camera pose, {TRAJECTORY}: {self._pose_problem}")
+        notes = list(self._pose_notes)
         pose = None
         if files.key in self._poses:
             pose = or_note(notes, f"no camera pose, {TRAJECTORY}: ", pose_from_matrix, self._poses[files.key])
         elif self._poses:
             notes.append(f"no camera pose: {TRAJECTORY} has none for this frame")
-        K = None
-        if self._settings.intrinsics is None and self._camera_file is not None:
-            K = _camera_matrix(self._camera_file, pair[1].shape)
+        path = self._camera_file if self._settings.intrinsics is None else None
+        K = None if path is None else _camera_matrix(path, pair[1].shape)
         return self._frame(frame_id, pair, K, pose, self._camera_file or color, depth, notes=notes)
 
 
@@ -125,10 +116,7 @@ def _layout(root: Path) -> _Layout | None:
 
 
 def _has_images(folder: Path) -> bool:
-    try:
-        names = {name.lower() for name in listing(folder)[0]}
-    except InputError:  # A folder that may not be read is no recording.
-        return False
+    names = {name.lower() for name in readable(folder)[0]}
     return bool(names.intersection(COLOR_FOLDERS)) and bool(names.intersection(DEPTH_FOLDERS))
 
 
@@ -153,18 +141,18 @@ def _camera_matrix(path: Path, size: tuple[int, ...]) -> np.ndarray:
     for key in ("width", "height", "intrinsic_matrix"):
         require(key in table, f"{key} is missing", path=path)
     width, height = as_floats([table["width"], table["height"]], 2, path, "width and height")
-    if (height, width) != size:
-        raise InputError(
-            "the camera file is for another image size",
-            got=f"{width:g}x{height:g}",
-            expected=f"{size[1]}x{size[0]} as the images",
-            path=path,
-        )
+    require(
+        (height, width) == size,
+        "the camera file is for another image size",
+        got=f"{width:g}x{height:g}",
+        expected=f"{size[1]}x{size[0]} as the images",
+        path=path,
+    )
     return as_floats(table["intrinsic_matrix"], 9, path, "intrinsic_matrix").reshape(3, 3).T
 
 
-def _poses(path: Path, keys: list[Key]) -> dict[Key, np.ndarray]:
-    """The 4x4 matrices of a trajectory by frame, not yet checked to be poses.
+def _poses(path: Path | None, keys: list[Key]) -> dict[Key, np.ndarray]:
+    """The 4x4 matrices of a trajectory by frame, not yet checked to be poses; none without a trajectory.
 
     A block is a line of three whole numbers, of which the first counts the
     frames, and four lines of a camera-to-world matrix.
@@ -174,6 +162,8 @@ def _poses(path: Path, keys: list[Key]) -> dict[Key, np.ndarray]:
     InputError
         A malformed block, a number that stands twice, or blocks that cannot be given to the frames.
     """
+    if path is None:
+        return {}
     lines = numbered_lines(path)
     require(
         not (len(lines) % 5), "the last block is not whole", got=f"{len(lines)} lines", expected="5 a frame", path=path
@@ -187,8 +177,7 @@ def _poses(path: Path, keys: list[Key]) -> dict[Key, np.ndarray]:
             f"line {number} does not begin a block of three whole numbers",
             path=path,
         )
-        if int(words[0]) in blocks:
-            raise InputError(f"line {number} repeats frame {words[0]}", path=path)
+        require(int(words[0]) not in blocks, f"line {number} repeats frame {words[0]}", path=path)
         rows = [as_floats(text.split(), 4, path, f"line {n}") for n, text in lines[start + 1 : start + 5]]
         blocks[int(words[0])] = np.stack(rows)
     if len(blocks) == len(keys):
@@ -212,11 +201,7 @@ def _recognises(root: Path) -> bool:
     # A folder of several datasets may hold one recording; only its own files make it the recording's.
     if not marks or (layout.frames != root and all(path.parent != root for path in marks)):
         return False
-    try:
-        image_files(layout.frames, DEPTH_FOLDERS, (".png",), "depth")
-    except InputError:
-        return False
-    return True
+    return or_note([], "", image_files, layout.frames, DEPTH_FOLDERS, (".png",), "depth") is not None
 
 
 FORMAT = DatasetFormat(

@@ -142,8 +142,13 @@ def read_manifest(root: Path) -> dict[str, Any]:
     """
     path = root / MANIFEST
     table = read_json(path)
-    if table.get("format") != CASE_FORMAT:
-        raise InputError("a case of another format", got=table.get("format"), expected=CASE_FORMAT, path=path)
+    require(
+        table.get("format") == CASE_FORMAT,
+        "a case of another format",
+        got=table.get("format"),
+        expected=CASE_FORMAT,
+        path=path,
+    )
     return table
 
 
@@ -166,8 +171,9 @@ def checked_file(root: Path, manifest: dict[str, Any], name: str) -> Path:
         found = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         raise InputError("a file of the case cannot be read", got=error.strerror, path=path) from error
-    if found != wanted:
-        raise InputError("a file of the case was changed", got=f"sha256 {found[:12]}", expected=wanted[:12], path=path)
+    require(
+        found == wanted, "a file of the case was changed", got=f"sha256 {found[:12]}", expected=wanted[:12], path=path
+    )
     return path
 
 
@@ -183,11 +189,13 @@ def read_saved_frame(root: Path, manifest: dict[str, Any]) -> Frame:
     saved = _frame_part(manifest, path)
     depth_path = checked_file(root, manifest, saved.depth)
     rgb, depth = read_pair(checked_file(root, manifest, COLOR), depth_path, saved.units)
-    if depth.shape != (saved.height, saved.width):
-        raise InputError(
-            "the pictures have another size than the case says",
-            got=f"{depth.shape[1]}x{depth.shape[0]}", expected=f"{saved.width}x{saved.height}", path=depth_path,
-        )  # fmt: skip
+    require(
+        depth.shape == (saved.height, saved.width),
+        "the pictures have another size than the case says",
+        got=f"{depth.shape[1]}x{depth.shape[0]}",
+        expected=f"{saved.width}x{saved.height}",
+        path=depth_path,
+    )
     try:
         pose = None if saved.T_world_camera is None else np.array(saved.T_world_camera)
         up, up_source = (saved.up, saved.up_source) if saved.up is not None else _answered_up(manifest)
@@ -211,13 +219,6 @@ def _answered_up(manifest: dict[str, Any]) -> tuple[Three | None, UpSource | Non
 
 def _frame_part(manifest: dict[str, Any], path: Path) -> SavedFrame:
     return checked(SavedFrame.model_validate, manifest.get("frame"), DAMAGED, path, inside=("frame",))
-
-
-def damaged(error: ValidationError, path: Path, *inside: str) -> InputError:
-    """The first fault of a record, and where it stands."""
-    first = error.errors()[0]
-    place = ".".join(str(p) for p in (*inside, *first["loc"])) or "the top"
-    return InputError(DAMAGED.replace("{}", place), got=first["msg"], path=path)
 
 
 def _annotation(saved: SavedAnnotation, shape: tuple[int, ...]) -> Annotation:
@@ -245,8 +246,12 @@ class SavedCaseDataset:
         self._manifest = read_manifest(root)
         self.frame_ids = (_frame_part(self._manifest, root / MANIFEST).id,)
         names = self._manifest.get("class_names", [])
-        if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
-            raise InputError("the case is damaged at class_names", expected="a list of names", path=root / MANIFEST)
+        require(
+            isinstance(names, list) and all(isinstance(n, str) for n in names),
+            "the case is damaged at class_names",
+            expected="a list of names",
+            path=root / MANIFEST,
+        )
         self.class_names = tuple(names)
 
     def load(self, frame_id: str) -> Frame:

@@ -14,7 +14,7 @@ from pipeline.datasets.files import paired_files, read_matrix
 from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 UNITS_PER_METRE = 1000.0
 SAME_SHAPE = 0.02
@@ -32,7 +32,6 @@ class ScanNetDataset(Recording):
     """
 
     format = "scannet"
-    class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
@@ -70,12 +69,12 @@ class ScanNetDataset(Recording):
         if not path.is_file() and same_size:
             path = self.root / "intrinsic" / "intrinsic_color.txt"
         M = read_matrix(path, 4, 4)
-        if not np.array_equal(M[3], (0, 0, 0, 1)) or M[:3, 3].any():
-            raise InputError(
-                "the intrinsics must be a 3x3 matrix in a 4x4 one whose other entries are those of the identity",
-                got=f"last row {M[3].tolist()}, last column {M[:, 3].tolist()}",
-                path=path,
-            )
+        require(
+            np.array_equal(M[3], (0, 0, 0, 1)) and not M[:3, 3].any(),
+            "the intrinsics must be a 3x3 matrix in a 4x4 one whose other entries are those of the identity",
+            got=f"last row {M[3].tolist()}, last column {M[:, 3].tolist()}",
+            path=path,
+        )
         return M[:3, :3], path
 
 

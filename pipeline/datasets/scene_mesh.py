@@ -16,11 +16,11 @@ from zipfile import BadZipFile
 import numpy as np
 import xxhash
 
-from pipeline.datasets import Dataset
+from pipeline.datasets.base import Dataset, readable_frames
 from pipeline.geometry.camera import project
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import depth_edges, flying_pixels
-from pipeline.system.errors import FrameUnusable, InputError, MissingExtra, require
+from pipeline.system.errors import FrameUnusable, MissingExtra, needed, require
 from pipeline.system.paths import cache_folder
 from pipeline.system.whole_files import keep_whole, write_whole
 
@@ -101,19 +101,11 @@ def fuse_context(
         Where Open3D is not installed.
     """
     config = config or ContextConfig()
-    pose = frame.camera.T_world_camera
-    if pose is None:
-        raise FrameUnusable(f"frame {frame.id} has no pose, so that no other frame can be placed around it")
-    posed = []
-    for other in neighbours(dataset, frame.id, config.frames):
-        try:
-            loaded = dataset.load(other)
-        except InputError:  # A broken neighbour only means less context.
-            continue
-        if loaded.camera.T_world_camera is not None:
-            posed.append(replace(loaded, annotations=()))
-    if not posed:
-        raise FrameUnusable(f"no other frame of the sequence of frame {frame.id} has a pose")
+    no_pose = f"frame {frame.id} has no pose, so that no other frame can be placed around it"
+    pose = needed(frame.camera.T_world_camera, no_pose, error=FrameUnusable)
+    others = readable_frames(dataset.load, neighbours(dataset, frame.id, config.frames))
+    posed = [replace(other, annotations=()) for other in others if other.camera.T_world_camera is not None]
+    require(posed, f"no other frame of the sequence of frame {frame.id} has a pose", error=FrameUnusable)
     path = (folder or cache_folder()) / "context" / f"{_key(frame, posed, config)}.npz"
     mesh = _load(path)
     if mesh is None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_frame
 from pipeline.datasets.cameras import Recording, make_camera, or_note
-from pipeline.datasets.files import listing, natural
+from pipeline.datasets.files import natural, readable
 from pipeline.datasets.semantic_abstraction_file import (
     RANDOMIZED,
     RENAMED,
@@ -48,7 +48,7 @@ from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import Camera, lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.language.relation import SEMANTIC_ABSTRACTION
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 SUFFIX = ".hdf5"
 LEVELS = 3
@@ -155,8 +155,10 @@ class SemanticAbstractionDataset(Recording):
                 for name in ("target_obj_name", "reference_obj_name", "spatial_relation_name")
             )
             ids = read_integers(file, f"{group}/target_obj_id") if has(file, f"{group}/target_obj_id") else None
-            if len({len(targets), len(references), len(relations), len(relations if ids is None else ids)}) > 1:
-                raise InputError("the lists of data/descriptions differ in length")
+            require(
+                len({len(targets), len(references), len(relations), len(relations if ids is None else ids)}) <= 1,
+                "the lists of data/descriptions differ in length",
+            )
             classes = _labels(file, object_ids(_segments(file, item, (None, None), [])), [])
         of_class: dict[str, tuple[int, ...]] = {}
         for number, label in classes.items():
@@ -235,8 +237,11 @@ def _labels(file: Any, ids: np.ndarray, notes: list[str]) -> dict[int, str]:
         More ids, or larger ones, than a view can have.
     """
     classes: dict[int, str] = {}
-    if len(ids) > MOST_OBJECTS or ids.max(initial=0) >= LARGEST_ID:
-        raise InputError("seg cannot be a segmentation", got=f"{len(ids)} ids up to {ids.max(initial=0)}")
+    require(
+        len(ids) <= MOST_OBJECTS and ids.max(initial=0) < LARGEST_ID,
+        "seg cannot be a segmentation",
+        got=f"{len(ids)} ids up to {ids.max(initial=0)}",
+    )
     wanted = [int(i) for i in ids]
     try:
         classes = read_classes(file)
@@ -288,19 +293,10 @@ def _bounds(file: Any) -> np.ndarray:
 
 def _views_below(root: Path, levels: int, prefix: str = "") -> list[str]:
     """Paths of the HDF5 files below a folder, relative to it and without their ending; links are not followed."""
-    found: list[str] = []
-    try:
-        with os.scandir(root) as entries:
-            inside = sorted(entries, key=lambda entry: entry.name)
-    except OSError:
-        return []
-    for entry in inside:
-        if entry.name.startswith("."):
-            continue
-        if entry.name.endswith(SUFFIX) and entry.is_file():
-            found.append(prefix + entry.name.removesuffix(SUFFIX))
-        elif levels > 0 and entry.is_dir(follow_symlinks=False):
-            found += _views_below(root / entry.name, levels - 1, f"{prefix}{entry.name}/")
+    folders, files = readable(root, links=False)
+    found = [prefix + n.removesuffix(SUFFIX) for n in files if n.endswith(SUFFIX) and os.path.isfile(root / n)]
+    for name in folders if levels > 0 else ():
+        found += _views_below(root / name, levels - 1, f"{prefix}{name}/")
     return found
 
 
@@ -325,10 +321,7 @@ def _recognises(root: Path) -> bool:
         return _is_view(root, own[0])
     if split_files(root):
         return bool(_views_below(root, LEVELS))
-    try:
-        folders, _ = listing(root, links=False)
-    except InputError:
-        return False
+    folders, _ = readable(root, links=False)
     below = [next(iter(_views_below(root / name, LEVELS - 1)), None) for name in folders]
     good = sum(view is not None and _is_view(root / name, view) for name, view in zip(folders, below, strict=True))
     return 2 * good > len(folders)

@@ -90,8 +90,12 @@ def read_item(file: Any, name: str, item: int, kinds: str, *shape: int | None) -
         got=f"{dataset.dtype} {dataset.shape}",
     )
     inside = dataset.shape[1:]
-    if any(want is not None and want != have for want, have in zip(shape, inside, strict=True)):
-        raise InputError(f"{name} has another shape", got=inside, expected=tuple(n or "any" for n in shape))
+    require(
+        not any(want is not None and want != have for want, have in zip(shape, inside, strict=True)),
+        f"{name} has another shape",
+        got=inside,
+        expected=tuple(n or "any" for n in shape),
+    )
     require(
         min(inside) >= 1 and np.prod(inside, dtype=np.float64) <= MOST_VALUES,
         f"{name} cannot be of this size",
@@ -99,14 +103,20 @@ def read_item(file: Any, name: str, item: int, kinds: str, *shape: int | None) -
     )
     reference = _reference(file, name, item)
     if reference is None:
-        if not item < dataset.shape[0]:
-            raise InputError(f"{name} has no item {item}", got=f"{dataset.shape[0]} items")
+        require(item < dataset.shape[0], f"{name} has no item {item}", got=f"{dataset.shape[0]} items")
         return np.asarray(dataset[item])
-    if file[reference] != dataset:
-        raise InputError(f"the reference data/{name} leads to another dataset", got=file[reference].name)
+    require(
+        file[reference] == dataset,
+        f"the reference data/{name} leads to another dataset",
+        got=lambda: file[reference].name,
+    )
     values = np.asarray(dataset[reference])
-    if values.shape != (1, *inside):
-        raise InputError(f"the reference data/{name} is not one item", got=values.shape, expected=(1, *inside))
+    require(
+        values.shape == (1, *inside),
+        f"the reference data/{name} is not one item",
+        got=values.shape,
+        expected=(1, *inside),
+    )
     return values[0]
 
 
@@ -137,8 +147,11 @@ def read_names(file: Any, name: str) -> list[str]:
         Missing, or no list of texts.
     """
     values = _list(file, name)
-    if values.dtype.kind not in "SUO" or not all(isinstance(v, (bytes, str)) for v in values.tolist()):
-        raise InputError(f"{name} is no list of names", got=values.dtype)
+    require(
+        values.dtype.kind in "SUO" and all(isinstance(v, (bytes, str)) for v in values.tolist()),
+        f"{name} is no list of names",
+        got=values.dtype,
+    )
     texts = (v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in values.tolist())
     return [" ".join("".join(c if c.isprintable() else " " for c in text).split()) for text in texts]
 
@@ -195,8 +208,7 @@ def _reference(file: Any, name: str, item: int) -> Any:
         return None
     if h5py.check_ref_dtype(references.dtype) is not h5py.RegionReference or references.ndim != 1:
         return None
-    if not item < references.shape[0]:
-        raise InputError(f"data/{name} has no item {item}", got=f"{references.shape[0]} references")
+    require(item < references.shape[0], f"data/{name} has no item {item}", got=f"{references.shape[0]} references")
     reference = references[item]
     require(reference, f"the reference data/{name} is empty")
     return reference
@@ -206,8 +218,7 @@ def _dataset(file: Any, name: str) -> Any:
     import h5py
 
     found = _inside(file, name)
-    if not isinstance(found, h5py.Dataset):
-        raise InputError(f"{name} is missing")
+    require(isinstance(found, h5py.Dataset), f"{name} is missing")
     return found
 
 
@@ -225,11 +236,16 @@ def _inside(file: Any, name: str) -> Any:
     for part in name.split("/"):
         if not isinstance(node, h5py.Group) or part not in node:
             # A link whose file is missing is "not in" the group, and must not pass for a missing part.
-            if isinstance(node, h5py.Group) and isinstance(node.get(part, getlink=True), h5py.ExternalLink):
-                raise InputError(f"{name} leads to another file")
+            require(
+                not isinstance(node, h5py.Group) or not isinstance(node.get(part, getlink=True), h5py.ExternalLink),
+                f"{name} leads to another file",
+            )
             return None
-        if not isinstance(node.get(part, getlink=True), h5py.HardLink):
-            raise InputError(f"{name} is a link", expected="data in the file itself")
+        require(
+            isinstance(node.get(part, getlink=True), h5py.HardLink),
+            f"{name} is a link",
+            expected="data in the file itself",
+        )
         node = node[part]
     return _checked(file, node, name)
 
@@ -237,8 +253,10 @@ def _inside(file: Any, name: str) -> Any:
 def _checked(file: Any, node: Any, name: str) -> Any:
     import h5py
 
-    if isinstance(node, h5py.Dataset) and (node.is_virtual or node.external):
-        raise InputError(f"{name} keeps its data in another file")
+    require(
+        not isinstance(node, h5py.Dataset) or (not node.is_virtual and not node.external),
+        f"{name} keeps its data in another file",
+    )
     return node
 
 
@@ -319,8 +337,7 @@ def read_split(path: Path) -> dict[str, tuple[str, ...]]:
         named and not run), or no table of lists of names.
     """
     table: Any = read_json(path) if path.suffix == ".json" else _unpickled(path)
-    if not isinstance(table, Mapping):
-        raise InputError("a table of splits was expected", got=type(table).__name__, path=path)
+    require(isinstance(table, Mapping), "a table of splits was expected", got=type(table).__name__, path=path)
     found: dict[str, tuple[str, ...]] = {}
     for name, files in table.items():
         listed = list(files) if isinstance(files, (list, tuple, set, frozenset)) else None

@@ -64,14 +64,16 @@ class Settings:
             object.__setattr__(self, "world_up", _direction("world_up", self.world_up))
         if isinstance(self.up, str):
             object.__setattr__(self, "up", GivenUp.parse(self.up))
-        if not isinstance(self.up, GivenUp | None):
-            raise InputError("up must be a string", got=str(self.up)[:80], expected='such as "world:0,0,1"')
-        if not isinstance(self.frame_up, Mapping):
-            raise InputError("frame_up must be a table of frames", got=str(self.frame_up)[:80])
+        require(
+            isinstance(self.up, GivenUp | None),
+            "up must be a string",
+            got=str(self.up)[:80],
+            expected='such as "world:0,0,1"',
+        )
+        require(isinstance(self.frame_up, Mapping), "frame_up must be a table of frames", got=str(self.frame_up)[:80])
         told = {frame: _direction(f"frame_up of {frame!r}", up) for frame, up in self.frame_up.items()}
         object.__setattr__(self, "frame_up", told)
-        if self.name is not None and not isinstance(self.name, str):
-            raise InputError("name must be a string", got=repr(self.name))
+        require(self.name is None or isinstance(self.name, str), "name must be a string", got=repr(self.name))
 
     def overridden(
         self,

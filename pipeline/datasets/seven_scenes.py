@@ -36,7 +36,6 @@ class SevenScenesDataset(Recording):
     """
 
     format = "7-scenes"
-    class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)

@@ -7,13 +7,23 @@ Published: `image/`, `depth/`, `intrinsics.txt` and `extrinsics/`, a folder a pi
 from __future__ import annotations
 
 import os
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import Recording, nearest_rotation, one_file, or_note, read_pair
-from pipeline.datasets.files import COLOR_SUFFIXES, as_floats, listing, natural, numbered_lines, read_mat, read_matrix
+from pipeline.datasets.files import (
+    COLOR_SUFFIXES,
+    as_floats,
+    listing,
+    natural,
+    numbered_lines,
+    read_mat,
+    read_matrix,
+    readable,
+)
 from pipeline.datasets.images import read_color
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.boxes import Box3D
@@ -57,7 +67,6 @@ class SunRgbdDataset(Recording):
     """
 
     format = "sunrgbd"
-    class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
@@ -101,16 +110,8 @@ def _tilt(folder: Path) -> np.ndarray:
     return read_matrix(folder / names[-1], 3, 4)[:, :3]
 
 
-def _entries(folder: Path) -> tuple[list[str], list[str]]:
-    """Names of the folders, without links, and of the files; none where the folder may not be read."""
-    try:
-        return listing(folder, links=False)
-    except InputError:
-        return [], []
-
-
 def _is_frame(folder: Path) -> bool:
-    return _looks_like_a_frame(folder, *_entries(folder))
+    return _looks_like_a_frame(folder, *readable(folder, links=False))
 
 
 def _looks_like_a_frame(folder: Path, folders: list[str], files: list[str]) -> bool:
@@ -123,15 +124,15 @@ def _looks_like_a_frame(folder: Path, folders: list[str], files: list[str]) -> b
     if not names & {"extrinsics", "depth_bfx"}:
         return False
     parts = ("image" in names, bool(names & {"depth", "depth_bfx"}), "intrinsics.txt" in files)
-    return sum(parts) >= 2 and len(_entries(folder / "image")[1]) <= 1
+    return sum(parts) >= 2 and len(readable(folder / "image", links=False)[1]) <= 1
 
 
 def _frames_below(root: Path, levels: int, prefix: str = "") -> list[str]:
     """Paths of the frames' folders below `root`, relative to it; what is a frame is not searched further."""
     found: list[str] = []
-    for name in _entries(root)[0]:
+    for name in readable(root, links=False)[0]:
         folder = root / name
-        folders, files = _entries(folder)
+        folders, files = readable(folder, links=False)
         if _looks_like_a_frame(folder, folders, files):
             found.append(prefix + name)
         elif levels > 1 and folders:
@@ -146,7 +147,7 @@ def _recognises(root: Path) -> bool:
     """
     if _is_frame(root):
         return True
-    folders = _entries(root)[0]
+    folders = readable(root, links=False)[0]
     if 2 * sum(_is_frame(root / name) for name in folders) > len(folders):
         return True
     if root.resolve().name.lower() in _SENSORS | _SOURCES:
@@ -188,16 +189,18 @@ class SunRgbdVoteNetDataset(Recording):
         clouds = {Path(name).stem for name in listing(self._folder / "depth")[1] if name.endswith(".mat")}
         self.frame_ids = tuple(sorted(images | clouds, key=natural))
         self._known = {frame_id: frame_id for frame_id in self.frame_ids}
-        self._class_names: tuple[str, ...] | None = None
+
+    @cached_property
+    def _class_names(self) -> tuple[str, ...]:
+        """Every name that any label file begins a line with, in alphabetical order."""
+        paths = [] if self._labels is None else [self._labels / n for n in listing(self._labels)[1]]
+        # What is unusable is told when the frame is loaded.
+        lines = [line for path in paths for _, line in or_note([], "", numbered_lines, path) or ()]
+        return tuple(sorted({line.split(maxsplit=1)[0] for line in lines}))
 
     @property
-    def class_names(self) -> tuple[str, ...]:
-        """Every name that any label file begins a line with, in alphabetical order."""
-        if self._class_names is None:
-            paths = [] if self._labels is None else [self._labels / n for n in listing(self._labels)[1]]
-            # What is unusable is told when the frame is loaded.
-            lines = [line for path in paths for _, line in or_note([], "", numbered_lines, path) or ()]
-            self._class_names = tuple(sorted({line.split(maxsplit=1)[0] for line in lines}))
+    def class_names(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """As `Dataset` has it; read when it is first asked for."""
         return self._class_names
 
     def load(self, frame_id: str) -> Frame:
@@ -248,10 +251,12 @@ def _calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:
         R = camera_from_upright(Rtilt)
     except InputError as error:
         raise InputError(f"the tilt in line {lines[0][0]}: {error}", path=path) from error
-    if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0 or K[0, 1] or K[2].tolist() != [0, 0, 1]:
-        raise InputError(
-            "not the intrinsics of a camera, column by column", got=np.round(K.T.ravel(), 3).tolist(), path=path
-        )
+    require(
+        np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and not K[0, 1] and K[2].tolist() == [0, 0, 1],
+        "not the intrinsics of a camera, column by column",
+        got=np.round(K.T.ravel(), 3).tolist(),
+        path=path,
+    )
     return R, intrinsics(K[0, 0], K[1, 1], K[0, 2] - 1, K[1, 2] - 1)
 
 
@@ -298,13 +303,13 @@ def _depth_image(points: np.ndarray, K: np.ndarray, size: tuple[int, int], path:
         cause="is the calibration that of another picture?",
         path=path,
     )
-    if column.min() < 0 or row.min() < 0 or column.max() >= width or row.max() >= height:
-        raise InputError(
-            "points lie outside the image",
-            got=f"columns {column.min():g} to {column.max():g}, rows {row.min():g} to {row.max():g}",
-            expected=f"an image of {width}x{height}",
-            path=path,
-        )
+    require(
+        column.min() >= 0 and row.min() >= 0 and column.max() < width and row.max() < height,
+        "points lie outside the image",
+        got=f"columns {column.min():g} to {column.max():g}, rows {row.min():g} to {row.max():g}",
+        expected=f"an image of {width}x{height}",
+        path=path,
+    )
     depth = np.full(height * width, np.inf, np.float32)
     np.minimum.at(depth, row.astype(np.int64) * width + column.astype(np.int64), points[:, 2].astype(np.float32))
     depth[np.isinf(depth)] = 0
@@ -334,13 +339,9 @@ def _annotation(index: int, name: str, values: np.ndarray, R_camera_upright: np.
 
 def _folder(root: Path) -> Path | None:
     for folder in (root, root / FOLDER):
-        if all(os.path.isdir(folder / name) for name in ("calib", "image", "depth")):
-            try:
-                names = listing(folder / "depth")[1]
-            except InputError:
-                continue
-            if any(name.endswith(".mat") for name in names):
-                return folder
+        whole = all(os.path.isdir(folder / name) for name in ("calib", "image", "depth"))
+        if whole and any(name.endswith(".mat") for name in readable(folder / "depth")[1]):
+            return folder
     return None
 
 

@@ -22,7 +22,7 @@ from pipeline.datasets.cameras import (
 from pipeline.datasets.files import as_floats, numbered_lines, path_inside
 from pipeline.datasets.settings import Settings, camera_notes, unit_notes
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 UNITS_PER_METRE = 5000.0
 WITHIN = 0.02
@@ -67,23 +67,25 @@ class TumDataset(Recording):
     """
 
     format = "tum"
-    class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
         colors, depths = _entries(root, "rgb.txt"), _entries(root, "depth.txt")
         times = np.array([entry.time for entry in colors]), np.array([entry.time for entry in depths])
         matched = _match(*times)
-        if not matched:
-            raise InputError(
-                "no colour image has a depth image within 20 ms",
-                got=f"times from {colors[0].stamp} in rgb.txt and from {depths[0].stamp} in depth.txt",
-                path=root / "depth.txt",
-            )
+        require(
+            matched,
+            "no colour image has a depth image within 20 ms",
+            got=f"times from {colors[0].stamp} in rgb.txt and from {depths[0].stamp} in depth.txt",
+            path=root / "depth.txt",
+        )
         self._colors = {entry.stamp: entry for entry in colors}
         self._depths = {colors[i].stamp: depths[j] for i, j in matched.items()}
         self.frame_ids = tuple(self._colors)
-        self._path, self._path_problem = _camera_path(root / "groundtruth.txt")
+        self._pose_notes: list[str] = []
+        self._path = or_note(
+            self._pose_notes, "no camera pose, groundtruth.txt: ", _camera_path, root / "groundtruth.txt"
+        )
         found = re.search("freiburg[123]", root.resolve().name.lower())
         self._camera = CAMERAS[found[0]] if found else DEFAULT_CAMERA
         whose = f"{found[0]}'s by the folder's name" if found else "TUM's default"
@@ -97,25 +99,23 @@ class TumDataset(Recording):
         require(frame_id in self._depths, f"no depth image within 20 ms of {frame_id}", path=self.root / "depth.txt")
         depth = self._depths[frame_id].path
         pair = read_pair(color.path, depth, self._settings.depth_scale or UNITS_PER_METRE)
-        notes: list[str] = []
+        notes = list(self._pose_notes)
         pose = self._pose(color.time, notes)
-        K = None
-        if self._settings.intrinsics is None:
-            K = known_intrinsics(self._camera, "TUM's", pair[1].shape, "", color.path)
+        told = self._settings.intrinsics is not None
+        K = None if told else known_intrinsics(self._camera, "TUM's", pair[1].shape, "", color.path)
         return self._frame(frame_id, pair, K, pose, color.path, depth, notes=notes)
 
     def _pose(self, time: float, notes: list[str]) -> np.ndarray | None:
-        if self._path_problem is not None:
-            notes.append(f"no camera pose, groundtruth.txt: {self._path_problem}")
-        if not len(self._path):
+        path = self._path
+        if path is None or not len(path):
             return None
-        after = int(np.searchsorted(self._path[:, 0], time))
-        near = [k for k in (after - 1, after) if 0 <= k < len(self._path)]
-        k = min(near, key=lambda k: abs(float(self._path[k, 0]) - time))
-        if abs(float(self._path[k, 0]) - time) > WITHIN + _ROUNDING:
+        after = int(np.searchsorted(path[:, 0], time))
+        near = [k for k in (after - 1, after) if 0 <= k < len(path)]
+        k = min(near, key=lambda k: abs(float(path[k, 0]) - time))
+        if abs(float(path[k, 0]) - time) > WITHIN + _ROUNDING:
             notes.append("no camera pose: groundtruth.txt has none within 20 ms")
             return None
-        return or_note(notes, "no camera pose, groundtruth.txt: ", pose_from_quaternion, self._path[k, 1:])
+        return or_note(notes, "no camera pose, groundtruth.txt: ", pose_from_quaternion, path[k, 1:])
 
 
 def _entries(root: Path, name: str) -> list[_Entry]:
@@ -131,12 +131,16 @@ def _entries(root: Path, name: str) -> list[_Entry]:
     found: dict[Decimal, _Entry] = {}
     for number, line in numbered_lines(source):
         stamp, *rest = line.split(maxsplit=1)
-        if not _TIME.fullmatch(stamp) or not math.isfinite(float(stamp)) or not rest:
-            raise InputError(f"line {number} is malformed", got=repr(line[:60]), expected="timestamp path", path=source)
+        require(
+            _TIME.fullmatch(stamp) and math.isfinite(float(stamp)) and rest,
+            f"line {number} is malformed",
+            got=repr(line[:60]),
+            expected="timestamp path",
+            path=source,
+        )
         entry = _Entry(stamp, path_inside(root, rest[0], source, number))
         time = Decimal(stamp)
-        if time in found:
-            raise InputError(f"line {number} repeats a time stamp", got=stamp[:60], path=source)
+        require(time not in found, f"line {number} repeats a time stamp", got=stamp[:60], path=source)
         found[time] = entry
     require(found, "a list without a line", expected="timestamp path", path=source)
     return [found[time] for time in sorted(found)]
@@ -162,19 +166,19 @@ def _match(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
     return found
 
 
-def _camera_path(path: Path) -> tuple[np.ndarray, str | None]:
-    """(N, 8) rows timestamp tx ty tz qx qy qz qw in order of time, and why there are none although there is a file."""
-    nothing = np.empty((0, 8))
-    if not path.is_file():
-        return nothing, None
-    try:
-        rows = [as_floats(line.replace(",", " ").split(), 8, path, f"line {n}") for n, line in numbered_lines(path)]
-    except InputError as error:
-        return nothing, error.what
-    table = np.stack(rows) if rows else nothing
-    if not np.isfinite(table[:, 0]).all():
-        return nothing, "a time stamp with inf or NaN"
-    return table[np.argsort(table[:, 0], kind="stable")], None
+def _camera_path(path: Path) -> np.ndarray:
+    """(N, 8) rows timestamp tx ty tz qx qy qz qw in order of time; none without the file.
+
+    Raises
+    ------
+    InputError
+        A malformed line, or a time that is not finite.
+    """
+    lines = numbered_lines(path) if path.is_file() else []
+    rows = [as_floats(line.replace(",", " ").split(), 8, path, f"line {n}") for n, line in lines]
+    table = np.stack(rows) if rows else np.empty((0, 8))
+    require(np.isfinite(table[:, 0]).all(), "a time stamp with inf or NaN")
+    return table[np.argsort(table[:, 0], kind="stable")]
 
 
 FORMAT = DatasetFormat(

@@ -121,8 +121,11 @@ class Answer:
         return self.trace
 
     def record(self) -> dict[str, Any]:
-        """The whole of `ask --json` as plain values."""
-        return judged_record(self)
+        """All of `ask --json`: `trace_record`, and where truth is known "verdict", or null with "verdict_reason"."""
+        if self.diagnosis is not None:
+            return {**_answer_record(self), "verdict": diagnosis_record(self.diagnosis)}
+        reason = {} if self.unjudged is None else {"verdict": None, "verdict_reason": self.unjudged}
+        return _answer_record(self) | reason
 
     def what_if(self, edits: Edited) -> Answer:
         """The answer under edits, written as for `whatif --edits`; its verdict is by the same truth.
@@ -142,14 +145,6 @@ class Answer:
         if self.origin is None:
             raise InputError("this answer does not know what answered it", expected="one that `ask` of `open` gave")
         return self.origin
-
-
-def judged_record(answer: Answer) -> dict[str, Any]:
-    """The whole of `ask --json`: `trace_record`, and where truth is known "verdict", or null with "verdict_reason"."""
-    if answer.diagnosis is not None:
-        return {**_answer_record(answer), "verdict": diagnosis_record(answer.diagnosis)}
-    reason = {} if answer.unjudged is None else {"verdict": None, "verdict_reason": answer.unjudged}
-    return _answer_record(answer) | reason
 
 
 def answer_record(answered: Answer) -> dict[str, Any]:

@@ -18,11 +18,11 @@ from pipeline.diagnosis.answer import Answer, Edited
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif import Baseline, apply, read_edits
+from pipeline.diagnosis.whatif import Baseline, read_edits, rerun
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases, read_query
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
+from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import open_second_opinion
 from pipeline.labels.reading import Labels
 from pipeline.language.naming import match
@@ -30,7 +30,7 @@ from pipeline.language.tree import Query
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 def known_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
@@ -196,9 +196,13 @@ def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edi
         Edits that cannot be read, or ones that name a file.
     """
     read = read_edits(dict(edits))
-    if read.scorer not in (None, "rule", "trained"):
-        raise InputError("the edits name a relation network by its path", got=read.scorer, expected="--srm FILE")
-    return apply(Baseline(source, context, text), read), replace(source.config.rank, **read.rank)
+    require(
+        read.scorer in (None, "rule", "trained"),
+        "the edits name a relation network by its path",
+        got=read.scorer,
+        expected="--srm FILE",
+    )
+    return rerun(Baseline(source, context, text), read).trace, replace(source.config.rank, **read.rank)
 
 
 @lru_cache(maxsize=1)

@@ -39,7 +39,6 @@ from pipeline.diagnosis.substitution import (
     OracleScores,
     names_of,
     needed_changes,
-    size,
     substitute,
 )
 from pipeline.diagnosis.verdict import Diagnosis, Missed, explain
@@ -47,8 +46,7 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import HIT, Case
 from pipeline.language.tree import Query
-from pipeline.proposals.base import Detector, Proposals
-from pipeline.proposals.selection import suppress
+from pipeline.proposals.base import Detector, Proposals, suppress
 from pipeline.system.errors import InputError
 
 _FLIPS = (LIFT, SRM, CONF)
@@ -139,7 +137,7 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
 def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tuple[str, str | None, int]:
     """Verdict, detail and repair where an acceptable pair lost; `flips` are the oracles that alone mend it."""
     if not flips:
-        several = [s for s in range(SUBSETS) if not s & ~_ALL_FLIPS and size(s) > 1]
+        several = [s for s in range(SUBSETS) if not s & ~_ALL_FLIPS and s.bit_count() > 1]
         smallest = _smallest(found, several)
         if smallest is None:
             return "PRM", "DEGENERATE", 0
@@ -158,7 +156,7 @@ def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tup
 def _smallest(found: OracleScores, subsets: range | list[int]) -> int | None:
     """The smallest of these subsets with which an acceptable pair wins; of equal ones that with the largest margin."""
     able = [s for s in subsets if found.accepted[s]]
-    return min(able, key=lambda s: (size(s), -found.margins[s], s)) if able else None
+    return min(able, key=lambda s: (s.bit_count(), -found.margins[s], s)) if able else None
 
 
 def _pseudo(evidence: FrameEvidence, found: OracleScores, pairs: list[tuple[int, int]]) -> bool:

@@ -63,7 +63,7 @@ class FrameEvidence:
     mask_sizes : (D + N,) int64
         Pixels.
     roles : dict
-        What may fill the places of expressions, kept by `substitution`.
+        What may fill the roles of expressions, kept by `substitution`.
     """
 
     def __init__(
@@ -97,13 +97,8 @@ class FrameEvidence:
         self.roles: dict[tuple[str, bytes], Any] = {}
         self._probabilities: dict[str, np.ndarray] = {}
 
-    @property
-    def known(self) -> np.ndarray:
-        """(N,) bool: labelled objects whose true geometry is known."""
-        return self.objects.known
-
     def match_at(self, indices: np.ndarray) -> np.ndarray:
-        """(K,) int64: the labelled object, of whatever class, at each place of the list; -1 for none."""
+        """(K,) int64: the labelled object, of whatever class, at each index of the list; -1 for none."""
         return np.asarray(np.concatenate([self.match, np.arange(self.labelled)])[indices], np.int64)
 
     def probabilities(self, relation: str) -> np.ndarray:
@@ -137,7 +132,7 @@ class FrameEvidence:
             self._probabilities[relation] = table
 
     def _involved(self, relations: Sequence[str]) -> np.ndarray:
-        """Places of the candidates and labelled objects that the cases of these relations are about, rising."""
+        """Indices of the candidates and labelled objects that the cases of these relations are about, rising."""
         candidates = [np.zeros(0, np.int64)]
         labelled = np.zeros(self.labelled, np.bool_)
         for case in self._cases:

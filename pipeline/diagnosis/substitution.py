@@ -37,7 +37,6 @@ from pipeline.answering.pair_table import (
     pair_table,
     side,
 )
-from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.frame_evidence import FrameEvidence, matched
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case
@@ -104,11 +103,6 @@ class OracleScores:
     covered: np.ndarray
     right: np.ndarray
 
-    @property
-    def log_score(self) -> np.ndarray:
-        """(16, T, R) float64: S under each subset; -inf where there is no pair."""
-        return self.table.log_score
-
     @cached_property
     def plain(self) -> PairTable:
         """The pairs without any oracle, as they were ranked."""
@@ -126,7 +120,7 @@ class OracleScores:
         return None if at < 0 else divmod(at, self.covered.shape[1])
 
     def pair(self, subset: int = 0) -> tuple[int, int] | None:
-        """The winner under a subset as places in the two roles."""
+        """The winner under a subset as indices in the two roles."""
         at = int(self.winners[subset])
         return None if at < 0 else divmod(at, self.covered.shape[1])
 
@@ -139,14 +133,9 @@ class OracleScores:
     @cached_property
     def right_target(self) -> np.ndarray:
         """(16,) bool: the answer's target is right by set-valued accuracy; without any pair the best target answers."""
-        found = np.zeros(SUBSETS, np.bool_)
-        for subset, winner in enumerate(self.winners):
-            if winner >= 0:
-                found[subset] = self.right[winner // self.covered.shape[1]]
-                continue
-            alone = self.alone(subset)
-            found[subset] = alone is not None and self.right[alone]
-        return found
+        columns = self.covered.shape[1]
+        answers = [self.alone(s) if w < 0 else w // columns for s, w in enumerate(self.winners.tolist())]
+        return np.array([target is not None and bool(self.right[target]) for target in answers])
 
     def alone(self, subset: int = 0) -> int | None:
         """The target that answers where all pairs are one thing; None where a role has no candidate at all."""
@@ -190,44 +179,29 @@ def _margins(table: PairTable, covered: np.ndarray) -> np.ndarray:
     return found
 
 
-def given_scores(role: CandidateSet) -> np.ndarray:
-    """(K,) float64: what CONF says of each."""
-    return np.where(role.object >= 0, RIGHT_SCORE, WRONG_SCORE)
+def _role(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateSet:
+    """The candidates of a name and the labelled objects ((N,) bool, those of the asked class) that are missing there.
 
-
-def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) -> CandidateSet:
-    """The candidates of a name and the labelled objects that are missing among them.
-
-    Parameters
-    ----------
-    evidence : FrameEvidence
-    candidates : Candidates
-    asked : (N,) bool
-        Labelled objects of the asked class.
+    Made once for all expressions of the frame that ask for it.
     """
+    key, candidates = (name, asked.tobytes()), evidence.answers.candidates[name]
+    if key in evidence.roles:
+        return evidence.roles[key]
     overlap = evidence.overlap[candidates.index]
     own, objects = np.where(asked, overlap, 0.0), matched(overlap, asked)
     shapes = np.where(objects >= 0, objects, evidence.match[candidates.index])
-    shapes = np.where((shapes >= 0) & evidence.known[shapes], shapes, -1) if evidence.labelled else shapes
+    shapes = np.where((shapes >= 0) & evidence.objects.known[shapes], shapes, -1) if evidence.labelled else shapes
     covered = (own >= HIT).any(axis=0) if len(own) else np.zeros(evidence.labelled, np.bool_)
-    missing = np.flatnonzero(asked & ~covered & evidence.known)
-    everyone = np.concatenate([objects, missing]).astype(np.int64)
+    missing = np.flatnonzero(asked & ~covered & evidence.objects.known)
     truth = evidence.truth.boxes
-    return CandidateSet(
+    evidence.roles[key] = CandidateSet(
         index=np.concatenate([candidates.index, evidence.detections + missing]).astype(np.int64),
         found=len(candidates.index),
         scores=np.concatenate([candidates.scores, np.full(len(missing), evidence.confidence)]),
-        object=everyone,
+        object=np.concatenate([objects, missing]).astype(np.int64),
         shape_of=np.concatenate([shapes, missing]).astype(np.int64),
         overlap=np.concatenate([overlap, iou_2d(truth[missing], truth).reshape(-1, evidence.labelled)]),
     )
-
-
-def _role(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateSet:
-    """The role of a name, made once for all expressions of the frame that ask for it."""
-    key = (name, asked.tobytes())
-    if key not in evidence.roles:
-        evidence.roles[key] = role_of(evidence, evidence.answers.candidates[name], asked)
     return evidence.roles[key]
 
 
@@ -271,7 +245,8 @@ def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
 
 def _side(role: CandidateSet, conf: np.ndarray, weight: float) -> Side:
     """A role under every subset; `conf` says which of them give true confidences."""
-    both = side(role.index, np.stack([role.scores, given_scores(role)]), weight)
+    true = np.where(role.object >= 0, RIGHT_SCORE, WRONG_SCORE)
+    both = side(role.index, np.stack([role.scores, true]), weight)
     return Side(both.index, both.scores[conf], both.log[conf])
 
 
@@ -305,11 +280,6 @@ def _relation(evidence: FrameEvidence, relation: str, target: CandidateSet, refe
 def names_of(subset: int) -> tuple[str, ...]:
     """The oracles of a subset, which is a number with one bit for each."""
     return tuple(name for k, name in enumerate(ORACLES) if subset >> k & 1)
-
-
-def size(subset: int) -> int:
-    """How many oracles a subset holds."""
-    return subset.bit_count()
 
 
 @dataclass(frozen=True)

@@ -152,7 +152,7 @@ class Missed:
     score : float or None
         Of the box that was cut off, or of the best overlapping one.
     rank : int or None
-        With RANK: its place from 1 by score, before suppression.
+        With RANK: its rank from 1 by score, before suppression.
     suppressed : bool
         With RANK: a better-scored box overlapped it too much.
     """
@@ -287,14 +287,14 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
             f"The answer's {' and '.join(false)} {what}; the right pair had {_p(right.p_target)} and "
             f"{_p(right.p_reference)}. With true confidences the right pair wins.{_nearest(right)} Verdict: OPM-CONF."
         )
-    parts = []
-    for name, mine, other, ours, theirs in (
-        (case.target, winner.target, right.target, winner.p_target, right.p_target),
-        (case.reference, winner.reference, right.reference, winner.p_reference, right.p_reference),
-    ):
-        if mine != other:
-            wrong, good = apart(ours, theirs)
-            parts.append(f"the wrong {name} {wrong} and the right one {good}")
+    parts = [
+        "the wrong {} {} and the right one {}".format(name, *apart(ours, theirs))
+        for name, mine, other, ours, theirs in (
+            (case.target, winner.target, right.target, winner.p_target, right.p_target),
+            (case.reference, winner.reference, right.reference, winner.p_reference, right.p_reference),
+        )
+        if mine != other
+    ]
     first, second = apart(*sorted((winner.p_relation, right.p_relation), reverse=True))
     favoured = "the right pair" if right.p_relation >= winner.p_relation else "the answer"
     relation = (
@@ -395,12 +395,15 @@ def read_marks(path: Path) -> dict[tuple[str, str], str]:
         entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError("the marks cannot be read", got=str(error), path=path) from error
-    if not isinstance(entries, list):
-        raise InputError("marks must be a list", got=type(entries).__name__, path=path)
+    require(isinstance(entries, list), "marks must be a list", got=type(entries).__name__, path=path)
     found: dict[tuple[str, str], str] = {}
     for n, entry in enumerate(entries):
-        if not isinstance(entry, dict) or not all(isinstance(entry.get(key), str) for key in _KEYS):
-            raise InputError(f"mark {n} must have the texts {', '.join(_KEYS)}", got=repr(entry)[:80], path=path)
+        require(
+            isinstance(entry, dict) and all(isinstance(entry.get(key), str) for key in _KEYS),
+            f"mark {n} must have the texts {', '.join(_KEYS)}",
+            got=repr(entry)[:80],
+            path=path,
+        )
         frame, expression, mark = (entry[key] for key in _KEYS)
         require(mark in MARKS, f"mark {n} is not known", got=mark, expected=" or ".join(MARKS), path=path)
         require(

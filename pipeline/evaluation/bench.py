@@ -19,7 +19,6 @@ import numpy as np
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
 from pipeline.evaluation.job import make_tables
-from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_cases import frames_in, spread
 from pipeline.evaluation.run import (
     FRAMES_A_BLOCK,
@@ -34,7 +33,7 @@ from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.errors import MissingExtra, require
 from pipeline.system.peak_memory import PeakMemory
 from pipeline.training.label_data import pair_set, read_label_data
 from pipeline.training.train import TrainConfig, train_pairs
@@ -83,9 +82,11 @@ def bench_evaluation(
     InputError
         Dataset, labels or recording cannot be used.
     """
-    if min(singly, workers) < 1 or pairs < 2:
-        raise InputError("at least one worker, one expression and two pairs are needed", got=f"{workers}, {singly}, "
-                         f"{pairs}")  # fmt: skip
+    require(
+        min(singly, workers) >= 1 and pairs >= 2,
+        "at least one worker, one expression and two pairs are needed",
+        got=f"{workers}, {singly}, {pairs}",
+    )
     with _inputs(dataset, labels, recording) as spec:
         # The job first: later this process also holds what only the other measurements load.
         job = _job(spec, workers)
@@ -135,7 +136,7 @@ def _inputs(dataset: str, labels: Path | None, recording: Path | None) -> Iterat
         yield EvalSpec(dataset, str(labels), {"detector": "recorded", "model": recording})
 
 
-def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], ArrowTable]:
+def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], pa.Table]:
     """Every expression in this process, with what each stage took."""
     evaluator = Evaluator(spec)
     blocks = blocks_of(frames_in(evaluator.labels, "expressions"))
@@ -143,7 +144,7 @@ def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], ArrowTable]
     # The first frame pays for imports and for the network's own preparations.
     evaluator.block(blocks[0][0], blocks[0][0] + 1)
     evaluator.clock.seconds.clear()
-    evaluator.forget_sentences()
+    evaluator.parsed.clear()
     records = pa.concat_tables([evaluator.block(*block)[0] for block in blocks])
     stages = dict(evaluator.clock.seconds)
     start = process_time()
@@ -152,14 +153,14 @@ def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], ArrowTable]
     return evaluator, stages, records
 
 
-def _as_many(records: ArrowTable, rows: int, clusters: int) -> ArrowTable:
+def _as_many(records: pa.Table, rows: int, clusters: int) -> pa.Table:
     """The records repeated to so many rows in so many scenes."""
     many = records.take(np.arange(rows) % records.num_rows)
     scenes = pa.array([f"{k * clusters // rows:06d}" for k in range(rows)])
     return many.set_column(many.schema.get_field_index("scene"), "scene", scenes)
 
 
-def _asked_singly(evaluator: Evaluator, records: ArrowTable, count: int) -> dict[str, Any]:
+def _asked_singly(evaluator: Evaluator, records: pa.Table, count: int) -> dict[str, Any]:
     """Expressions asked by `ask`, each with its frame read anew, and whether the answers are those of the records.
 
     An expression that is not read as the labels mean it has no answer in the records and is left out.

@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_records import RelationRecords
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, read_table
 from pipeline.labels.statistics import quoted
-from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Row, Table
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError
+from pipeline.system.arrow import pa
+from pipeline.system.errors import InputError, require
 
 DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
 OTHERS = (DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
@@ -88,15 +87,17 @@ class Standings:
         return [columns[k] for k in self.cell.tolist()]
 
 
-def answer_standings(records: ArrowTable, labels: Labels, content_hash: str | None = None) -> Standings:
+def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Standings:
     """In which relation the two objects of each answer stand by their labels; see `answer_confusion`."""
-    if content_hash is not None and labels.manifest.tables["expressions"].content_hash != content_hash:
-        raise InputError("these are not the labels that the run was made with", path=labels.root)
+    require(
+        content_hash is None or labels.manifest.tables["expressions"].content_hash == content_hash,
+        "these are not the labels that the run was made with",
+        path=labels.root,
+    )
     names = tuple(r for r in PAIRWISE if r in labels.relation_names)
     asked = np.array(records.column("relation").to_pylist(), object)
-    unknown = sorted(set(asked.tolist()) - set(names))
-    if unknown:
-        raise InputError("the run asks for a relation that the labels do not have", got=unknown[0], path=labels.root)
+    for name in sorted(set(asked.tolist())):
+        require(name in names, "the run asks for a relation that the labels do not have", got=name, path=labels.root)
     index, states, margins = _pairs_of_answers(records, labels, names)
     answered = records.column("box").is_valid().to_numpy(zero_copy_only=False)
     matched = np.ones(len(asked), np.bool_)
@@ -111,7 +112,7 @@ def answer_standings(records: ArrowTable, labels: Labels, content_hash: str | No
     return Standings(names, meant, cell)
 
 
-def answer_confusion(records: ArrowTable, labels: Labels, content_hash: str | None = None) -> Confusion:
+def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Confusion:
     """The relation that was asked against the one in which the answer's two objects stand by their labels.
 
     Parameters
@@ -174,7 +175,7 @@ def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt:
 
 
 def _pairs_of_answers(
-    records: ArrowTable, labels: Labels, names: tuple[str, ...]
+    records: pa.Table, labels: Labels, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(P,) rows of the answers whose pair was judged, their (P, R) states and (P, R) margins."""
     import duckdb

@@ -12,15 +12,15 @@ from pydantic import BaseModel, Field, ValidationError
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline
-from pipeline.evaluation.records import ArrowTable, DetectorScores, detector_scores, is_calibrated
+from pipeline.evaluation.records import DetectorScores, detector_scores, is_calibrated
 from pipeline.labels.cases import HIT
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import read_table
+from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.calibration_metrics import ECE_BINS
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, bootstrap, mcnemar, mean_estimate, ratio
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.proposals.score_calibration import ScoreCalibration
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 
 FIGURES = Path(__file__).with_name("reported.json")
@@ -36,19 +36,19 @@ OPM_ONLY = ": OPM only"
 """Ends the name of a row of the detector's best target alone."""
 
 
-def has_opm(records: ArrowTable) -> bool:
+def has_opm(records: pa.Table) -> bool:
     """Whether the records tell of the detector's best target alone: systems that take whole expressions have none."""
     return records.column("opm_iou").null_count < records.num_rows
 
 
-def column(records: ArrowTable, name: str) -> np.ndarray:
+def column(records: pa.Table, name: str) -> np.ndarray:
     """A column of records as float64; null is NaN."""
     values = records.column(name)
     found = values.to_numpy() if not values.null_count else values.cast("float64").to_numpy()
     return np.asarray(found, np.float64)
 
 
-def clusters_of(records: ArrowTable) -> tuple[np.ndarray, str]:
+def clusters_of(records: pa.Table) -> tuple[np.ndarray, str]:
     """What resembles each other: the scene of each row; its frame where there is one scene only."""
     scenes = np.array(records.column("scene").to_pylist(), object)
     if len(set(scenes.tolist())) > 1:
@@ -56,20 +56,20 @@ def clusters_of(records: ArrowTable) -> tuple[np.ndarray, str]:
     return np.array(records.column("frame").to_pylist(), object).astype(str), "frame"
 
 
-def full_row(name: str, records: ArrowTable, config: BootstrapConfig | None = None) -> Row:
+def full_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
     """The pipeline's line of the table of systems."""
     names = ("correct", "strict_correct", "set_correct", "iou", "set_iou", "reference_correct", "pair_correct")
     return _row(name, records, [column(records, measure) for measure in names], config)
 
 
-def opm_row(name: str, records: ArrowTable, config: BootstrapConfig | None = None) -> Row:
+def opm_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
     """The line of the detector's best target alone: it has no reference."""
     single, strict, lenient = (column(records, f"opm_{n}") for n in ("iou", "strict_iou", "set_iou"))
     hits = [(overlap >= HIT).astype(np.float64) for overlap in (single, strict, lenient)]
     return _row(name, records, [*hits, single, lenient, None, None], config)
 
 
-def _row(name: str, records: ArrowTable, measures: Sequence[np.ndarray | None], config: BootstrapConfig | None) -> Row:
+def _row(name: str, records: pa.Table, measures: Sequence[np.ndarray | None], config: BootstrapConfig | None) -> Row:
     clusters, _ = clusters_of(records)
     # A system that gives one box has no reference to be measured by.
     cells = (None if m is None or np.isnan(m).all() else mean_estimate(m, clusters, config=config) for m in measures)
@@ -90,7 +90,7 @@ def systems_table(systems: Sequence[Row], unit: str, shares: Mapping[str, str] =
 
 
 def relation_table(
-    systems: Mapping[str, ArrowTable], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
+    systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
 ) -> Table:
     """Set-valued accuracy of each system by relation; `shares` as in `systems_table`."""
     first = next(iter(systems.values()))
@@ -119,7 +119,7 @@ def relation_table(
     )
 
 
-def stages_table(systems: Mapping[str, ArrowTable], shares: Mapping[str, str] = NOTHING_SHARED) -> Table:
+def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NOTHING_SHARED) -> Table:
     """How many expressions get how far: what the next stage still could get right; `shares` as in `systems_table`."""
     rows = []
     for name, records in systems.items():
@@ -144,7 +144,7 @@ def stages_table(systems: Mapping[str, ArrowTable], shares: Mapping[str, str] = 
     )
 
 
-def problem_warnings(records: ArrowTable) -> tuple[str, ...]:
+def problem_warnings(records: pa.Table) -> tuple[str, ...]:
     """What must be said where half of the expressions or more were not even asked: figures then measure little else."""
     problems = records.column("problem")
     unasked = len(problems) - problems.null_count
@@ -155,7 +155,7 @@ def problem_warnings(records: ArrowTable) -> tuple[str, ...]:
 
 
 def relation_gain(
-    records: ArrowTable, overlap: str = "iou", config: BootstrapConfig | None = None
+    records: pa.Table, overlap: str = "iou", config: BootstrapConfig | None = None
 ) -> tuple[Estimate, McNemar]:
     """Accuracy of OPM+SRM+PRM less that of OPM alone, paired, with a clustered interval, and McNemar's exact test.
 
@@ -168,7 +168,7 @@ def relation_gain(
 
 
 def gain_table(
-    systems: Mapping[str, ArrowTable], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
+    systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
 ) -> Table | None:
     """The gain of every system that has both; None where none has. `shares` as in `systems_table`."""
     rows = []
@@ -238,7 +238,7 @@ BY_CALIBRATION = {
 }  # fmt: skip
 
 
-def calibration_table(systems: Mapping[str, ArrowTable], config: BootstrapConfig | None = None) -> Table | None:
+def calibration_table(systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None) -> Table | None:
     """Accuracy and detector scores by raw and by calibrated scores; None where no system's are calibrated.
 
     Differences are paired, with clustered intervals; McNemar's exact test is of the answers.
@@ -262,7 +262,7 @@ def calibration_table(systems: Mapping[str, ArrowTable], config: BootstrapConfig
     )
 
 
-def _accuracies(records: ArrowTable, config: BootstrapConfig | None) -> list[tuple[str, tuple[Cell, ...]]]:
+def _accuracies(records: pa.Table, config: BootstrapConfig | None) -> list[tuple[str, tuple[Cell, ...]]]:
     clusters, _ = clusters_of(records)
     found: list[tuple[str, tuple[Cell, ...]]] = []
     for title, name in BY_CALIBRATION.items():
@@ -295,7 +295,11 @@ def ece_estimate(
 ) -> Estimate:
     """Expected calibration error of (N,) probabilities; with `other` (N,), that of `p` less that of `other`."""
     second = None if other is None else _bin_gaps(other, hits)
-    return bootstrap(_bin_gaps(p, hits), clusters, _ece, other=second, config=config)[0]
+
+    def ece(sums: np.ndarray) -> np.ndarray:
+        return ratio(np.abs(sums[:, :-1]).sum(axis=1, keepdims=True), sums[:, -1:])
+
+    return bootstrap(_bin_gaps(p, hits), clusters, ece, other=second, config=config)[0]
 
 
 def _bin_gaps(p: np.ndarray, hits: np.ndarray) -> np.ndarray:
@@ -306,11 +310,7 @@ def _bin_gaps(p: np.ndarray, hits: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _ece(sums: np.ndarray) -> np.ndarray:
-    return ratio(np.abs(sums[:, :-1]).sum(axis=1, keepdims=True), sums[:, -1:])
-
-
-def calibration_warnings(source: Pipeline, labels: Labels, records: ArrowTable) -> tuple[str, ...]:
+def calibration_warnings(source: Pipeline, labels: Labels, records: pa.Table) -> tuple[str, ...]:
     """Why the effect of the calibration in these records is not held out, or may not be; nothing where it is."""
     calibration = source.config.score_calibration
     if calibration is None or not is_calibrated(records):

@@ -10,7 +10,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from pipeline.evaluation.compare import Comparison, compare, read_records
 from pipeline.evaluation.confusion import Confusion, answer_confusion, network_confusion
 from pipeline.evaluation.grounding_tables import (
     OPM_ONLY,
@@ -31,7 +30,7 @@ from pipeline.evaluation.grounding_tables import (
 from pipeline.evaluation.loss_plots import draw_diagnosis
 from pipeline.evaluation.paper_tables import tables_of_folder
 from pipeline.evaluation.plots import draw, draw_relations, need_plots
-from pipeline.evaluation.records import ArrowTable, is_calibrated, raw_records, records_schema
+from pipeline.evaluation.records import is_calibrated, raw_records, read_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.relation_records import RelationRecords
@@ -40,17 +39,25 @@ from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, median_
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, other_systems, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
 from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
-from pipeline.evaluation.summary import RunSummary, has_verdicts, oracle_table, summarise_run, verdict_table
+from pipeline.evaluation.summary import (
+    Comparison,
+    RunSummary,
+    compare,
+    has_verdicts,
+    oracle_table,
+    summarise_run,
+    verdict_table,
+)
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
-from pipeline.system.arrow import pq
-from pipeline.system.errors import InputError, MissingExtra
-from pipeline.system.staging import staged_folder, write_json
+from pipeline.system.arrow import pa, pq
+from pipeline.system.errors import MissingExtra, require
 from pipeline.system.version import __version__
+from pipeline.system.whole_files import staged_folder, write_json
 
 
 @dataclass(frozen=True)
@@ -127,14 +134,15 @@ def evaluate_dataset(
     start = perf_counter()
     out = Path(out)
     for name_of, count_of in (("--limit", spec.limit), ("--workers", workers)):
-        if count_of is not None and count_of < 1:
-            raise InputError(f"{name_of} is a count", got=count_of, expected="at least 1")
+        require(count_of is None or count_of >= 1, f"{name_of} is a count", got=count_of, expected="at least 1")
     before = None if against is None else read_records(against)
     left_out: tuple[str, ...] = ()
     if plots and (why := MissingExtra.missing(need_plots)):
         plots, left_out = False, (f"the plots are left out, as with --no-plots: {why}",)
-    if not spec.grounding and (against is not None or others or spec.relations is None):
-        raise InputError("runs are compared by their expressions, and this one answers none")
+    require(
+        spec.grounding or (against is None and not others and spec.relations is not None),
+        "runs are compared by their expressions, and this one answers none",
+    )
     # Answers are judged by labels, and so in their axes.
     spec = replace(spec, options=labelled_up(open_labels(spec.labels).manifest, spec.options))
     source, labels = spec.open()
@@ -154,7 +162,7 @@ def evaluate_dataset(
     measured = measured_of(source, labels.relation_names, spec.system) if spec.grounding else None
     own = () if measured is None else shared_makers(makers, measured)
     of_others = other_systems(others, name, asked, makers)
-    shares = {name: own, **{n: other.shares for n, other in of_others.items()}}
+    shares = {name: own, **{n: shared for n, (_, shared) in of_others.items()}}
     with staged_folder(out, overwrite=overwrite, mark=RUN_FILE) as folder:
         with (
             relation_sink(spec, labels, folder) as sink,
@@ -164,7 +172,7 @@ def evaluate_dataset(
                 writer.write_table(table)
         evaluated = perf_counter() - start
         records = read_records(folder)
-        systems = {name: records, **{n: other.records for n, other in of_others.items()}}
+        systems = {name: records, **{n: answered for n, (answered, _) in of_others.items()}}
         tables = make_tables(systems, bootstrap, shares) if spec.grounding else []
         relations = None if sink is None else measure_relations(spec, source, labels, folder, bootstrap)
         tables += [] if relations is None else relations.tables
@@ -296,7 +304,7 @@ def write_tables(tables: Sequence[Table], folder: Path, name: str) -> None:
 
 
 def make_tables(
-    systems: dict[str, ArrowTable],
+    systems: dict[str, pa.Table],
     bootstrap: BootstrapConfig | None = None,
     shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
 ) -> list[Table]:
@@ -383,7 +391,7 @@ class RunDiagnosis:
 
 
 def diagnose_run(
-    systems: Mapping[str, ArrowTable],
+    systems: Mapping[str, pa.Table],
     labels: Labels | None = None,
     relations: RelationRecords | None = None,
     config: BootstrapConfig | None = None,

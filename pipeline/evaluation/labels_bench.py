@@ -22,14 +22,13 @@ from pipeline.geometry.camera import Camera, backproject
 from pipeline.geometry.fitting import extents_of
 from pipeline.geometry.lifting import depth_edges, lift
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
+from pipeline.labels.plan import LabelConfig, SourceSpec
 from pipeline.labels.profiles import judge_viewer_cone
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.relations.relations import directional_states
 from pipeline.system.errors import MissingExtra, require
-from pipeline.system.threads import one_thread
+from pipeline.system.worker_pool import one_thread
 from pipeline.training.training_data import MIN_PIXELS, degraded
 
 WIDTH, HEIGHT, VIEWS_A_ROOM = 640, 480, 3
@@ -92,7 +91,11 @@ def bench_labels(spec: SourceSpec, *, views: int = 12, repeat: int = 3, workers:
     found = [v for k in range(-(-views // VIEWS_A_ROOM)) for v in bench_views(FIRST_ROOM + k)][:views]
     with one_thread():
         ours = _timed(found, our_lifting, repeat)
-        recipe = _recipe_or_reason(found)
+        try:
+            open3d_recipe(found[0])  # The first call pays for the import.
+            recipe = _timed(found, open3d_recipe, 1)
+        except MissingExtra as error:
+            recipe = {"skipped": str(error)}
         record: dict[str, Any] = {
             "views": len(found),
             "objects": sum(len(v.masks) for v in found),
@@ -210,14 +213,6 @@ def _timed(views: list[BenchView], job: Callable[[BenchView], Extents], repeat: 
         "face_error_p95_cm": round(float(np.nanpercentile(centimetres, 95)), 2),
         "lost": int(np.isnan(centimetres).any(axis=1).sum()),
     }
-
-
-def _recipe_or_reason(views: list[BenchView]) -> dict[str, Any]:
-    try:
-        open3d_recipe(views[0])  # The first call pays for the import.
-        return _timed(views, open3d_recipe, 1)
-    except MissingExtra as error:
-        return {"skipped": str(error)}
 
 
 def pairs_per_second(repeat: int = 3) -> dict[str, int]:

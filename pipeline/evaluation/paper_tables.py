@@ -10,9 +10,8 @@ import numpy as np
 
 from pipeline.datasets.semantic_abstraction_file import SUBSETS, subsets_of
 from pipeline.datasets.settings import read_settings
-from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.grounding_tables import OPM_ONLY, clusters_of, column, has_opm, read_reported
-from pipeline.evaluation.records import ArrowTable
+from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_records import FILE, RelationRecords, read_pair_names, read_relation_records
 from pipeline.evaluation.relation_report import counted_pairs, relation_ranks
 from pipeline.evaluation.run_folder import RECORDS_FILE, open_run
@@ -25,6 +24,7 @@ from pipeline.metrics.intervals import BootstrapConfig, mean_estimate
 from pipeline.metrics.relation_metrics import cell_outcomes, relation_estimates
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T
+from pipeline.system.arrow import pa
 from pipeline.system.errors import require
 
 SA, AVD = "semantic-abstraction", "avd"
@@ -92,7 +92,7 @@ class Evaluated:
 
 def paper_tables(
     evaluated: Evaluated,
-    systems: Mapping[str, ArrowTable],
+    systems: Mapping[str, pa.Table],
     relations: RelationRecords | None = None,
     pairs: Sequence[Names] = (),
     *,
@@ -202,7 +202,7 @@ def _f1_table(
 
 
 def _pipeline_table(
-    evaluated: Evaluated, systems: Mapping[str, ArrowTable], shape: str, config: BootstrapConfig | None
+    evaluated: Evaluated, systems: Mapping[str, pa.Table], shape: str, config: BootstrapConfig | None
 ) -> Table:
     rows, heads = [], ("ACC", "mean IoU")
     columns: tuple[str, ...] = heads
@@ -249,7 +249,7 @@ def _listed(counts: Mapping[str, int]) -> str:
 def tables_of_folder(
     folder: Path,
     labels: Labels,
-    systems: Mapping[str, ArrowTable],
+    systems: Mapping[str, pa.Table],
     shares: Mapping[str, str] = NOTHING_SHARED,
     *,
     held_out: bool = False,

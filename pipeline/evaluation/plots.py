@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.evaluation.confusion import Confusion
 from pipeline.evaluation.grounding_tables import OPM_ONLY, column, has_opm
-from pipeline.evaluation.records import ArrowTable, detector_scores, is_calibrated
+from pipeline.evaluation.records import detector_scores, is_calibrated
 from pipeline.evaluation.relation_report import SystemFigures
 from pipeline.evaluation.summary import RunSummary
 from pipeline.labels.report.style import INK, QUIET, house_style, need_matplotlib, with_caveat
@@ -20,6 +20,7 @@ from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.calibration_metrics import ECE_BINS, ReliabilityDiagram, reliability_diagram
 from pipeline.metrics.intervals import Estimate
 from pipeline.metrics.tables import Table, caveats_html
+from pipeline.system.arrow import pa
 from pipeline.system.errors import MissingExtra
 
 SCORE_TONES = {"raw scores": "#ee7733", "calibrated": "#0077bb"}
@@ -45,7 +46,7 @@ def need_plots() -> None:
         raise MissingExtra("interactive plots", "report") from error
 
 
-def draw(systems: Mapping[str, ArrowTable], tables: Sequence[Table], out: Path, caveat: str = "") -> None:
+def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path, caveat: str = "") -> None:
     """Write `relations.png`, `overlap.png`, `classes.png`, `plots.html`, and `calibration.png` where scores are.
 
     Parameters
@@ -91,14 +92,14 @@ def relation_bars(table: Table) -> Bars:
     }
 
 
-def overlap_sweep(records: ArrowTable) -> Lines:
+def overlap_sweep(records: pa.Table) -> Lines:
     """Share of expressions whose answer overlaps an acceptable target by at least x."""
     names = {"pipeline": "set_iou", "OPM only": "opm_set_iou"} if has_opm(records) else {"whole expression": "set_iou"}
     columns = {label: column(records, name) for label, name in names.items()}
     return SWEEP, {label: (own[None] >= SWEEP[:, None]).mean(axis=1) for label, own in columns.items()}
 
 
-def by_rivals(records: ArrowTable) -> Lines:
+def by_rivals(records: pa.Table) -> Lines:
     """Accuracy by the number of labelled objects of the target's class; 6 stands for 6 and more."""
     number = np.minimum(column(records, "same_class").astype(int), 6)
     x = np.unique(number)
@@ -205,7 +206,7 @@ def _curves(figures: Sequence[SystemFigures]) -> Any:
     )  # fmt: skip
 
 
-def score_diagrams(systems: Mapping[str, ArrowTable]) -> Diagrams:
+def score_diagrams(systems: Mapping[str, pa.Table]) -> Diagrams:
     """Reliability by raw and by calibrated scores, of every system whose scores are calibrated."""
     found: Diagrams = {}
     for name, records in systems.items():

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,14 +17,8 @@ from pipeline.diagnosis.substitution import CONF, LIFT, SRM
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.tree import Query
-from pipeline.system.arrow import pa
-
-if TYPE_CHECKING:
-    from pyarrow import Schema as ArrowSchema
-    from pyarrow import Table as ArrowTable
-else:
-    # Arrow is loaded where it is needed, and these stand in annotations alone.
-    ArrowSchema = ArrowTable = Any
+from pipeline.system.arrow import pa, pq
+from pipeline.system.errors import InputError
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
     "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",
@@ -72,14 +67,14 @@ COLUMNS: dict[str, str] = {
 }  # fmt: skip
 COLUMNS |= {f"raw_{name}": COLUMNS[name] for name in RAW}
 COLUMNS |= {f"{end}_{what}": kind for end in ("target", "reference") for what, kind in DETECTIONS.items()}
-"""The columns of `records.parquet`. Places of objects are those of the labels, ranks count from 1 and are null where
+"""The columns of `records.parquet`. Indices of objects are those of the labels, ranks count from 1 and are null where
 nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer.
 `degenerate` is set where all pairs are one thing, so that the detector's best target answers alone, as in `ask`.
 `raw_…`, `target_scores` and so on are null where scores are not calibrated: see `raw_columns`; the
 columns of the diagnosis for systems that are not the pipeline."""
 
 
-def records_schema() -> ArrowSchema:
+def records_schema() -> pa.Schema:
     """The Arrow schema of `COLUMNS`; a box is four numbers in pixels."""
     kinds = {
         "string": pa.string(), "int32": pa.int32(), "int8": pa.int8(), "bool": pa.bool_(), "float32": pa.float32(),
@@ -302,12 +297,12 @@ def raw_columns(
     return found
 
 
-def is_calibrated(records: ArrowTable) -> bool:
+def is_calibrated(records: pa.Table) -> bool:
     """Whether the records hold the answers by raw scores too; those of earlier releases do not."""
     return "raw_iou" in records.column_names and records.column("raw_iou").null_count < records.num_rows
 
 
-def raw_records(records: ArrowTable) -> ArrowTable:
+def raw_records(records: pa.Table) -> pa.Table:
     """The records with the answers by the detector's own scores in place of those that were given.
 
     Columns of the ranking itself (probabilities, margins) stay those of the calibrated one.
@@ -342,7 +337,7 @@ class DetectorScores:
         return self.scenes if len(np.unique(self.scenes)) > 1 else self.frames
 
 
-def detector_scores(records: ArrowTable) -> DetectorScores:
+def detector_scores(records: pa.Table) -> DetectorScores:
     """The detections that calibrated records tell of."""
     parts: dict[tuple[str, str], tuple[Any, Any, Any, str]] = {}
     for end in ("target", "reference"):
@@ -355,3 +350,22 @@ def detector_scores(records: ArrowTable) -> DetectorScores:
     hits = np.array([x for part in parts.values() for x in part[2]], np.bool_)
     frames = np.repeat(np.array([frame for frame, _ in parts], np.str_), lengths)
     return DetectorScores(raw, calibrated, hits, frames, np.repeat(np.array([p[3] for p in parts.values()]), lengths))
+
+
+def read_records(run: Path) -> pa.Table:
+    """The records of a run folder.
+
+    Raises
+    ------
+    InputError
+        There is no run, or it measured relations alone.
+    """
+    path = Path(run) / "records.parquet"
+    try:
+        return pq.read_table(path)
+    except FileNotFoundError as error:
+        if (Path(run) / "relation_records.parquet").is_file():
+            raise InputError("this run has no expressions", cause="made with --tables relations", path=run) from error
+        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=run) from error
+    except (ValueError, OSError) as error:
+        raise InputError("the records of the run cannot be read", got=str(error).split("\n")[0], path=path) from error

@@ -12,8 +12,7 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import read_table
+from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import FrameKey
 from pipeline.proposals import make_detector
@@ -25,7 +24,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.arrow import pq
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 from pipeline.system.onnx_session import metadata, open_session
 from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, object_rows, rows_of_frame
 
@@ -52,7 +51,7 @@ class FramePairs:
     labels : tuple of str
         Their class names.
     a, b : (P,) int64
-        Places in `numbers`.
+        Indices in `numbers`.
     relations : tuple of str
         Those that were labelled.
     states : (P, R) int8
@@ -155,10 +154,10 @@ def score_lifted(
     detector = labelled_detector(source)
     proposals = detector.detect(context.frame, None)
     index = {int(number): k for k, number in enumerate(proposals.ids)}
-    absent = [int(n) for n in pairs.numbers if int(n) not in index]
-    if absent:
-        raise InputError(
-            f"frame {pairs.key.frame} has no annotation {absent[0]}, which the labels name",
+    for number in pairs.numbers.tolist():
+        require(
+            number in index,
+            f"frame {pairs.key.frame} has no annotation {number}, which the labels name",
             cause="labels of another dataset, or of another detector? --relation-boxes stored takes their own boxes",
             path=source.dataset.root,
         )
@@ -226,8 +225,12 @@ class RelationSpec:
     def __post_init__(self) -> None:
         for name, least in (("frames", 1), ("vlm_pairs", 1), ("seed", 0)):
             value = getattr(self, name)
-            if value is not None and value < least:
-                raise InputError(f"the number of {name.replace('_', ' ')}", got=value, expected=f"at least {least}")
+            require(
+                value is None or value >= least,
+                f"the number of {name.replace('_', ' ')}",
+                got=value,
+                expected=f"at least {least}",
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,11 +263,6 @@ class RelationSystem:
     prior: tuple[float, ...] = ()
     trained_on: TrainedOn | None = None
     recorded: bool = True
-
-    @property
-    def single_label(self) -> bool:
-        """Whether it says which one relation fits best, and all it can say was labelled."""
-        return bool(self.prior) and not self.unlabelled
 
 
 def geometry_of_labels(spec: RelationSpec, labels: Labels) -> Geometry:
@@ -321,8 +319,9 @@ def open_systems(options: Mapping[str, Any], spec: RelationSpec, labels: Labels)
         wanted = wanted or uses
         system = _system(name, which, make_scorer(which, Path(str(vectors)) if uses else None), labels)
         found[system.name] = system
-    if vectors is not None and not wanted:
-        raise InputError("none of the relation scorers uses class names: leave out --vectors", path=vectors)
+    require(
+        vectors is None or wanted, "none of the relation scorers uses class names: leave out --vectors", path=vectors
+    )
     return tuple(found.values())
 
 

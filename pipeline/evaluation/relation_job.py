@@ -13,7 +13,6 @@ import numpy as np
 
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
-from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_cases import RelationSystem, geometry_of_labels, open_systems, read_pairs
 from pipeline.evaluation.relation_records import (
     FILE,
@@ -31,11 +30,11 @@ from pipeline.evaluation.relation_report import (
     relation_tables,
     system_figures,
 )
-from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.shared_makers import Share, relation_share
+from pipeline.evaluation.run import EvalSpec, VlmOptions
+from pipeline.evaluation.shared_makers import Share, scorer_share
 from pipeline.evaluation.vlm.client import ChatClient
 from pipeline.evaluation.vlm.questions import RelationConfig, score_pairs
-from pipeline.evaluation.whole_expression import VlmOptions
+from pipeline.geometry.frame import Annotation
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
@@ -78,7 +77,7 @@ class RelationRun:
 
 
 @contextmanager
-def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[Callable[[ArrowTable], None] | None]:
+def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[Callable[[pa.Table], None] | None]:
     """Where relation records go while frames are evaluated; None where relations are not measured."""
     if spec.relations is None:
         yield None
@@ -114,7 +113,7 @@ def measure_relations(
     )
     warnings = leak_warnings(records, systems, labels, held_out)
     makers = makers_of(labels.manifest)
-    shares = {s.title: share for s in systems if (share := relation_share(makers, s)) is not None}
+    shares = {s.title: share for s in systems if (share := scorer_share(makers, s.name, s.scorer)) is not None}
     figures = all_systems(records, held_out=held_out, config=bootstrap)
     clusters, unit = records.clusters(counted)
     geometry = geometry_of_labels(how, labels)
@@ -123,20 +122,20 @@ def measure_relations(
     if spec.vlm is not None:
         rows = sample_pairs(records, counted, how.vlm_pairs, how.seed)
         first = records.systems[0]
-        found = ask_relations(spec.vlm, source.dataset, labels, records, rows, first.relations, folder / VLM_FILE)
+        model, reasons, requests = ask_relations(
+            spec.vlm, source.dataset, labels, records, rows, first.relations, folder / VLM_FILE
+        )
         same = replace(first, title=f"{first.title}, on the VLM's pairs", p=first.p[rows], part=first.part[rows])
         if first.title in shares:
             shares[same.title] = shares[first.title]
-        for system in (same, found.system):
+        for system in (same, model):
             truth = records.truth(system.relations)[rows]
             figures.append(system_figures(system, truth, clusters[rows], np.ones(len(rows), np.bool_), bootstrap))
-        unknown = sum(found.unknown.values())
         notes.append(
-            f"The VLM was asked about {len(rows)} pairs drawn at random (seed {how.seed}), {unknown} of "
-            f"{found.system.p.size} answers are not known and count as no."
+            f"The VLM was asked about {len(rows)} pairs drawn at random (seed {how.seed}), {sum(reasons.values())} of "
+            f"{model.p.size} answers are not known and count as no."
         )
-        asked = {"pairs": len(rows), "answers": int(found.system.p.size), "unknown": found.unknown,
-                 "requests": found.requests}  # fmt: skip
+        asked = {"pairs": len(rows), "answers": int(model.p.size), "unknown": reasons, "requests": requests}
     notes += [f"Warning: {warning}." for warning in warnings]
     tables = relation_tables(figures, always_no(records, held_out=held_out), unit, notes, shares)
     record = {
@@ -170,40 +169,11 @@ def _system_record(system: RelationSystem) -> dict[str, Any]:
         contract = system.scorer.contract
         found |= {"features": contract.features, "output": contract.output, "seed": contract.seed,
                   "data": contract.data}  # fmt: skip
-    if system.trained_on is not None:
-        found["trained_on"] = asdict(system.trained_on)
-    return found
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A labelled object as a question names it."""
-
-    label: str
-    bbox: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class VlmRecords:
-    """What the model said.
-
-    Attributes
-    ----------
-    system : SystemRecords
-        Of the M pairs that were asked; 0.5, a no, where the answer is not known.
-    unknown : dict of str to int
-        Why answers are not known, and how often.
-    requests : int
-        Sent to the server; the others stood in the cache.
-    """
-
-    system: SystemRecords
-    unknown: dict[str, int]
-    requests: int
+    return found | ({} if system.trained_on is None else {"trained_on": asdict(system.trained_on)})
 
 
 def sample_pairs(records: RelationRecords, counted: np.ndarray, number: int, seed: int) -> np.ndarray:
-    """(M,) int64: places of at most so many of the counted pairs, without replacement, rising."""
+    """(M,) int64: indices of at most so many of the counted pairs, without replacement, rising."""
     indices = np.flatnonzero(counted)
     if number >= len(indices):
         return indices
@@ -218,8 +188,17 @@ def ask_relations(
     rows: np.ndarray,
     relations: tuple[str, ...],
     path: Path,
-) -> VlmRecords:
+) -> tuple[SystemRecords, dict[str, int], int]:
     """Ask of each of these pairs whether each relation holds, and write every answer to `path`.
+
+    Returns
+    -------
+    system : SystemRecords
+        Of the M pairs that were asked; 0.5, a no, where the answer is not known.
+    unknown : dict of str to int
+        Why answers are not known, and how often.
+    requests : int
+        Sent to the server; the others stood in the cache.
 
     Raises
     ------
@@ -232,14 +211,15 @@ def ask_relations(
     config = RelationConfig(workers=options.workers, keep_going=True)
     p = np.empty((len(rows), len(relations)), np.float32)
     reasons: Counter[str] = Counter()
-    tables: list[ArrowTable] = []
+    tables: list[pa.Table] = []
     for index in np.unique(records.frame_index[rows]):
         (pairs,) = read_pairs(labels, int(index), int(index) + 1)
         # The rows of a frame stand in one piece and in the order of its pairs.
         first = int(np.searchsorted(records.frame_index, index))
         mine = np.flatnonzero(records.frame_index[rows] == index)
         chosen = rows[mine] - first
-        objects = [Shown(n, box) for n, box in zip(pairs.labels, pairs.geometry["bbox"], strict=True)]
+        named = zip(pairs.numbers.tolist(), pairs.labels, pairs.geometry["bbox"], strict=True)
+        objects = [Annotation(number, name, box) for number, name, box in named]
         asked = np.stack([pairs.a[chosen], pairs.b[chosen]], axis=1)
         frame = dataset.load(pairs.key.frame)
         found = score_pairs(client, frame, objects, asked, relations, config=config)
@@ -269,4 +249,4 @@ def ask_relations(
     pq.write_table(pa.concat_tables(tables), path, compression="zstd")
     title = f"VLM {options.model}, yes/no question, {len(rows)} pairs"
     system = SystemRecords("vlm", title, relations, p, np.full(len(rows), DROPPED, np.int8))
-    return VlmRecords(system, dict(reasons), client.usage.requests)
+    return system, dict(reasons), client.usage.requests

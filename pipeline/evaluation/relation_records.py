@@ -12,7 +12,6 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
-from pipeline.evaluation.records import ArrowSchema, ArrowTable
 from pipeline.evaluation.relation_cases import (
     FramePairs,
     RelationSpec,
@@ -71,7 +70,7 @@ class RelationRecords:
     scenes : tuple of str
         Names, in the order of the frames.
     scene : (P,) int32
-        Places in `scenes`.
+        Indices in `scenes`.
     systems : tuple of SystemRecords
     """
 
@@ -118,7 +117,7 @@ class RelationPass:
         """The labelled pairs of the chosen frames in this range, by index."""
         return {f.key.index: f for f in read_pairs(self.labels, first, stop, self._chosen)}
 
-    def table(self, source: Pipeline, pairs: FramePairs, context: PreparedFrame | None) -> ArrowTable:
+    def table(self, source: Pipeline, pairs: FramePairs, context: PreparedFrame | None) -> pa.Table:
         """The rows of one frame; `context` is needed where `needs_frames`."""
         if self.needs_frames:
             assert context is not None
@@ -128,7 +127,7 @@ class RelationPass:
         return _rows(self._schema, self.systems, pairs, found, self.labels)
 
 
-def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> ArrowSchema:
+def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Schema:
     """`state` holds a state for each relation; `p` for each scorer a probability for each of its relations, and
     `learnt_from` the part of its training ("train", "validation") that the frame belongs to, else null."""
     relations = [r for r in PAIRWISE if r in labels.relation_names]
@@ -152,19 +151,20 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> ArrowS
 
 
 def _prior_of(system: RelationSystem) -> list[float]:
-    if not system.single_label or not isinstance(system.scorer, OnnxScorer):
+    """Of a network that says which one relation fits best, where all it can say was labelled; else empty."""
+    if not system.prior or system.unlabelled or not isinstance(system.scorer, OnnxScorer):
         return []
     shares = dict(zip(system.scorer.contract.vocabulary, system.prior, strict=True))
     return [shares[r] for r in system.relations]
 
 
 def _rows(
-    schema: ArrowSchema,
+    schema: pa.Schema,
     systems: Sequence[RelationSystem],
     pairs: FramePairs,
     found: Sequence[np.ndarray],
     labels: Labels,
-) -> ArrowTable:
+) -> pa.Table:
     count = len(pairs.a)
 
     def struct(values: list[Any], names: Sequence[str]) -> Any:

@@ -121,7 +121,7 @@ def _top(
 
 
 def relation_ranks(p: np.ndarray, prior: Sequence[float] | np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """(P,) int64: place, from 0, of the one relation that holds of each pair; -1 where not exactly one does.
+    """(P,) int64: rank, from 0, of the one relation that holds of each pair; -1 where not exactly one does.
 
     `p` is (P, R) float of a softmax network of that prior, `truth` (P, R) int8.
     """

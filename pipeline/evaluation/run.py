@@ -14,25 +14,27 @@ from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.base import load_picture
 from pipeline.diagnosis.decision import diagnose
-from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
+from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence, matched
 from pipeline.evaluation.records import (
     COLUMNS,
-    ArrowTable,
+    asked_columns,
     by_raw_scores,
     diagnosis_columns,
+    overlaps,
     raw_columns,
     record,
     records_schema,
 )
 from pipeline.evaluation.relation_cases import RelationSpec, frames_in, spread
 from pipeline.evaluation.relation_records import RelationPass
-from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
+from pipeline.evaluation.vlm.client import ChatClient
+from pipeline.evaluation.vlm.questions import GroundingConfig, ground_many
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import HIT, FrameCases, read_cases, read_query
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.tables import read_table
+from pipeline.geometry.frame import Frame
+from pipeline.labels.cases import HIT, Case, FrameCases, read_cases, read_query
+from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.language.tree import Query
-from pipeline.proposals.base import reads_annotations
+from pipeline.proposals.base import Detector, detect_expression, reads_annotations
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from pipeline.system.worker_pool import results_of
@@ -103,7 +105,7 @@ class Evaluator:
         self.spec = spec
         self.source, self.labels = spec.open()
         self.class_names = class_names_of(self.labels)
-        self.whole: WholeExpression | None = None
+        self.whole: Referring | Vlm | None = None
         if spec.grounding and spec.system == "referring":
             self.whole = Referring(self.source.needed_detector())
         if spec.grounding and spec.system == "vlm":
@@ -116,7 +118,7 @@ class Evaluator:
             chosen = frames_in(self.labels, "relations", spec.relations.frames)
             self.relations = RelationPass(spec.relations, spec.options, self.labels, chosen.tolist())
         self._chosen = chosen_ids(self.labels, spec.limit)
-        self._parsed: dict[str, tuple[Query | None, str | None]] = {}
+        self.parsed: dict[str, tuple[Query | None, str | None]] = {}
 
     def frame(self, truth: FrameCases, context: PreparedFrame | None = None) -> list[dict[str, Any]]:
         """The records of a frame's expressions; the frame is loaded where it is not given.
@@ -152,32 +154,28 @@ class Evaluator:
         answers = FrameAnswers(self.source, context, tuple(names), relations, self.clock)
         with self.clock.stage("parse"):
             for case in truth.cases:
-                if case.text not in self._parsed:
-                    self._parsed[case.text] = read_query(case, self.class_names)
+                if case.text not in self.parsed:
+                    self.parsed[case.text] = read_query(case, self.class_names)
         with self.clock.stage("records"):
             overlap = iou_2d(answers.boxes, truth.boxes)
-            rows = [record(case, truth, answers, self._parsed[case.text], overlap) for case in truth.cases]
+            rows = [record(case, truth, answers, self.parsed[case.text], overlap) for case in truth.cases]
             raw = by_raw_scores(answers)
             if raw is not None:
                 for case, row in zip(truth.cases, rows, strict=True):
-                    row |= raw_columns(case, truth, answers, raw, self._parsed[case.text], overlap)
+                    row |= raw_columns(case, truth, answers, raw, self.parsed[case.text], overlap)
         if not self.spec.verdicts:
             return rows
         with self.clock.stage("verdicts"):
             confidence = DEFAULT_CONFIDENCE if self.spec.confidence is None else self.spec.confidence
             evidence = FrameEvidence(truth, answers, confidence)
             for case, row in zip(truth.cases, rows, strict=True):
-                mark, query = self.spec.marks.get((row["frame"], case.id)), self._parsed[case.text][0]
+                mark, query = self.spec.marks.get((row["frame"], case.id)), self.parsed[case.text][0]
                 row |= diagnosis_columns(
                     diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"])
                 )
         return rows
 
-    def forget_sentences(self) -> None:
-        """Parse every sentence anew when it comes next."""
-        self._parsed.clear()
-
-    def block(self, first: int, stop: int) -> tuple[ArrowTable, ArrowTable | None]:
+    def block(self, first: int, stop: int) -> tuple[pa.Table, pa.Table | None]:
         """The records of the frames from index `first` up to `stop`: of expressions, and of pairs where asked for."""
         with self.clock.stage("read"):
             cases = {t.frame_index: t for t in read_cases(self.labels, first, stop)} if self.spec.grounding else {}
@@ -212,7 +210,7 @@ def chosen_ids(labels: Labels, limit: int | None) -> set[tuple[int, str]] | None
     return set(zip(chosen.column("frame_index").to_pylist(), chosen.column("id").to_pylist(), strict=True))
 
 
-def table_of(rows: Sequence[dict[str, Any]]) -> ArrowTable:
+def table_of(rows: Sequence[dict[str, Any]]) -> pa.Table:
     """Records as an Arrow table."""
     return pa.table({name: [row[name] for row in rows] for name in COLUMNS}, records_schema())
 
@@ -228,9 +226,9 @@ def evaluate_labels(
     *,
     workers: int = 1,
     progress: Progress | None = None,
-    relations: Callable[[ArrowTable], None] | None = None,
+    relations: Callable[[pa.Table], None] | None = None,
     frames_a_block: int = FRAMES_A_BLOCK,
-) -> Iterator[ArrowTable]:
+) -> Iterator[pa.Table]:
     """The records of all expressions, block by block, in the labels' order.
 
     The rows do not depend on the number of workers, nor on how many frames make a block.
@@ -279,7 +277,7 @@ def _opened(spec: EvalSpec) -> tuple[Evaluator]:
     return (Evaluator(spec),)
 
 
-def _block(block: tuple[int, int], evaluator: Evaluator) -> tuple[ArrowTable, ArrowTable | None]:
+def _block(block: tuple[int, int], evaluator: Evaluator) -> tuple[pa.Table, pa.Table | None]:
     return evaluator.block(*block)
 
 
@@ -321,3 +319,110 @@ def median_confidence(source: Pipeline, labels: Labels, looked_at: int = LOOKED_
                 continue
     scores = np.concatenate(found)
     return (float(np.median(scores)) if len(scores) else None), len(scores)
+
+
+@dataclass(frozen=True)
+class Pointed:
+    """Where a system says that an expression's target is.
+
+    Attributes
+    ----------
+    box : (4,) float or None
+        x0, y0, x1, y1, pixels.
+    score : float or None
+    problem : str or None
+        Why there is no box.
+    """
+
+    box: np.ndarray | None
+    score: float | None = None
+    problem: str | None = None
+
+
+@dataclass(frozen=True)
+class Referring:
+    """The detector fed the whole expression, as a sentence or as a class name: its best box is the answer."""
+
+    detector: Detector
+
+    def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
+        """One answer for each expression, in order."""
+        found = []
+        for text in texts:
+            try:
+                proposals = detect_expression(self.detector, frame, text)
+            except InputError as error:
+                found.append(Pointed(None, problem=str(error)))
+                continue
+            if not len(proposals):
+                found.append(Pointed(None, problem="nothing detected"))
+                continue
+            best = int(np.argmax(proposals.scores))
+            found.append(Pointed(proposals.boxes[best].astype(np.float64), float(proposals.scores[best])))
+        return found
+
+
+@dataclass(frozen=True)
+class VlmOptions:
+    """A vision-language model behind an OpenAI-compatible server.
+
+    Attributes
+    ----------
+    url, model : str
+    requests_per_minute : float or None
+    timeout_s : float
+    workers : int
+        Questions in flight at once.
+    box_scale : str or float
+        See `pipeline.evaluation.vlm.answers.parse_box`.
+    """
+
+    url: str
+    model: str
+    requests_per_minute: float | None = None
+    timeout_s: float = 120.0
+    workers: int = 4
+    box_scale: Any = "auto"
+
+
+class Vlm:
+    """A vision-language model, asked LLaVA's question for the box of a sentence.
+
+    Parameters
+    ----------
+    options : VlmOptions
+
+    Attributes
+    ----------
+    client : ChatClient
+        Its `usage` counts requests and tokens.
+    """
+
+    def __init__(self, options: VlmOptions) -> None:
+        self.client = ChatClient(
+            options.url,
+            options.model,
+            timeout_s=options.timeout_s,
+            requests_per_minute=options.requests_per_minute,
+        )
+        self._config = GroundingConfig(box_scale=options.box_scale, workers=options.workers, keep_going=True)
+
+    def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
+        """One answer for each expression, in order."""
+        found = ground_many(self.client, frame, texts, config=self._config)
+        return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]
+
+
+def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, Any]:
+    """The row of one expression: only what a system that gives one box can be measured by."""
+    box = pointed.box
+    overlap = iou_2d(np.zeros((0, 4)) if box is None else box[None], truth.boxes)
+    iou, strict, lenient = overlaps(None if box is None else 0, case, overlap)
+    row = asked_columns(case, truth) | {
+        "parse_ok": True, "problem": pointed.problem, "iou": iou, "strict_iou": strict, "set_iou": lenient,
+        "correct": iou >= HIT, "strict_correct": strict >= HIT, "set_correct": lenient >= HIT,
+    }  # fmt: skip
+    if box is not None:
+        index = int(matched(overlap, truth.alike[[case.target_object]])[0])
+        row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if index < 0 else index}
+    return row

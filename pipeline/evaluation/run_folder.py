@@ -20,16 +20,15 @@ from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.records import ArrowTable
+from pipeline.evaluation.records import read_records
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run
 from pipeline.labels.makers import Makers
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.labels.schema import TABLES
-from pipeline.labels.tables import read_table
 from pipeline.proposals.registry import with_model
-from pipeline.system.errors import InputError
+from pipeline.system.arrow import pa
+from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import parse_hub_id
 
 if TYPE_CHECKING:
@@ -82,7 +81,7 @@ class Run:
         return {name: counts[name] for name in VERDICTS if counts[name]}
 
     @cached_property
-    def records(self) -> ArrowTable:
+    def records(self) -> pa.Table:
         """One row an expression.
 
         Raises
@@ -215,10 +214,12 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
     """
     folder = Path(folder)
     path, manifest = folder / RUN_FILE, read_manifest(folder)
-    if not isinstance(manifest.get("spec"), dict):
-        raise InputError(
-            "the run does not say what it was made of", cause="made by an earlier release? run `eval` again", path=path
-        )
+    require(
+        isinstance(manifest.get("spec"), dict),
+        "the run does not say what it was made of",
+        cause="made by an earlier release? run `eval` again",
+        path=path,
+    )
     try:
         spec = _read_spec(manifest["spec"], folder)
     except (KeyError, TypeError, ValueError, ValidationError) as error:
@@ -249,23 +250,10 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
     )
 
 
-@dataclass(frozen=True)
-class OtherSystem:
-    """The system of another run.
-
-    Attributes
-    ----------
-    records : pyarrow.Table
-    shares : tuple of Share
-        What it has in common with what made the labels.
-    """
-
-    records: ArrowTable
-    shares: tuple[Share, ...]
-
-
-def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Makers) -> dict[str, OtherSystem]:
-    """The systems of other runs by their names.
+def other_systems(
+    runs: Sequence[Path], name: str, content_hash: str, makers: Makers
+) -> dict[str, tuple[pa.Table, tuple[Share, ...]]]:
+    """The systems of other runs by their names: records, and what they have in common with what made the labels.
 
     A name that is taken is told apart by its run's folder, and by a number where that is not enough.
 
@@ -284,22 +272,24 @@ def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Ma
     InputError
         There is no run, or it is of other labels.
     """
-    found: dict[str, OtherSystem] = {}
+    found: dict[str, tuple[pa.Table, tuple[Share, ...]]] = {}
     taken = {name}
     for run in map(Path, runs):
         manifest = read_manifest(run)
         asked = manifest.get("labels", {}).get("content_hash")
-        if asked != content_hash:
-            raise InputError(
-                "a run on other labels cannot be a row beside this one", got=f"expressions {asked}",
-                expected=f"expressions {content_hash}", path=run,
-            )  # fmt: skip
+        require(
+            asked == content_hash,
+            "a run on other labels cannot be a row beside this one",
+            got=f"expressions {asked}",
+            expected=f"expressions {content_hash}",
+            path=run,
+        )
         own = str(manifest["name"])
         choices = [own, f"{own} ({run.resolve().name})"]
         choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]
         own = next(n for n in choices if n not in taken)
         taken.add(own)
-        found[own] = OtherSystem(read_records(run), shared_makers(makers, measured_of_run(manifest)))
+        found[own] = read_records(run), shared_makers(makers, measured_of_run(manifest))
     return found
 
 

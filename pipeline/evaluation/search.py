@@ -17,20 +17,18 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
-from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.records import DIAGNOSIS_COLUMNS, ArrowSchema, ArrowTable
+from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
-from pipeline.system.arrow import pc
+from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError, require
 
 if TYPE_CHECKING:
@@ -105,7 +103,7 @@ _KINDS: tuple[tuple[str, Kind], ...] = (
 """Types of Arrow, as it writes them, and what can be asked of them."""
 
 
-def fields_of(schema: ArrowSchema) -> dict[str, Field]:
+def fields_of(schema: pa.Schema) -> dict[str, Field]:
     """What a run's records can be searched by, short names first."""
     types = {field.name: str(field.type) for field in schema}
     kinds: dict[str, Kind] = {
@@ -118,7 +116,7 @@ def fields_of(schema: ArrowSchema) -> dict[str, Field]:
     return short | {name: Field(name, name, kind) for name, kind in kinds.items()}
 
 
-def compile_search(query: str, schema: ArrowSchema) -> Search:
+def compile_search(query: str, schema: pa.Schema) -> Search:
     """Read a search against the columns of a run.
 
     Raises
@@ -136,9 +134,7 @@ def compile_search(query: str, schema: ArrowSchema) -> Search:
                 "an order is written sort:FIELD or sort:-FIELD",
                 got=repr(term.field + term.operator),
             )
-            for value in term.values:
-                name = value.text.removeprefix("-")
-                order.append((_field(name, fields).column, value.text.startswith("-")))
+            order += [(_field(v.text.removeprefix("-"), fields).column, v.text.startswith("-")) for v in term.values]
             continue
         field, term = _meant(term, fields)
         condition, values = _condition(field, term, str(schema.field(field.column).type) == "float")
@@ -154,59 +150,33 @@ def compile_search(query: str, schema: ArrowSchema) -> Search:
     return Search(where, tuple(parameters), tuple(order), tuple(dict.fromkeys(columns)), about_right)
 
 
-def find(source: str | Path | ArrowTable, query: str) -> ArrowTable:
-    """The rows of a run that a search asks for, in the order of the run or as it asks.
-
-    Parameters
-    ----------
-    source : str, Path or pyarrow.Table
-        Run folder, its `records.parquet`, or the records themselves.
-    query : str
-        Empty for all rows.
+def find_rows(records: pa.Table, query: str) -> np.ndarray:
+    """(N,) int64: indices of the rows of a run that a search asks for, in the order of the run or as it asks.
 
     Raises
     ------
     InputError
-        There is no run, or the search cannot be read.
+        The search cannot be read.
     """
-    records = records_of(source)
-    return _take(records, find_rows(records, query))
-
-
-def find_rows(records: ArrowTable, query: str) -> np.ndarray:
-    """(N,) int64: places of the rows that `find` gives; for a page that holds the records and shows a few of them."""
     return _rows(records, compile_search(query, records.schema))
 
 
-def find_failures(source: str | Path | ArrowTable, query: str = "") -> ArrowTable:
-    """Like `find`, but without what is CORRECT, unless the search asks for a verdict or for what is right (`lucky`).
+def find_failures(records: pa.Table, query: str = "") -> pa.Table:
+    """The rows found without what is CORRECT, unless the search asks for a verdict or for what is right (`lucky`).
 
     Raises
     ------
     InputError
-        As in `find`; or the run has no verdicts.
+        As in `find_rows`; or the run has no verdicts.
     """
-    records = records_of(source)
     need_verdicts(records)
     search = compile_search(query, records.schema)
     if not search.about_right:
         search = compile_search(f"-verdict:{','.join(RIGHT)} {query}", records.schema)
-    return _take(records, _rows(records, search))
+    return records.take(_rows(records, search))
 
 
-def _take(records: ArrowTable, rows: np.ndarray) -> ArrowTable:
-    return records if len(rows) == records.num_rows and (np.diff(rows) > 0).all() else records.take(rows)
-
-
-def records_of(source: str | Path | ArrowTable) -> ArrowTable:
-    """The records of a run folder, of its file, or as they are given."""
-    if not isinstance(source, (str, Path)):
-        return source
-    path = Path(source)
-    return read_records(path.parent if path.name == "records.parquet" else path)
-
-
-def _rows(records: ArrowTable, search: Search) -> np.ndarray:
+def _rows(records: pa.Table, search: Search) -> np.ndarray:
     if not search.columns:
         return np.arange(records.num_rows)
     index = "row of the run"
@@ -230,7 +200,7 @@ def _database() -> duckdb.DuckDBPyConnection:
     return duckdb.connect(":memory:", config={"threads": 1})
 
 
-def _defined(name: str, schema: ArrowSchema) -> str:
+def _defined(name: str, schema: pa.Schema) -> str:
     """A column in which what is not a number counts as missing."""
     column = quoted(name)
     floating = str(schema.field(name).type) in ("halffloat", "float", "double")
@@ -353,9 +323,13 @@ def _flag(field: Field, _operator: str, value: Value, _single: bool) -> Conditio
 def _names(field: Field, term: Term) -> Condition:
     column = quoted(field.column)
     named = [v for v in term.values if not _none(v)]
-    unknown = [v.text for v in named if v.text.upper() not in ORACLES]
-    if unknown:
-        raise InputError(f"no such {field.name}", got=repr(unknown[0]), expected=f"one of {', '.join(ORACLES)}")
+    for v in named:
+        require(
+            v.text.upper() in ORACLES,
+            f"no such {field.name}",
+            got=repr(v.text),
+            expected=f"one of {', '.join(ORACLES)}",
+        )
     chosen = sorted({v.text.upper() for v in named})
     parts = [f"len(coalesce({column}, [])) = 0"] if len(named) < len(term.values) else []
     if term.operator == ":":
@@ -365,9 +339,8 @@ def _names(field: Field, term: Term) -> Condition:
     return _any(parts), list(chosen)
 
 
-def completions(source: str | Path | ArrowTable, most: int = 200) -> tuple[Field, ...]:
+def completions(records: pa.Table, most: int = 200) -> tuple[Field, ...]:
     """All fields of a run with the values that occur, for a field that completes what is typed."""
-    records = records_of(source)
     found = fields_of(records.schema).values()
     return tuple(replace(f, values=_occurring(f, records.column(f.column), most)) for f in found)
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
-OPERATORS = (":", "<=", ">=", "!=", "<", ">", "=")
 _HEAD = re.compile(r"(-)?(?:([A-Za-z_]\w*)(:|\s*(?:<=|>=|!=|<|>|=)\s*))?")
 _QUOTED = re.compile(r'"((?:[^"\\]|\\.)*)"', re.DOTALL)
 _BARE = re.compile(r'[^\s,"]+')
 _WORD = re.compile(r"\S+")
-_SPACE = re.compile(r"\s*")
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class Term:
     field : str or None
         None for a free word.
     operator : str
-        One of OPERATORS; ":" for a free word.
+        One of : = != < <= > >=; ":" for a free word.
     values : tuple of Value
         Any of them may hold.
     negated : bool
@@ -60,7 +58,7 @@ def read_terms(text: str) -> tuple[Term, ...]:
         A quote is not closed, or a value is missing.
     """
     terms = []
-    at = _space(text, 0)
+    at = len(text) - len(text.lstrip())
     while at < len(text):
         head = _HEAD.match(text, at)
         assert head is not None
@@ -71,16 +69,12 @@ def read_terms(text: str) -> tuple[Term, ...]:
         while field is not None and text.startswith(",", at):
             value, at = _value(text, at + 1, _BARE, text[start : at + 1])
             values.append(value)
-        if at < len(text) and not text[at].isspace():
-            raise InputError("a space is missing in the search", got=repr(text[start : at + 1]))
+        require(
+            at >= len(text) or text[at].isspace(), "a space is missing in the search", got=repr(text[start : at + 1])
+        )
         terms.append(Term(field, operator, tuple(values), negated))
-        at = _space(text, at)
+        at = len(text) - len(text[at:].lstrip())
     return tuple(terms)
-
-
-def _space(text: str, at: int) -> int:
-    found = _SPACE.match(text, at)
-    return at if found is None else found.end()
 
 
 def _value(text: str, at: int, bare: re.Pattern[str], before: str) -> tuple[Value, int]:

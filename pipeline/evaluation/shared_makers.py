@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.answering.opening import Pipeline
-from pipeline.evaluation.relation_cases import RelationSystem
 from pipeline.labels.makers import (
     ANNOTATIONS,
     OF_ANNOTATIONS,
@@ -210,7 +209,7 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
     if common:
         names = " & ".join(map(str, common))
         alone = len(common) == len(measured.detectors) == len(truth.detectors)
-        if alone and _all_decided(makers):
+        if alone and makers.decided is not None and 0 < makers.decided.objects[1] == makers.decided.objects[0]:
             text = (
                 f"{names} proposed the truth's objects and is measured by it; people decided each, so that wrong names "
                 "count, and what it missed only where somebody added it"
@@ -259,11 +258,6 @@ def _relations(makers: Makers, measured: Measured) -> list[Share]:
     return found
 
 
-def relation_share(makers: Makers, system: RelationSystem) -> Share | None:
-    """As `scorer_share`, of a row of relations alone."""
-    return scorer_share(makers, system.name, system.scorer)
-
-
 def scorer_share(makers: Makers, name: str, scorer: RelationScorer) -> Share | None:
     """What a scorer shares with the labels of pairs whose objects are the labels' own; None where only the cloud.
 
@@ -274,7 +268,8 @@ def scorer_share(makers: Makers, name: str, scorer: RelationScorer) -> Share | N
         other = "" if makers.rule_hash == profile_of(PROFILE).hash else ", as it was in an earlier release"
         text = f"the scorer is the rule that made the labels{other}, on the same cloud: near 100 by construction"
         return Share("relations", "same rule", AGREEMENT, f"{text}{_but(makers, 'relations')}")
-    if _had_vote(makers, measured_scorer(name, scorer)):
+    network = file_hash(scorer.path) if isinstance(scorer, OnnxScorer) else None
+    if _had_vote(makers, Measured(None, name, network)):
         text = (
             "the scorer was the labels' second opinion, on the same cloud: cells where it and the rule differ became U "
             "and do not count, near 100 by construction; label with --second-opinion none to measure it"
@@ -324,11 +319,6 @@ def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
     return replace(table, title=title, caveats=(*table.caveats, *caveats))
 
 
-def measured_scorer(name: str, scorer: RelationScorer) -> Measured:
-    """A relation scorer by itself."""
-    return Measured(None, name, file_hash(scorer.path) if isinstance(scorer, OnnxScorer) else None)
-
-
 def _had_vote(makers: Makers, measured: Measured) -> bool:
     """Whether the network was the labels' second opinion: by its file, by its name where a file is not known."""
     if measured.scorer == RULE or makers.second_opinion in (None, NONE):
@@ -336,10 +326,6 @@ def _had_vote(makers: Makers, measured: Measured) -> bool:
     if measured.network is not None:
         return measured.network == makers.second_opinion
     return measured.scorer == makers.second_opinion_name
-
-
-def _all_decided(makers: Makers) -> bool:
-    return makers.decided is not None and 0 < makers.decided.objects[1] == makers.decided.objects[0]
 
 
 def _but(makers: Makers, what: str) -> str:

@@ -10,13 +10,13 @@ import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of
-from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, ratio
 from pipeline.metrics.tables import Cell, Row, Table
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 
 UNKNOWN = "unknown"
@@ -76,7 +76,7 @@ class Slice:
     ----------
     system, name : str
     query : str or None
-        The search that finds just its expressions (`search.find`); None for the others taken together.
+        The search that finds just its expressions (`search.find_rows`); None for the others taken together.
     n : int
     set_correct, correct : Estimate
         Accuracy: set-valued, and of the labelled target alone.
@@ -157,7 +157,7 @@ def dimension_named(name: str) -> Dimension:
 
 
 def slice_by(
-    systems: Mapping[str, ArrowTable],
+    systems: Mapping[str, pa.Table],
     dimension: str | Dimension,
     config: BootstrapConfig | None = None,
     most: int | None = None,
@@ -194,7 +194,7 @@ def slice_by(
 
 def _sliced(
     system: str,
-    records: ArrowTable,
+    records: pa.Table,
     clusters: np.ndarray,
     cut: Dimension,
     config: BootstrapConfig | None,
@@ -218,7 +218,7 @@ def _sliced(
 
 
 def _sums(
-    system: str, records: ArrowTable, clusters: np.ndarray, cut: Dimension, judged: bool
+    system: str, records: pa.Table, clusters: np.ndarray, cut: Dimension, judged: bool
 ) -> tuple[list[Any], list[str], list[str | None], np.ndarray]:
     """Values, their names and searches, and (C, V, 1 + measures + verdicts) float64 sums by cluster."""
     import duckdb

@@ -1,10 +1,11 @@
-"""A run in figures: how often each verdict, how much of the accuracy each module costs, and what is left over."""
+"""A run in figures: how often each verdict, what each module costs, what is left over; and two runs compared."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import factorial
 from typing import Any
 
@@ -13,11 +14,10 @@ import numpy as np
 from pipeline.diagnosis.substitution import ORACLES, SUBSETS, names_of
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.evaluation.records import ArrowTable
-from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate, ratio
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, bootstrap, mcnemar, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
-from pipeline.system.arrow import pc
-from pipeline.system.errors import InputError
+from pipeline.system.arrow import pa, pc
+from pipeline.system.errors import require
 
 EXACT = 1e-9
 """Sums that must agree agree to this."""
@@ -106,23 +106,24 @@ class RunSummary:
         }
 
 
-def has_verdicts(records: ArrowTable) -> bool:
+def has_verdicts(records: pa.Table) -> bool:
     """Whether a run's expressions were diagnosed: runs of other systems, and older ones, were not."""
     names = records.column_names
     return "verdict" in names and "right_with" in names and records.column("verdict").null_count < records.num_rows
 
 
-def need_verdicts(records: ArrowTable) -> None:
+def need_verdicts(records: pa.Table) -> None:
     """Raise InputError where a run has none."""
-    if not has_verdicts(records):
-        cause = "only the pipeline's own runs have, without --no-verdicts"
-        cause = cause if records.num_rows else "it has no expressions"
-        if not {"verdict", "right_with"} <= set(records.column_names):
-            cause = "it was made by an older release; run `eval` again"
-        raise InputError("this run has no verdicts", cause=cause)
+    cause = "only the pipeline's own runs have, without --no-verdicts" if records.num_rows else "it has no expressions"
+    old = not {"verdict", "right_with"} <= set(records.column_names)
+    require(
+        has_verdicts(records),
+        "this run has no verdicts",
+        cause="it was made by an older release; run `eval` again" if old else cause,
+    )
 
 
-def summarise_run(records: ArrowTable, config: BootstrapConfig | None = None) -> RunSummary:
+def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> RunSummary:
     """Verdicts with clustered intervals, and where the accuracy goes.
 
     Parameters
@@ -142,9 +143,8 @@ def summarise_run(records: ArrowTable, config: BootstrapConfig | None = None) ->
     clusters, unit = clusters_of(records)
     verdict = np.array(records.column("verdict").to_pylist(), object)
     detail = np.array(records.column("detail").to_pylist(), object)
-    unknown = sorted(set(verdict.tolist()) - set(VERDICTS))
-    if unknown:
-        raise InputError("the run has a verdict that is not known", got=unknown[0], expected=", ".join(VERDICTS))
+    for name in sorted(set(verdict.tolist())):
+        require(name in VERDICTS, "the run has a verdict that is not known", got=name, expected=", ".join(VERDICTS))
     lucky = column(records, "lucky") > 0
     pairs = [
         (str(v), str(d)) for v, d in dict.fromkeys(zip(verdict.tolist(), detail.tolist(), strict=True)) if d is not None
@@ -278,11 +278,6 @@ class Deltas:
     single: dict[str, Estimate]
     shapley: dict[str, Estimate]
 
-    @property
-    def residual(self) -> float:
-        """1 - v(all): what no oracle mends (bad labels, pairs excluded as one thing, ties)."""
-        return float(1 - self.value[-1])
-
     def record(self) -> dict[str, Any]:
         """As JSON."""
         return {
@@ -292,7 +287,8 @@ class Deltas:
             "shapley": {m: e.record() for m, e in self.shapley.items()},
             "shapley_sum": float(sum(e.value for e in self.shapley.values())),
             "loss_explained": float(self.value[-1] - self.value[0]),
-            "residual": self.residual,
+            # What no oracle mends: bad labels, pairs excluded as one thing, ties.
+            "residual": float(1 - self.value[-1]),
         }
 
 
@@ -300,14 +296,10 @@ def shapley_weights() -> np.ndarray:
     """(4, 16) float64: phi = weights @ v."""
     n = len(ORACLES)
     weights = np.zeros((n, SUBSETS))
-    for m in range(n):
-        for subset in range(SUBSETS):
-            if subset >> m & 1:
-                continue
-            size = subset.bit_count()
-            share = factorial(size) * factorial(n - 1 - size) / factorial(n)
-            weights[m, subset | 1 << m] += share
-            weights[m, subset] -= share
+    for m, subset in product(range(n), range(SUBSETS)):
+        others = (subset & ~(1 << m)).bit_count()
+        share = factorial(others) * factorial(n - 1 - others) / factorial(n)
+        weights[m, subset] = share if subset >> m & 1 else -share
     return weights
 
 
@@ -329,3 +321,117 @@ def oracle_deltas(right_with: np.ndarray, clusters: np.ndarray, config: Bootstra
     weights = dict(zip(ORACLES, shapley_weights(), strict=True))
     shapley = {name: mean_estimate(right @ own, clusters, config=config) for name, own in weights.items()}
     return Deltas(len(right), right.mean(axis=0) if len(right) else np.full(SUBSETS, np.nan), single, shapley)
+
+
+MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What changed from one run to another.
+
+    Attributes
+    ----------
+    shared : int
+        Expressions that both answered.
+    only_before, only_after : int
+        Expressions that only one of them has.
+    differences : dict of str to Estimate
+        By measure: after less before, with its clustered interval.
+    tests : dict of str to McNemar
+        `b` counts what only the run after got right, `c` what only the run before did.
+    fixed, broken, other_reason : tuple of dict
+        Expressions (id, frame, text) that became right, became wrong, and are
+        right both times with another target, reference, or one that is only now (or no longer) acceptable.
+    measure : str
+        The measure by which they are sorted into these.
+    verdicts : dict of str to dict of str to int, or None
+        How many expressions went from which verdict to which: [before][after], all of them, those that stayed too;
+        None where a run has no verdicts.
+    """
+
+    shared: int
+    only_before: int
+    only_after: int
+    differences: dict[str, Estimate]
+    tests: dict[str, McNemar]
+    fixed: tuple[dict[str, Any], ...]
+    broken: tuple[dict[str, Any], ...]
+    other_reason: tuple[dict[str, Any], ...]
+    measure: str
+    verdicts: dict[str, dict[str, int]] | None = None
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "measure": self.measure,
+            "shared": self.shared,
+            "only_before": self.only_before,
+            "only_after": self.only_after,
+            "differences": {k: v.record() for k, v in self.differences.items()},
+            "mcnemar": {k: {"b": t.b, "c": t.c, "p_value": t.p_value} for k, t in self.tests.items()},
+            "fixed": list(self.fixed),
+            "broken": list(self.broken),
+            "other_reason": list(self.other_reason),
+            "verdicts": self.verdicts,
+        }
+
+
+def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> Comparison:
+    """Compare two runs by the expressions that both have.
+
+    Parameters
+    ----------
+    before, after : pyarrow.Table
+        Records.
+    measure : str
+        One of MEASURES.
+
+    Raises
+    ------
+    InputError
+        They have no expression in common.
+    """
+    keys = [list(zip(t.column("frame").to_pylist(), t.column("id").to_pylist(), strict=True)) for t in (before, after)]
+    index = {key: k for k, key in enumerate(keys[0])}
+    shared = [(index[key], k) for k, key in enumerate(keys[1]) if key in index]
+    require(shared, "the two runs have no expression in common", cause="were they made with other labels?")
+    first, second = (rows.take([pair[k] for pair in shared]) for k, rows in enumerate((before, after)))
+    clusters, _ = clusters_of(second)
+    columns = {name: (column(first, name), column(second, name)) for name in MEASURES}
+    differences = {name: mean_estimate(b, clusters, other=a) for name, (a, b) in columns.items()}
+    tests = {name: mcnemar(b > 0, a > 0) for name, (a, b) in columns.items()}
+    was, now = column(first, measure) > 0, column(second, measure) > 0
+    same_target, same_reference = (
+        # An object that is no labelled one has no index: two of them count as the same.
+        np.nan_to_num(column(first, name), nan=-1) == np.nan_to_num(column(second, name), nan=-1)
+        for name in ("matched_target", "matched_reference")
+    )
+    pair = (column(first, "pair_correct") > 0) == (column(second, "pair_correct") > 0)
+    other = was & now & ~(same_target & same_reference & pair)
+    return Comparison(
+        len(shared),
+        before.num_rows - len(shared),
+        after.num_rows - len(shared),
+        differences,
+        tests,
+        _named(second, ~was & now),
+        _named(second, was & ~now),
+        _named(second, other),
+        measure,
+        verdict_transitions(first, second),
+    )
+
+
+def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str, int]] | None:
+    """How many of the same expressions, row by row, went from which verdict to which; None without verdicts."""
+    if not (has_verdicts(before) and has_verdicts(after)):
+        return None
+    pairs = zip(before.column("verdict").to_pylist(), after.column("verdict").to_pylist(), strict=True)
+    counts = Counter((a, b) for a, b in pairs if a is not None and b is not None)
+    found = {a: {b: counts[a, b] for b in VERDICTS if counts[a, b]} for a in VERDICTS}
+    return {a: line for a, line in found.items() if line}
+
+
+def _named(records: pa.Table, chosen: np.ndarray) -> tuple[dict[str, Any], ...]:
+    return tuple(records.select(["id", "frame", "text", "relation"]).take(np.flatnonzero(chosen)).to_pylist())

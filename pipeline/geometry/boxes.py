@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 CORNER_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
 """Corner k of a box has the signs of row k: bit 2 of k is x, bit 1 is y, bit 0 is z."""
@@ -44,12 +44,10 @@ class Box3D:
         require(
             np.isfinite(center.sum() + R.sum() + size.sum()),
             "a 3D box must be finite",
-            got=f"center {center}, size {size}",
+            got=lambda: f"center {center}, size {size}",
         )
-        if size.min() < 0:
-            raise InputError("a 3D box must have sizes of at least 0", got=size.tolist())
-        if not _is_rotation(R):
-            raise InputError("R of a 3D box is not a rotation", got=f"det {np.linalg.det(R):.3f}")
+        require(size.min() >= 0, "a 3D box must have sizes of at least 0", got=size.tolist())
+        require(_is_rotation(R), "R of a 3D box is not a rotation", got=lambda: f"det {np.linalg.det(R):.3f}")
         object.__setattr__(self, "center", center)
         object.__setattr__(self, "R", R)
         object.__setattr__(self, "size", size)

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 UpSource = Literal["given", "declared", "imu", "scene", "plane", "assumed"]
 """How an up vector is known: given by the user, declared by the dataset, measured by an
@@ -50,20 +50,19 @@ class Camera:
     def __post_init__(self) -> None:
         K = np.asarray(self.K, dtype=np.float64)
         require(K.shape == (3, 3), "intrinsics must be a 3x3 matrix", got=f"shape {K.shape}")
-        if not np.isfinite(K).all():
-            raise InputError("intrinsics are not finite", got=np.round(K, 3).tolist())
-        if K[0, 0] <= 0 or K[1, 1] <= 0:
-            raise InputError(
-                "focal lengths must be positive",
-                got=f"fx={K[0, 0]:g}, fy={K[1, 1]:g}",
-                cause="is the matrix stored column by column?",
-            )
-        if K[2, 2] != 1 or K[2, 0] != 0 or K[2, 1] != 0:
-            raise InputError(
-                "the last row of the intrinsics must be 0 0 1",
-                got=K[2].tolist(),
-                cause="is the matrix stored column by column?",
-            )
+        require(np.isfinite(K).all(), "intrinsics are not finite", got=lambda: np.round(K, 3).tolist())
+        require(
+            K[0, 0] > 0 and K[1, 1] > 0,
+            "focal lengths must be positive",
+            got=f"fx={K[0, 0]:g}, fy={K[1, 1]:g}",
+            cause="is the matrix stored column by column?",
+        )
+        require(
+            K[2, 2] == 1 and K[2, 0] == 0 and K[2, 1] == 0,
+            "the last row of the intrinsics must be 0 0 1",
+            got=K[2].tolist(),
+            cause="is the matrix stored column by column?",
+        )
         object.__setattr__(self, "K", K)
         if self.T_world_camera is not None:
             T = np.asarray(self.T_world_camera, dtype=np.float64)
@@ -73,12 +72,12 @@ class Camera:
                 got=f"shape {T.shape}",
             )
             R = T[:3, :3]
-            if np.abs(R @ R.T - np.eye(3)).max() > 1e-2 or np.linalg.det(R) < 0:
-                raise InputError(
-                    "the rotation of a camera pose is not a rotation",
-                    got=f"det {np.linalg.det(R):.3f}",
-                    cause="is the matrix transposed, scaled, or left-handed?",
-                )
+            require(
+                np.abs(R @ R.T - np.eye(3)).max() <= 1e-2 and np.linalg.det(R) >= 0,
+                "the rotation of a camera pose is not a rotation",
+                got=lambda: f"det {np.linalg.det(R):.3f}",
+                cause="is the matrix transposed, scaled, or left-handed?",
+            )
             object.__setattr__(self, "T_world_camera", T)
         if self.up is not None:
             up = np.asarray(self.up, dtype=np.float64)

@@ -101,18 +101,18 @@ class Frame:
             f"frame {self.id}: colour must be uint8 (H, W, 3)",
             got=f"{rgb.dtype} {rgb.shape}",
         )
-        if depth.dtype != np.float32 or depth.shape != rgb.shape[:2]:
-            raise InputError(
-                f"frame {self.id}: depth must be float32 metres of shape {rgb.shape[:2]}",
-                got=f"{depth.dtype} {depth.shape}",
-                cause="is this the raw depth and not the one registered to the colour image?",
-            )
-        if (camera.height, camera.width) != depth.shape:
-            raise InputError(
-                f"frame {self.id}: the camera is for another image size",
-                got=f"{camera.width}x{camera.height}",
-                expected=f"{depth.shape[1]}x{depth.shape[0]}",
-            )
+        require(
+            depth.dtype == np.float32 and depth.shape == rgb.shape[:2],
+            f"frame {self.id}: depth must be float32 metres of shape {rgb.shape[:2]}",
+            got=f"{depth.dtype} {depth.shape}",
+            cause="is this the raw depth and not the one registered to the colour image?",
+        )
+        require(
+            (camera.height, camera.width) == depth.shape,
+            f"frame {self.id}: the camera is for another image size",
+            got=f"{camera.width}x{camera.height}",
+            expected=f"{depth.shape[1]}x{depth.shape[0]}",
+        )
         lowest, highest = float(depth.min()), float(depth.max())
         require(
             (np.isfinite(lowest) and np.isfinite(highest)) and lowest >= 0,

@@ -142,22 +142,16 @@ class Quality:
     @property
     def concerns(self) -> tuple[str, ...]:
         """Reasons to doubt the box, in words; empty where there are none."""
-        found = []
-        if self.points == 0:
-            found.append("no point has a valid depth")
-        elif self.points < 100:
-            found.append(f"only {self.points} points")
-        if self.depth_missing > 0.5:
-            found.append(f"{self.depth_missing:.0%} of the mask has no depth")
-        if self.fallback and self.points:
-            found.append("too small to clean, raw mask used")
-        if self.touches_border:
-            found.append("cut by the image border")
-        if self.mask_source == "box":
-            found.append("no mask: the whole 2D box was lifted")
-        elif self.mask_source == "box3d":
-            found.append("no mask: the points inside the annotated 3D box were lifted")
-        return tuple(found)
+        concerns = (
+            (self.points == 0, "no point has a valid depth"),
+            (0 < self.points < 100, f"only {self.points} points"),
+            (self.depth_missing > 0.5, f"{self.depth_missing:.0%} of the mask has no depth"),
+            (self.fallback and self.points, "too small to clean, raw mask used"),
+            (self.touches_border, "cut by the image border"),
+            (self.mask_source == "box", "no mask: the whole 2D box was lifted"),
+            (self.mask_source == "box3d", "no mask: the points inside the annotated 3D box were lifted"),
+        )
+        return tuple(text for holds, text in concerns if holds)
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def resolve_up(depth: np.ndarray, camera: Camera, scene_up: np.ndarray | None = 
     depth : (H, W) float32
         Metres.
     scene_up : (3,) float64, optional
-        The up of the frame's scene in the world; see `pipeline.datasets.scene_up`. It needs a pose.
+        The up of the frame's scene in the world; see `pipeline.datasets.up`. It needs a pose.
 
     Returns
     -------

@@ -14,9 +14,8 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from pipeline.labels.makers import makers_of
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, arrow_schema
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
-from pipeline.labels.tables import arrow_schema
 from pipeline.system.arrow import pa, pc, pq
 
 UNKNOWN_LICENCE = "unknown: ask the dataset's owner"

@@ -17,7 +17,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Query
 from pipeline.relations.relations import U
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 @dataclass(frozen=True)
@@ -105,11 +105,11 @@ class FrameCases:
         InputError
             Another dataset has a frame of the same name, or the dataset has changed.
         """
-        if self.rgb_hash is not None and frame.content_hash != self.rgb_hash:
-            raise InputError(
-                f"frame {self.frame}: another picture than the one that was labelled",
-                cause="has the dataset changed, or are these the labels of another one?",
-            )
+        require(
+            self.rgb_hash is None or frame.content_hash == self.rgb_hash,
+            f"frame {self.frame}: another picture than the one that was labelled",
+            cause="has the dataset changed, or are these the labels of another one?",
+        )
 
     def acceptable_pairs(self, case: Case) -> np.ndarray:
         """(N, N) bool: pairs of the asked classes of which the relation holds or may hold."""
@@ -120,8 +120,10 @@ class FrameCases:
 def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
     """The frames from index `first` up to `stop` that have expressions, in order."""
     names = [r for r in PAIRWISE if r in labels.relation_names]
-    columns = {**_COLUMNS, "relations": ["frame_index", "a", "b", *names]}
-    rows = {table: _part(labels.root, table, chosen, first, stop) for table, chosen in columns.items()}
+    rows = {
+        table: _part(labels.root, table, chosen, first, stop)
+        for table, chosen in {**_COLUMNS, "relations": ["frame_index", "a", "b", *names]}.items()
+    }
     frames = {row["frame_index"]: row for row in rows["frames"].to_pylist()}
     expressions = _by_frame(rows["expressions"])
     objects, relations = _by_frame(rows["objects"]), _by_frame(rows["relations"])
@@ -211,8 +213,9 @@ _COLUMNS = {
 
 
 def _part(root: Path, name: str, columns: list[str], first: int, stop: int) -> pa.Table:
-    chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
-    return pq.read_table(root / f"{name}.parquet", columns=columns, filters=chosen)
+    return pq.read_table(
+        root / f"{name}.parquet", columns=columns, filters=[("frame_index", ">=", first), ("frame_index", "<", stop)]
+    )
 
 
 def _by_frame(table: pa.Table) -> dict[int, dict[str, list[Any]]]:

@@ -21,18 +21,16 @@ from pipeline.answering.objects import prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import given_expressions
 from pipeline.datasets.base import scene_of
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
-from pipeline.labels.plan import Plan, Shard, SourceSpec
+from pipeline.labels.plan import LabelConfig, Plan, Shard, SourceSpec
 from pipeline.labels.profiles import GIVEN, open_second_opinion
+from pipeline.labels.reading import CANDIDATES, PART_TABLES, arrow_schema, build_table
 from pipeline.labels.store import Store
-from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_table
 from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, MissingExtra
-from pipeline.system.threads import one_thread
-from pipeline.system.worker_pool import results_of
+from pipeline.system.errors import InputError, extra_module
+from pipeline.system.worker_pool import one_thread, results_of
 
 
 @dataclass(frozen=True)
@@ -167,8 +165,9 @@ def label_shard(
     )
     seconds = perf_counter() - start
     broken = sum(not ok for ok in tables["frames"].column("ok").to_pylist())
-    record = {"shard": shard.index, "key": shard.key, "broken": broken, "seconds": round(seconds, 3)}
-    store.write_part(shard.name, tables, record)
+    store.write_part(
+        shard.name, tables, {"shard": shard.index, "key": shard.key, "broken": broken, "seconds": round(seconds, 3)}
+    )
     return ShardReport(
         shard.name,
         len(shard.frames),
@@ -239,10 +238,7 @@ def label_row(row: dict[str, Any]) -> dict[str, Any]:
 
 def needed_ray() -> None:
     """Raise MissingExtra where Ray is not installed."""
-    try:
-        import_module("ray.data")
-    except ImportError as error:
-        raise MissingExtra("the engine ray", "cluster") from error
+    extra_module("ray.data", "the engine ray", "cluster")
 
 
 def run_ray(

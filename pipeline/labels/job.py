@@ -8,15 +8,14 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Literal
 
-from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.engines import ShardReport, needed_ray, run_local, run_ray
 from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import SourceSpec, input_changed, make_plan, part_of, save_plan
+from pipeline.labels.plan import LabelConfig, SelectConfig, SourceSpec, input_changed, make_plan, part_of, save_plan
 from pipeline.labels.profiles import NONE, TRAINED, open_second_opinion
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.store import Store
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 Engine = Literal["local", "ray"]
 Progress = Callable[[int, int], None]
@@ -104,10 +103,12 @@ def label_dataset(
         out = Path(out).expanduser().absolute()
     store = Store(out)
     require(workers >= 1, "at least one worker is needed", got=workers)
-    if not resume and part is None and not store.is_empty():
-        raise InputError(
-            "the folder for the labels is not empty", cause="--resume goes on where a run was stopped", path=out
-        )
+    require(
+        resume or part is not None or store.is_empty(),
+        "the folder for the labels is not empty",
+        cause="--resume goes on where a run was stopped",
+        path=out,
+    )
     require(
         not store.holds_something_else(),
         "the folder holds something else than labels",

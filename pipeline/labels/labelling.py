@@ -17,9 +17,9 @@ from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import Evidence, LiftedObject, Pixel
 from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.labels.config import LabelConfig
+from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import GIVEN, Judged, as_given, doubted
-from pipeline.labels.tables import PART_TABLES, Columns
+from pipeline.labels.reading import PART_TABLES, Columns
 from pipeline.labels.wording import can_be_worded
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
@@ -118,9 +118,11 @@ def judge_list(
     lifted = [o.lifted for o in objects]
     judged = judge_objects(lifted, context.viewer, config)
     judged = in_doubt(judged, np.array([item.quality.fallback for item in lifted], np.bool_))
-    if network is None:
-        return judged
-    return doubted(judged, network, lifted, context.viewer, appearance_of(objects, context.frame))
+    return (
+        judged
+        if network is None
+        else doubted(judged, network, lifted, context.viewer, appearance_of(objects, context.frame))
+    )
 
 
 def in_doubt(judged: Judged, unsure: np.ndarray) -> Judged:
@@ -196,7 +198,7 @@ def _object_row(
     exact = annotation.box if annotation is not None else None
     centre = centroid(lifted, viewer) if len(lifted.points) else None
     pca = pca_box(lifted.points)[0] if len(lifted.points) else None
-    reason = _unusable(entry, config)
+    reason = unusable(config, entry.label, quality.mask_pixels, quality.points, quality.fallback)
     return {
         "frame": frame.id,
         "frame_index": frame_index,
@@ -235,19 +237,16 @@ def _object_row(
     }
 
 
-def _unusable(entry: SceneObject, config: LabelConfig) -> str | None:
-    """Why an object is not asked for; None where it may be."""
-    quality = entry.lifted.quality
-    if config.is_background(entry.label):
+def unusable(config: LabelConfig, label: str, mask_pixels: int, points: int, fallback: bool) -> str | None:
+    """Why an object may not be asked for, of what its row says; None where it may."""
+    if config.is_background(label):
         return "background"
-    if quality.mask_pixels < config.min_pixels:
+    if mask_pixels < config.min_pixels:
         return f"fewer than {config.min_pixels} pixels"
-    if quality.points < config.min_points:
+    if points < config.min_points:
         return f"fewer than {config.min_points} points"
-    if quality.fallback:
-        # Its raw mask was lifted, with pixels of what is behind it.
-        return "too small to clean"
-    return None
+    # The raw mask was lifted then, with pixels of what is behind it.
+    return "too small to clean" if fallback else None
 
 
 def _relation_columns(frame: str, frame_index: int, ids: Sequence[int], judged: Judged, config: LabelConfig) -> Columns:

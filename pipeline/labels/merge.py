@@ -15,19 +15,17 @@ import numpy as np
 
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.labels.card import croissant, dataset_card
-from pipeline.labels.config import SelectConfig, TextStyle
 from pipeline.labels.labelling import row_hash
 from pipeline.labels.makers import makers_of
-from pipeline.labels.plan import PLAN_FILE, Plan, Shard, load_plan
-from pipeline.labels.reading import MANIFEST_FILE, Labels
+from pipeline.labels.plan import PLAN_FILE, Plan, SelectConfig, Shard, TextStyle, load_plan
+from pipeline.labels.reading import CANDIDATES, MANIFEST_FILE, ROW_GROUP, Labels, RowHash, arrow_schema
 from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile, write_schemas
 from pipeline.labels.store import Store
-from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.plugins import versions_of
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, write_synced
@@ -61,23 +59,21 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     store = Store(where)
     plan = load_plan(store)
     missing = [shard for shard in plan.shards if not store.has_part(shard.name)]
-    if missing:
-        raise InputError(
-            f"{len(missing)} of {len(plan.shards)} shards are missing",
-            got=", ".join(str(s.index) for s in missing[:8]) + (" ..." if len(missing) > 8 else ""),
-            cause=f"finish them with: spatialviz label {plan.spec.path} --out {store.where} --resume "
-            "and the options it was begun with",
-            path=store.where,
-        )
+    require(
+        not missing,
+        f"{len(missing)} of {len(plan.shards)} shards are missing",
+        got=", ".join(str(s.index) for s in missing[:8]) + (" ..." if len(missing) > 8 else ""),
+        cause=f"finish them with: spatialviz label {plan.spec.path} --out {store.where} --resume "
+        "and the options it was begun with",
+        path=store.where,
+    )
     if out is None:
         require(
             not store.remote, "labels at a URL are merged into a local folder", expected="--to FOLDER", path=store.where
         )
         out = store.folder
-    try:
+    with as_input_error("merged tables go into a folder", FileExistsError, NotADirectoryError, got="a file", path=out):
         out.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError) as error:
-        raise InputError("merged tables go into a folder", got="a file", path=out) from error
     require(
         not (any(out.iterdir()) and not (out / PLAN_FILE).is_file() and not (out / MANIFEST_FILE).is_file()),
         "the folder holds something else",
@@ -154,8 +150,7 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
 def write_manifest(labels: Labels) -> None:
     """Write what tells of merged tables: their card, the Croissant metadata, and last the manifest."""
     write_synced(labels.root / CARD_FILE, dataset_card(labels).encode())
-    described = json.dumps(croissant(labels), indent=1, ensure_ascii=False)
-    write_synced(labels.root / CROISSANT_FILE, described.encode())
+    write_synced(labels.root / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())
     write_synced(labels.root / MANIFEST_FILE, labels.manifest.model_dump_json(indent=1).encode())
 
 
@@ -266,8 +261,11 @@ def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
 
 def environment() -> dict[str, str]:
     """What the run ran on, for the record: nothing of it changes the rows' hashes."""
-    packages = versions_of("numpy", "opencv-python-headless", "pyarrow", "pycocotools", "scipy")
-    return {"python": platform.python_version(), "platform": platform.platform(), **packages}
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        **versions_of("numpy", "opencv-python-headless", "pyarrow", "pycocotools", "scipy"),
+    }
 
 
 SCARCE = 20

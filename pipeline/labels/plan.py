@@ -7,18 +7,21 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
+from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
 from pipeline.geometry.lifting import LiftConfig
-from pipeline.labels.config import LabelConfig
-from pipeline.labels.profiles import canonical_hash, fingerprint
+from pipeline.labels.profiles import RuleProfile, canonical_hash, fingerprint, profile_of
 from pipeline.labels.store import PLAN_FILE, Store
+from pipeline.language.naming import normal_form
+from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
 from pipeline.proposals.registry import with_model
-from pipeline.system.errors import InputError, require
+from pipeline.relations.relations import PROFILE
+from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.version import __version__
 
@@ -167,17 +170,14 @@ def make_plan(
     InputError
         The dataset cannot be opened, has no frames, or nothing finds objects in it.
     """
-    if limit is not None and limit < 1:
-        raise InputError("the limit must be at least one frame", got=limit)
-    if frames_a_shard is not None and frames_a_shard < 1:
-        raise InputError("a shard needs at least one frame", got=frames_a_shard)
+    require(limit is None or limit >= 1, "the limit must be at least one frame", got=limit)
+    require(frames_a_shard is None or frames_a_shard >= 1, "a shard needs at least one frame", got=frames_a_shard)
     source = spec.open(config)
     detector = source.needed_detector()
     frames = (frames_of_splits(source.dataset, frames_of) if frames_of else source.dataset.frame_ids)[:limit]
     require(frames, "the dataset has no frames", path=source.dataset.root)
     odd = next((f for f in frames if any("\ud800" <= c <= "\udfff" for c in f)), None)
-    if odd is not None:
-        raise InputError("the name of a frame is not UTF-8", got=ascii(odd), path=ascii(str(source.dataset.root)))
+    require(odd is None, "the name of a frame is not UTF-8", got=ascii(odd), path=ascii(str(source.dataset.root)))
     if frames_a_shard is None:
         even = -(-len(frames) // SHARDS_WANTED)
         frames_a_shard = min(max(even, FEWEST_FRAMES_A_SHARD), MOST_FRAMES_A_SHARD)
@@ -206,24 +206,24 @@ def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
         The dataset has no such split.
     """
     there = splits(dataset)
-    absent = [name for name in names if name not in there]
-    if absent:
-        raise InputError(
-            "the dataset has no such split", got=absent[0], expected=" | ".join(there) or "no splits at all",
-            path=dataset.root,
-        )  # fmt: skip
+    absent = next((name for name in names if name not in there), None)
+    require(
+        absent is None, "the dataset has no such split", got=absent, expected=" | ".join(there) or "no splits at all",
+        path=dataset.root,
+    )  # fmt: skip
     return tuple(dict.fromkeys(frame for name in names for frame in there[name]))
 
 
 def input_changed(plan: Plan, out: str | Path) -> bool:
     """Whether the dataset's files are other ones now than when the plan was made; no model is loaded."""
-    camera = {n: plan.spec.options.get(n) for n in _CAMERA}
-    return _input_hash(SourceSpec(plan.spec.path, camera).open(plan.config), out) != plan.input_hash
+    return (
+        _input_hash(SourceSpec(plan.spec.path, {n: plan.spec.options.get(n) for n in _CAMERA}).open(plan.config), out)
+        != plan.input_hash
+    )
 
 
 def _input_hash(source: Pipeline, out: str | Path | None) -> str:
-    local = None if out is None or "://" in str(out) else Path(out).expanduser()
-    return files_hash(source.dataset.root, local)
+    return files_hash(source.dataset.root, None if out is None or "://" in str(out) else Path(out).expanduser())
 
 
 def _declared(options: dict[str, Any]) -> dict[str, str]:
@@ -270,13 +270,13 @@ def save_plan(plan: Plan, store: Store) -> None:
     # Read back also then: another task may have written its own first.
     there = load_plan(store)
     differing = [f.name for f in fields(Plan) if f.name != "spec" and getattr(there, f.name) != getattr(plan, f.name)]
-    if differing:
-        raise InputError(
-            "this folder holds labels made otherwise",
-            got=", ".join(_difference(there, plan, name) for name in differing[:3]),
-            cause="use another folder, or remove this one",
-            path=store.where,
-        )
+    require(
+        not differing,
+        "this folder holds labels made otherwise",
+        got=", ".join(_difference(there, plan, name) for name in differing[:3]),
+        cause="use another folder, or remove this one",
+        path=store.where,
+    )
 
 
 def _difference(a: Plan, b: Plan, name: str) -> str:
@@ -298,9 +298,8 @@ def load_plan(store: Store) -> Plan:
     InputError
         There is none, or it is damaged.
     """
-    text = store.read_text(PLAN_FILE)
-    if text is None:
-        raise InputError("no labels here", expected=f"a folder with the {PLAN_FILE} of `label`", path=store.where)
+    expected = f"a folder with the {PLAN_FILE} of `label`"
+    text = needed(store.read_text(PLAN_FILE), "no labels here", expected=expected, path=store.where)
     try:
         record = json.loads(text)
         config = dict(record["config"])
@@ -331,3 +330,114 @@ def part_of(shards: Sequence[Shard], k: int, n: int) -> tuple[Shard, ...]:
     """
     require(1 <= k <= n, "no such part", got=f"{k}/{n}", expected=f"1/{n} to {n}/{n}")
     return tuple(shards[k - 1 :: n])
+
+
+TextStyle = Literal["varied", "plain", "semantic-abstraction"]
+BACKGROUND = (
+    "background", "wall", "floor", "ceiling", "ground", "room", "carpet", "unknown", "unlabeled", "otherprop",
+    "otherstructure", "otherfurniture",
+)  # fmt: skip
+"""Classes that surround the others: nobody stands left of the floor."""
+
+
+@dataclass(frozen=True)
+class LabelConfig:
+    """How a frame is labelled. Everything here changes the labels, and so their hash.
+
+    Attributes
+    ----------
+    profile : str
+        Rule profile, see `pipeline.labels.profiles`.
+    vocabulary : str
+        "avd", "semantic-abstraction" or "all".
+    lift : LiftConfig
+    min_pixels, min_points : int
+        An object with fewer is not asked for.
+    background : tuple of str
+        Classes that take no part in relations.
+    style : str
+        How expressions are worded.
+    seed : int
+        Of the row hashes, which choose wordings and, in the merge, expressions.
+    second_opinion : str
+        "trained", "none", or the path of a network: see `labels.profiles`.
+        Published geometry is taken as published, without one.
+    """
+
+    profile: str = PROFILE
+    vocabulary: str = "avd"
+    lift: LiftConfig = field(default_factory=LiftConfig)
+    min_pixels: int = 200
+    min_points: int = 16
+    background: tuple[str, ...] = BACKGROUND
+    style: TextStyle = "varied"
+    seed: int = 0
+    second_opinion: str = "trained"
+
+    def __post_init__(self) -> None:
+        if self.profile != PROFILE:
+            object.__setattr__(self, "second_opinion", "none")
+        require(
+            self.vocabulary in VOCABULARIES,
+            "no such vocabulary",
+            got=repr(self.vocabulary),
+            expected=" | ".join(VOCABULARIES),
+        )
+        require(self.relations, f"profile {self.profile} judges no relation of the vocabulary {self.vocabulary}")
+        require(self.seed >= 0, "a seed must be at least 0", got=self.seed)
+
+    @property
+    def rules(self) -> RuleProfile:
+        return profile_of(self.profile)
+
+    @property
+    def relations(self) -> tuple[str, ...]:
+        """The vocabulary's relations that the profile judges, in the order of PAIRWISE."""
+        wanted = VOCABULARIES[self.vocabulary]
+        return tuple(r for r in PAIRWISE if r in wanted and r in self.rules.relations)
+
+    def is_background(self, label: str) -> bool:
+        return normal_form(label) in {normal_form(b) for b in self.background}
+
+    def record(self) -> dict[str, Any]:
+        """As JSON, the hash of the profile's thresholds included."""
+        return {**asdict(self), "background": list(self.background), "profile_hash": self.rules.hash}
+
+    @property
+    def hash(self) -> str:
+        """sha256 of `record`."""
+        return canonical_hash(self.record())
+
+
+@dataclass(frozen=True)
+class SelectConfig:
+    """Which of all candidate expressions are kept.
+
+    Attributes
+    ----------
+    total : int or None
+        At most so many; None for as many as the other rules allow.
+    per_frame : int or None
+        At most so many of one frame.
+    balance : float or None
+        No relation has more than so many times the expressions of the rarest
+        one; None keeps the relations as they come.
+    telling : bool
+        Leave out what is true of every object of the target's class, where there
+        are several: such a sentence tells nothing apart.
+    seed : int
+    """
+
+    total: int | None = None
+    per_frame: int | None = 40
+    balance: float | None = 3.0
+    seed: int = 0
+    telling: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("total", "per_frame"):
+            value = getattr(self, name)
+            require(value is None or value >= 1, f"{name} must be at least 1", got=value)
+        require(
+            self.balance is None or 1 <= self.balance < inf, "balance must be a number of at least 1", got=self.balance
+        )

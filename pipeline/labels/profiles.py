@@ -26,9 +26,9 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import DIRECTIONAL, HORIZONTAL, PAIRWISE, RELATIONS, version_numbers
 from pipeline.relations import make_scorer, shipped_network
-from pipeline.relations.contact import Measured
 from pipeline.relations.features import Appearance
 from pipeline.relations.model import OnnxScorer
+from pipeline.relations.pair_measures import Measured
 from pipeline.relations.predicates import pair_margins, pair_states
 from pipeline.relations.relations import (
     PROFILE,
@@ -127,8 +127,9 @@ class RuleProfile:
 
 def canonical_hash(content: Any) -> str:
     """sha256 of JSON with sorted keys, without white space, numbers as Python writes them."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+    ).hexdigest()
 
 
 def judge_viewer_cone(

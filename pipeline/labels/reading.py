@@ -1,23 +1,218 @@
-"""Opening merged labels, each table checked when it is read, and the dataset that they were made from."""
+"""Labels as Arrow tables, and the folder that holds them.
+
+Tables: the schema from the models, building, writing whole or not at all, and hashing rows. Merged labels: opening
+them, each table checked when it is read, and the dataset that they were made from.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Mapping
+import os
+import types
+import typing
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from pipeline.datasets import Dataset, open_dataset
 from pipeline.datasets.demo import DEMO_NAME, demo_path
-from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
-from pipeline.labels.tables import read_table
+from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES, Manifest
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError, require
+from pipeline.system.arrow import pa, pc, pq
+from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
+from pipeline.system.whole_files import temporary_beside
+
+VERSION_KEY = b"spatialviz.schema_version"
+TABLE_KEY = b"spatialviz.table"
+ROW_GROUP = 122_880
+
+Columns = dict[str, Any]
+"""A table as columns by name, each a sequence or an array of one length."""
+
+
+CANDIDATES = "candidates"
+"""The table of a shard: expressions before some of them are chosen and put into words. `same_class` counts the
+objects of the frame that are of the target's class."""
+PART_TABLES = ("frames", "objects", "relations", CANDIDATES)
+
+
+@lru_cache
+def arrow_schema(table: str) -> pa.Schema:
+    """The Arrow schema of a table, with the schema's version in its metadata."""
+    if table == CANDIDATES:
+        worded = arrow_schema("expressions")
+        metadata = {**worded.metadata, TABLE_KEY: CANDIDATES.encode()}
+        bare = worded.remove(worded.get_field_index("text"))
+        return bare.append(pa.field("same_class", pa.int32(), False)).with_metadata(metadata)
+    fields = []
+    for name, info in TABLES[table].model_fields.items():
+        options = typing.get_args(info.annotation)
+        nullable = types.NoneType in options
+        kind = next(k for k in options if k is not types.NoneType) if nullable else info.annotation
+        if typing.get_origin(kind) is typing.Annotated:
+            kind = typing.get_args(kind)[0]
+        if typing.get_origin(kind) is list:
+            (inner,) = typing.get_args(kind)
+            stored = pa.list_(pa.type_for_alias("int32" if inner is int else _STORED[inner]))
+        else:
+            hint = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
+            stored = pa.type_for_alias(str(hint.get("arrow") or _STORED.get(kind, "string")))
+        fields.append(pa.field(name, stored, nullable))
+    return pa.schema(fields, metadata={VERSION_KEY: SCHEMA_VERSION.encode(), TABLE_KEY: table.encode()})
+
+
+_STORED: dict[Any, str] = {str: "string", bool: "bool", int: "int64", float: "float64"}
+
+
+def build_table(table: str, columns: Columns) -> pa.Table:
+    """Columns as an Arrow table of the schema; a column that is left out is null throughout."""
+    schema = arrow_schema(table)
+    unknown = min(set(columns) - set(schema.names), default=None)
+    require(unknown is None, f"table {table} has no column {unknown!r}")
+    length = len(next(iter(columns.values()))) if columns else 0
+    values = (columns.get(name) for name in schema.names)
+    arrays = [
+        pa.nulls(length, of) if v is None else pa.array(v, of, from_pandas=isinstance(v, np.ndarray))
+        for v, of in zip(values, schema.types, strict=True)
+    ]
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def table_of_rows(table: str, rows: Collection[Mapping[str, Any]]) -> pa.Table:
+    """Rows with a value for each column, as an Arrow table."""
+    return build_table(table, {column: [row[column] for row in rows] for column in arrow_schema(table).names})
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write Parquet under a temporary name, sync it, and rename it into place."""
+    temporary = temporary_beside(path)
+    try:
+        pq.write_table(table, temporary, compression="zstd", row_group_size=ROW_GROUP)
+        with open(temporary, "rb") as written:
+            os.fsync(written.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_table(
+    source: Path | IO[bytes], table: str, columns: Sequence[str] | None = None, *, path: str | Path | None = None
+) -> pa.Table:
+    """A table of the labels, from a path or an open file (then `path` names it in messages).
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, of another table, or of a newer schema.
+    """
+    path = source if isinstance(source, Path) else path or "an open file"
+    with (
+        as_input_error(
+            "not a readable Parquet file", pa.ArrowInvalid, pa.ArrowTypeError, OSError, got=first_line, path=path
+        ),
+        as_input_error(f"the table {table} is missing", FileNotFoundError, cause="are these labels merged?", path=path),
+        pq.ParquetFile(source) as file,
+    ):
+        schema = file.schema_arrow
+        check_version(schema.metadata or {}, table, path)
+        missing = [n for n in columns or arrow_schema(table).names if n not in schema.names]
+        lost = next((n for n in missing if n not in ADDED_COLUMNS), None)
+        require(lost is None, f"table {table} lacks the column {lost!r}", path=path)
+        read = file.read(columns=None if columns is None else [n for n in columns if n in schema.names])
+        return read if columns is not None and not columns else with_added(read, table, columns)
+
+
+def with_added(rows: pa.Table, table: str, columns: Sequence[str] | None = None) -> pa.Table:
+    """Rows of a file that may be older than the columns in ADDED_COLUMNS: those are null, in their place."""
+    wanted = columns or arrow_schema(table).names
+    missing = [n for n in wanted if n in ADDED_COLUMNS and n not in rows.column_names]
+    for name in missing:
+        field = arrow_schema(table).field(name)
+        rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
+    return rows.select(wanted) if missing else rows
+
+
+def check_version(metadata: dict[bytes, bytes], table: str, path: str | Path) -> None:
+    """Refuse a file of another table or of a schema with another major version."""
+    found, of = (metadata.get(key, b"").decode() for key in (VERSION_KEY, TABLE_KEY))
+    require(found, "not a table of labels", cause="it carries no schema version", path=path)
+    require(
+        found.split(".")[0] == SCHEMA_VERSION.split(".")[0],
+        "labels of another schema",
+        got=found,
+        expected=SCHEMA_VERSION,
+        cause="made by another release?",
+        path=path,
+    )
+    require(of == table, "another table", got=of, expected=table, path=path)
+
+
+class RowHash:
+    """Hash of a table's rows in order, whatever the chunks they come in.
+
+    Each column is hashed on its own, and of each column apart: which values are
+    null, the lengths of lists and strings, and the values. A column that came to
+    the schema later counts where it has a value: older rows keep their hash.
+    """
+
+    def __init__(self, table: str) -> None:
+        self._names = arrow_schema(table).names
+        self._digests: dict[tuple[str, int], Any] = {}
+        self._held = {name for name in self._names if name not in ADDED_COLUMNS}
+        self.rows = 0
+
+    def update(self, table: pa.Table) -> None:
+        """Add rows."""
+        self.rows += table.num_rows
+        for name in self._names:
+            if name in ADDED_COLUMNS and name not in table.column_names:
+                continue
+            if table.column(name).null_count < table.num_rows:
+                self._held.add(name)
+            for chunk in table.column(name).chunks:
+                for k, part in enumerate(_plain_bytes(chunk)):
+                    self._digests.setdefault((name, k), hashlib.sha256()).update(part)
+
+    def hexdigest(self) -> str:
+        """64 hexadecimal digits."""
+        whole = hashlib.sha256(str(self.rows).encode())
+        for (name, k), digest in sorted(self._digests.items()):
+            if name in self._held:
+                whole.update(f"{name}.{k}".encode() + digest.digest())
+        return whole.hexdigest()
+
+
+def _plain_bytes(array: Any) -> Iterable[bytes]:
+    """The values as bytes that do not depend on how Arrow lays them out."""
+    yield np.asarray(pc.is_valid(array)).astype(np.uint8).tobytes()  # pyright: ignore[reportAttributeAccessIssue]
+    if pa.types.is_dictionary(array.type):
+        array = array.dictionary_decode()
+    if pa.types.is_list(array.type):
+        lengths = pc.fill_null(pc.list_value_length(array), 0)  # pyright: ignore[reportAttributeAccessIssue]
+        yield np.asarray(lengths).astype(np.int64).tobytes()
+        yield from _plain_bytes(array.drop_null().flatten())
+    elif pa.types.is_string(array.type) or pa.types.is_large_string(array.type):
+        texts = [t.encode() for t in array.drop_null().to_pylist()]
+        yield np.array([len(t) for t in texts], np.int64).tobytes()
+        yield b"".join(texts)
+    elif pa.types.is_boolean(array.type):
+        yield np.asarray(array.drop_null()).astype(np.uint8).tobytes()
+    else:
+        yield np.ascontiguousarray(array.drop_null().to_numpy(zero_copy_only=False)).tobytes()
+
+
+def content_hash(table: pa.Table, name: str) -> str:
+    """The hash of all rows of one table; see `RowHash`."""
+    digest = RowHash(name)
+    digest.update(table)
+    return digest.hexdigest()
+
 
 MANIFEST_FILE = "manifest.json"
 
@@ -99,15 +294,13 @@ def open_labels(path: str | Path) -> Labels:
             raise
         reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
         raise InputError("the manifest is damaged", got=reason, path=file) from error
-    unknown = [r for r in manifest.config.get("relations", ()) if r not in PAIRWISE]
-    if unknown:
-        raise InputError(
-            "these labels hold a relation that is not declared here", got=repr(unknown[0]),
+    for relation in manifest.config.get("relations", ()):
+        require(
+            relation in PAIRWISE, "these labels hold a relation that is not declared here", got=repr(relation),
             expected=", ".join(PAIRWISE), cause="made with a relation of somebody's own?", path=file,
         )  # fmt: skip
-    missing = [name for name in TABLES if not (root / f"{name}.parquet").is_file()]
-    if missing:
-        raise InputError(f"the table {missing[0]} is missing", path=root / f"{missing[0]}.parquet")
+    for path in (root / f"{name}.parquet" for name in TABLES):
+        require(path.is_file(), f"the table {path.stem} is missing", path=path)
     return Labels(root, manifest)
 
 
@@ -144,7 +337,17 @@ def read_corrections(root: Path) -> Corrections:
     path = root / PROVENANCE_FILE
     if not path.exists():
         return Corrections()
-    try:
+    with as_input_error(
+        "the provenance of the labels is damaged",
+        pa.ArrowException,
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        got=first_line,
+        path=path,
+    ):
         rows = pq.read_table(path, columns=["table", "frame", "key", "column", "origin", "was"]).to_pylist()
         relations, expressions = set(), set()
         for row in rows:
@@ -155,8 +358,6 @@ def read_corrections(root: Path) -> Corrections:
                     relations.add((row["frame"], a, b, row["column"]))
             elif row["table"] == "expressions" and row["origin"] == "human":
                 expressions.add((row["frame"], row["key"]))
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError("the provenance of the labels is damaged", got=str(error).split("\n")[0], path=path) from error
     return Corrections(frozenset(relations), frozenset(expressions))
 
 
@@ -193,9 +394,7 @@ def labelled_dataset(
         The labels do not name it, or it cannot be opened.
     """
     record = manifest.dataset
-    where = path or record.get("path")
-    if not where:
-        raise InputError("the labels do not say which dataset they are of")
+    where = path or needed(record.get("path") or None, "the labels do not say which dataset they are of")
     if where == DEMO_NAME and not Path(where).exists():
         where = demo_path()
     options = dict(record.get("options") or {})
@@ -204,8 +403,9 @@ def labelled_dataset(
         intrinsics = fx, fy, cx, cy
     if depth_scale is None and options.get("depth_scale") is not None:
         (depth_scale,) = _numbers(options["depth_scale"], 1, "depth scale")
-    known = labelled_up(manifest, {"up": up, "level_at": level_at})
-    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale, **known)
+    return open_dataset(
+        where, intrinsics=intrinsics, depth_scale=depth_scale, **labelled_up(manifest, {"up": up, "level_at": level_at})
+    )
 
 
 def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -217,10 +417,8 @@ def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any
 
 def _numbers(value: Any, count: int, what: str) -> list[float]:
     """So many numbers, of a list or of its text."""
-    try:
+    with as_input_error(f"the labels name a {what} that is none", ValueError, got=Shown(value)):
         numbers = [float(n) for n in str(value).strip("()[] ").split(",")]
         if len(numbers) != count:
             raise ValueError(f"{len(numbers)} numbers")
-    except ValueError as error:
-        raise InputError(f"the labels name a {what} that is none", got=repr(value)[:60]) from error
     return numbers

@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.labels.merge import write_manifest, write_merged
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.whole_files import temporary_folder
 
 
@@ -22,15 +22,15 @@ def read_sentences(path: Path) -> dict[tuple[str, str], str]:
     InputError
         The file cannot be read, or an entry lacks one of these.
     """
-    try:
+    with as_input_error("the sentences cannot be read", OSError, ValueError, RecursionError, got=str, path=path):
         entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("the sentences cannot be read", got=str(error), path=path) from error
     keys = ("frame", "id", "text")
-    if not isinstance(entries, list) or not all(
-        isinstance(e, dict) and all(isinstance(e.get(k), str) for k in keys) for e in entries
-    ):
-        raise InputError('sentences must be a list of {"frame", "id", "text"}, all texts', path=path)
+    require(
+        isinstance(entries, list)
+        and all(isinstance(e, dict) and all(isinstance(e.get(k), str) for k in keys) for e in entries),
+        'sentences must be a list of {"frame", "id", "text"}, all texts',
+        path=path,
+    )
     return {(e["frame"], e["id"]): e["text"] for e in entries}
 
 
@@ -46,8 +46,7 @@ def reword(folder: Path, sentences: Mapping[tuple[str, str], str]) -> int:
     table = labels.expressions
     keys = list(zip(*(table.column(n).to_pylist() for n in ("frame", "id")), strict=True))
     unknown = set(sentences) - set(keys)
-    if unknown:
-        raise InputError("the labels have no such expression", got=" ".join(min(unknown)), path=folder)
+    require(not unknown, "the labels have no such expression", got=" ".join(min(unknown, default=())), path=folder)
     texts = [sentences.get(key, text) for key, text in zip(keys, table.column("text").to_pylist(), strict=True)]
     index = table.schema.get_field_index("text")
     table = table.set_column(index, table.schema.field(index), pa.array(texts, pa.string()))

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, read_table
 from pipeline.labels.schema import TABLES
-from pipeline.labels.tables import read_table
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -180,8 +179,10 @@ def _margins(database: Database, relation: str) -> dict[str, Any]:
         rows = counted["state"] == state
         n, found[letter] = counted["n"][rows], None
         if len(n):
-            at = quantiles(counted["mm"][rows], n, MARGIN_SHARES)
-            named = {f"p{round(100 * q):02d}": mm / 1000 for q, mm in zip(MARGIN_SHARES, at, strict=True)}
+            named = {
+                f"p{round(100 * q):02d}": mm / 1000
+                for q, mm in zip(MARGIN_SHARES, quantiles(counted["mm"][rows], n, MARGIN_SHARES), strict=True)
+            }
             found[letter] = {"n": int(n.sum()), **named}
     return found
 

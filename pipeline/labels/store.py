@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.labels.tables import read_table
+from pipeline.labels.reading import read_table
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
 from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_beside, temporary_folder, write_synced
 
 PARTS = "parts"
@@ -38,16 +38,11 @@ class Store:
         self.where = str(where)
         self.remote = "://" in self.where
         if self.remote:
-            try:
-                import fsspec
-            except ImportError as error:
-                raise MissingExtra(f"writing to {self.where}", "cluster") from error
-            try:
+            fsspec = extra_module("fsspec", f"writing to {self.where}", "cluster")
+            with as_input_error(
+                "this kind of URL cannot be written to", ImportError, ValueError, got=first_line, path=self.where
+            ):
                 self._fs, self._root = fsspec.core.url_to_fs(self.where)
-            except (ImportError, ValueError) as error:
-                raise InputError(
-                    "this kind of URL cannot be written to", got=str(error).split("\n")[0], path=self.where
-                ) from error
         else:
             self.folder = Path(self.where).expanduser()
 
@@ -62,12 +57,13 @@ class Store:
         if self.remote:
             self._fs.makedirs(f"{self._root}/{PARTS}", exist_ok=True)
             return
-        try:
+        with (
+            as_input_error("the folder cannot be made", OSError, got=lambda e: e.strerror, path=self.folder),
+            as_input_error(
+                "labels go into a folder", FileExistsError, NotADirectoryError, got="a file", path=self.folder
+            ),
+        ):
             (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
-        except (FileExistsError, NotADirectoryError) as error:
-            raise InputError("labels go into a folder", got="a file", path=self.folder) from error
-        except OSError as error:
-            raise InputError("the folder cannot be made", got=error.strerror, path=self.folder) from error
         require(os.access(self.folder, os.W_OK), "the folder cannot be written", path=self.folder)
 
     def is_empty(self) -> bool:
@@ -93,9 +89,11 @@ class Store:
     def read_text(self, name: str) -> str | None:
         """A small file, or None where it is missing."""
         try:
-            if self.remote:
-                return self._fs.cat_file(f"{self._root}/{name}").decode()
-            return (self.folder / name).read_text(encoding="utf-8")
+            return (
+                self._fs.cat_file(f"{self._root}/{name}").decode()
+                if self.remote
+                else (self.folder / name).read_text(encoding="utf-8")
+            )
         except FileNotFoundError:
             return None
         except UnicodeDecodeError as error:

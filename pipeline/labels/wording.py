@@ -15,7 +15,7 @@ from pipeline.language.noun_phrase import NounPhrase, noun_phrase, readable
 from pipeline.language.relation import SEMANTIC_ABSTRACTION
 from pipeline.language.relation_names import PAIRWISE, PHRASE, RELATIONS
 from pipeline.language.tokens import MAX_LENGTH, words_of
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, require
 
 __all__ = ["STYLES", "can_be_worded", "expression_text", "question_text"]
 
@@ -208,8 +208,11 @@ def _worded(
     """The sentence of the first template, or the nearest to it that is read back as meant, last of the plain one."""
     known = _known(class_names)
     for name in (target, reference):
-        if not (isinstance(name, str) and _forms(name, known)):
-            raise InputError("the class name cannot be said in an expression", got=repr(name)[:80])
+        require(
+            isinstance(name, str) and _forms(name, known),
+            "the class name cannot be said in an expression",
+            got=Shown(name, 80),
+        )
     settled = _is_settled(target, known) and _is_settled(reference, known)
     settled = settled and (target == reference or words_of(target) != words_of(reference))
     rivals = known.rivals or _rivals((target, reference))
@@ -277,8 +280,7 @@ def _by_preference(first: int, second: int) -> tuple[tuple[int, int], ...]:
 @lru_cache(maxsize=65536)
 def _forms(name: str, known: _Known) -> tuple[str, ...]:
     """At most two ways to say a name that are read back as it beside an ordinary name: as words, and in quotes."""
-    ways = (readable(name), readable(name, brief=False), " ".join(name.split()))
-    spoken = [w for w in dict.fromkeys(ways) if w]
+    spoken = [w for w in dict.fromkeys((readable(name), readable(name, brief=False), " ".join(name.split()))) if w]
     quoted = [f'"{w}"' for w in dict.fromkeys(w.replace('"', " ").strip() for w in spoken) if w]
     partner = "mug" if not same_class(name, "mug") else "lamp"
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from pipeline.language.normal import (
     singular,
     spellings,
 )
-
-if TYPE_CHECKING:
-    from pipeline.language.vectors.phrases import TextVectors
 
 __all__ = [
     "CAMEL_CASE", "DETERMINERS", "GENERIC", "HEAD_ENDS", "QUALIFIER", "Meaning", "Synonyms", "default_synonyms",
@@ -44,6 +41,12 @@ LONGEST_NAME = 6
 """Words; a longer query, or one with a word that relates two things, means only what it names in full."""
 _SURE, _MENDED = 0.7, 0.85
 """Below the first score a misspelt word is looked for; the second is the factor of what is found by mending it."""
+
+
+class TextVectors(Protocol):
+    """A file of text vectors, as `pipeline.language.vectors` opens it."""
+
+    def phrases(self, names: Sequence[str], *, allow_missing: bool = False) -> Any: ...
 
 
 @dataclass(frozen=True)

@@ -296,7 +296,7 @@ def fit_temperature(
     logits : sequence of (N, N, R) float
         Of each view, of a softmax network.
     truth : sequence of (N, N) int
-        Place of the one true relation in `vocabulary`; -1 for pairs that take no part.
+        Index of the one true relation in `vocabulary`; -1 for pairs that take no part.
 
     Returns
     -------

@@ -47,11 +47,13 @@ def checked_cells(p: Any, truth: Any) -> tuple[np.ndarray, np.ndarray]:
         got=states.shape,
         expected=p.shape,
     )
-    if states.dtype.kind not in "iu":
-        raise InputError(
-            "states of relations must be integers", got=states.dtype, expected="1 (T), 0 (U) or -1 (F)",
-            cause="a truth without U is np.where(holds, 1, -1)",
-        )  # fmt: skip
+    require(
+        states.dtype.kind in "iu",
+        "states of relations must be integers",
+        got=states.dtype,
+        expected="1 (T), 0 (U) or -1 (F)",
+        cause="a truth without U is np.where(holds, 1, -1)",
+    )
     if states.size and (states.min() < -1 or states.max() > 1):
         raise InputError("states of relations must be 1 (T), 0 (U) or -1 (F)", got=f"{states.min()} to {states.max()}")
     return p, states.astype(np.int8)
@@ -60,8 +62,12 @@ def checked_cells(p: Any, truth: Any) -> tuple[np.ndarray, np.ndarray]:
 def checked_thresholds(thresholds: Any, relations: int) -> np.ndarray:
     """(R,) float64, from one number or one a relation."""
     found = np.asarray(thresholds, np.float64)
-    if found.shape not in ((), (relations,)) or not np.isfinite(found).all():
-        raise InputError("thresholds must be one number, or one a relation", got=found.tolist(), expected=(relations,))
+    require(
+        found.shape in ((), (relations,)) and np.isfinite(found).all(),
+        "thresholds must be one number, or one a relation",
+        got=found.tolist(),
+        expected=(relations,),
+    )
     return np.broadcast_to(found, (relations,)).copy()
 
 
@@ -87,8 +93,11 @@ def checked_flags(flags: Any, what: str) -> np.ndarray:
 def checked_numbers(values: Any, what: str, shape: tuple[int, ...] | None = None) -> np.ndarray:
     """Finite float64, (N,) or of the given shape."""
     found = np.asarray(values)
-    if found.dtype.kind not in "biuf" or (found.ndim != 1 if shape is None else found.shape != shape):
-        raise InputError(f"{what} must be numbers of shape {shape or '(N,)'}", got=f"{found.dtype} {found.shape}")
+    require(
+        found.dtype.kind in "biuf" and not (found.ndim != 1 if shape is None else found.shape != shape),
+        f"{what} must be numbers of shape {shape or '(N,)'}",
+        got=f"{found.dtype} {found.shape}",
+    )
     return _finite(found, what)
 
 

@@ -8,14 +8,14 @@ of how often each cluster was drawn, and all resamples are one matrix product.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from pipeline.metrics.inputs import checked_clusters, checked_flags, checked_numbers
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 FEWEST_CLUSTERS = 10
 """Below this number of clusters a percentile interval is too narrow to be relied on."""
@@ -46,11 +46,11 @@ class BootstrapConfig:
     confidence: float = 0.95
 
     def __post_init__(self) -> None:
-        if self.resamples < 1 or not 0 < self.confidence < 1 or (isinstance(self.seed, int) and self.seed < 0):
-            raise InputError(
-                "a bootstrap needs resamples, a confidence between 0 and 1, and a seed of at least 0",
-                got=f"{self.resamples} resamples, confidence {self.confidence}, seed {self.seed}",
-            )
+        require(
+            self.resamples >= 1 and 0 < self.confidence < 1 and (not isinstance(self.seed, int) or self.seed >= 0),
+            "a bootstrap needs resamples, a confidence between 0 and 1, and a seed of at least 0",
+            got=f"{self.resamples} resamples, confidence {self.confidence}, seed {self.seed}",
+        )
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,6 @@ class Estimate:
     n: int
     clusters: int
     note: str = ""
-
-    @property
-    def reliable(self) -> bool:
-        """Whether there is an interval, from at least FEWEST_CLUSTERS clusters."""
-        return math.isfinite(self.low) and math.isfinite(self.high) and self.clusters >= FEWEST_CLUSTERS
 
     def formatted(self, scale: float = 100.0, decimals: int = 1, signed: bool = False) -> str:
         """ "62.7 [59.9, 65.4]"; "62.7 [–]" without an interval, "–" without a value.
@@ -228,7 +223,9 @@ def ratio_estimate(
     first = _columns((numerator, denominator))
     second = None if other is None else _columns(other)
     counted = first[:, 1:] != 0 if second is None else (first[:, 1:] != 0) | (second[:, 1:] != 0)
-    return bootstrap(first, clusters, _ratio, counted=counted, other=second, config=config)[0]
+    return bootstrap(
+        first, clusters, lambda sums: ratio(sums[:, :1], sums[:, 1:]), counted=counted, other=second, config=config
+    )[0]
 
 
 def mean_estimate(
@@ -242,10 +239,6 @@ def mean_estimate(
 def _columns(columns: tuple[Any, ...]) -> np.ndarray:
     shape = (len(np.atleast_1d(columns[0])),)
     return np.stack([checked_numbers(c, "counts and values", shape) for c in columns], axis=1)
-
-
-def _ratio(sums: np.ndarray) -> np.ndarray:
-    return ratio(sums[:, :1], sums[:, 1:])
 
 
 def ratio(part: Any, whole: Any) -> np.ndarray:
@@ -264,9 +257,6 @@ def mean_of_defined(values: np.ndarray) -> np.ndarray:
     """Mean over the last axis of what is not NaN; NaN where all is."""
     defined = ~np.isnan(values)
     return ratio(np.where(defined, values, 0.0).sum(axis=-1), defined.sum(axis=-1))
-
-
-Key = TypeVar("Key", bound=Hashable)
 
 
 @dataclass(frozen=True)

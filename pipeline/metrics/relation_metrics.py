@@ -40,10 +40,6 @@ class CellOutcomes:
     fn: np.ndarray
     tn: np.ndarray
 
-    def stacked(self) -> np.ndarray:
-        """(P, R, 4) float64 of tp, fp, fn, tn."""
-        return np.stack([self.tp, self.fp, self.fn, self.tn], axis=-1).astype(np.float64)
-
 
 @dataclass(frozen=True)
 class RelationMetrics:
@@ -69,8 +65,6 @@ class RelationMetrics:
         The same for a scorer that always says no: the share of negatives.
     mean_average_precision : float
         Over the relations that have one.
-    undefined : dict
-        Relation -> why some of its figures are NaN.
     """
 
     relations: tuple[str, ...]
@@ -91,7 +85,6 @@ class RelationMetrics:
     element_accuracy: float
     all_negative_accuracy: float
     mean_average_precision: float
-    undefined: dict[str, str]
 
 
 def cell_outcomes(p: Any, truth: Any, thresholds: Any = THRESHOLD) -> CellOutcomes:
@@ -164,7 +157,6 @@ def multi_label_metrics(
         element_accuracy=float(ratio((tp + tn).sum(), known.sum())),
         all_negative_accuracy=float(ratio(negatives.sum(), known.sum())),
         mean_average_precision=float(mean_of_defined(ap)),
-        undefined=_reasons(names, known, positives, tp + fp),
     )
 
 
@@ -235,18 +227,6 @@ def _ranked(p: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return p[last], np.cumsum(holds)[last], last + 1, int(holds.sum())
 
 
-def _reasons(names: tuple[str, ...], known: np.ndarray, positives: np.ndarray, text: np.ndarray) -> dict[str, str]:
-    found = {}
-    for name, cells, hold, claimed in zip(names, known.tolist(), positives.tolist(), text.tolist(), strict=True):
-        if not cells:
-            found[name] = "no cell is known (all are U, or there is none)"
-        elif not hold:
-            found[name] = f"it holds in none of {cells} known cells"
-        elif not claimed:
-            found[name] = "it was never said to hold: no precision"
-    return found
-
-
 @dataclass(frozen=True)
 class RelationEstimates:
     """Figures of `RelationMetrics` with intervals, or differences of two scorers.
@@ -297,12 +277,15 @@ def relation_estimates(
         Not one cluster a pair, or a scorer that was measured against another truth.
     """
     shape, names = cells.tp.shape, checked_names(relations, cells.tp.shape[1])
-    if other is not None and not (
-        shape == other.tp.shape
-        and np.array_equal(cells.tp | cells.fn, other.tp | other.fn)
-        and np.array_equal(cells.fp | cells.tn, other.fp | other.tn)
-    ):
-        raise InputError("two scorers can only be compared on the same pairs and the same truth")
+    require(
+        other is None
+        or (
+            shape == other.tp.shape
+            and np.array_equal(cells.tp | cells.fn, other.tp | other.fn)
+            and np.array_equal(cells.fp | cells.tn, other.fp | other.tn)
+        ),
+        "two scorers can only be compared on the same pairs and the same truth",
+    )
     # Sums by cluster first: a million pairs with four numbers for each relation would be hundreds of megabytes.
     index, count = checked_clusters(clusters, shape[0])
     known = cells.tp | cells.fp | cells.fn | cells.tn

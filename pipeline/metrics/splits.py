@@ -40,7 +40,7 @@ class FrameKey:
     frame : str
     scene : str
     index : int
-        Its place in the dataset.
+        Its index in the dataset.
     position : tuple of float or None
         Of the camera in the world, metres.
     """
@@ -238,7 +238,7 @@ def position_blocks(positions: np.ndarray, gap: float) -> tuple[np.ndarray, floa
 
 
 def along_spread(positions: np.ndarray) -> np.ndarray | None:
-    """(F,) metres: places of positions ((F, 3), metres) along the direction in which they spread most.
+    """(F,) metres: coordinates of positions ((F, 3), metres) along the direction in which they spread most.
 
     None where a position is not finite.
     """

@@ -1,11 +1,10 @@
 """OPM: object proposals by class name, from the dataset's truth, a recording, or a network."""
 
 from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.base import Detector, Proposals, top_k
 from pipeline.proposals.cache import CachedDetector
 from pipeline.proposals.registry import DETECTORS, SEGMENTERS, make_detector, make_segmenter
 from pipeline.proposals.segmenter import Segmented, Segmenter
-from pipeline.proposals.selection import top_k
 
 __all__ = [
     "DETECTORS",

@@ -1,4 +1,4 @@
-"""OPM: what a detector is, and what it returns."""
+"""OPM: what a detector is, what it returns, and which of it goes on: minimum score, non-maximum suppression, top K."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import suggest
 from pipeline.system.errors import InputError, UnknownClass, require
@@ -59,19 +60,19 @@ class Proposals:
             raise InputError(
                 "proposal masks must be bool (N, H, W)", got=f"{self.masks.dtype} {self.masks.shape} for {n} proposals"
             )
-        if n and not (np.isfinite(self.scores).all() and (self.scores >= 0).all() and (self.scores <= 1).all()):
-            raise InputError(
-                "proposal scores must lie in 0..1",
-                got=f"{float(np.nanmin(self.scores)):.3g} to {float(np.nanmax(self.scores)):.3g}",
-                cause="are these logits?",
-            )
+        require(
+            not n or (np.isfinite(self.scores).all() and (self.scores >= 0).all() and (self.scores <= 1).all()),
+            "proposal scores must lie in 0..1",
+            got=lambda: f"{float(np.nanmin(self.scores)):.3g} to {float(np.nanmax(self.scores)):.3g}",
+            cause="are these logits?",
+        )
         require(not (n and not np.isfinite(self.boxes).all()), "proposal boxes must be finite")
-        if n and (self.boxes[:, 2:] < self.boxes[:, :2]).any():
-            raise InputError(
-                "proposal boxes must be x0, y0, x1, y1 with x1 >= x0 and y1 >= y0",
-                got=self.boxes[(self.boxes[:, 2:] < self.boxes[:, :2]).any(axis=1)][0].tolist(),
-                cause="are they x, y, width, height?",
-            )
+        require(
+            not n or not (self.boxes[:, 2:] < self.boxes[:, :2]).any(),
+            "proposal boxes must be x0, y0, x1, y1 with x1 >= x0 and y1 >= y0",
+            got=lambda: self.boxes[(self.boxes[:, 2:] < self.boxes[:, :2]).any(axis=1)][0].tolist(),
+            cause="are they x, y, width, height?",
+        )
 
     def __repr__(self) -> str:
         found = ", ".join(f"{self.label(i)} {self.scores[i]:.2f}" for i in range(min(len(self), 5)))
@@ -172,3 +173,50 @@ def listed(names: Sequence[str], limit: int = 12) -> str:
     names = sorted(set(names))
     more = len(names) - limit
     return ", ".join(names[:limit]) + (f" and {more} more" if more > 0 else "")
+
+
+NMS_IOU = 0.5
+MAX_CANDIDATES = 1000
+"""Boxes of a class that go into non-maximum suppression at most, best first."""
+
+
+def top_k(proposals: Proposals, k: int, *, min_score: float = 0.0, nms_iou: float = NMS_IOU) -> Proposals:
+    """The K best proposals after class-agnostic non-maximum suppression, best first."""
+    return proposals.take(top_k_places(proposals, k, min_score=min_score, nms_iou=nms_iou))
+
+
+def top_k_places(proposals: Proposals, k: int, *, min_score: float = 0.0, nms_iou: float = NMS_IOU) -> np.ndarray:
+    """(M,) int64: the places of the proposals that `top_k` takes."""
+    order = np.argsort(-proposals.scores, kind="stable")
+    order = order[proposals.scores[order] >= min_score]
+    return order[suppress(proposals.boxes[order], nms_iou)][:k]
+
+
+def suppress(boxes: np.ndarray, nms_iou: float = NMS_IOU) -> np.ndarray:
+    """Indices of the boxes that survive, given boxes ((N, 4)) in order of falling score."""
+    overlap = iou_2d(boxes, boxes) > nms_iou
+    alive = np.ones(len(boxes), np.bool_)
+    for i in range(len(boxes)):
+        if alive[i]:
+            alive[i + 1 :] &= ~overlap[i, i + 1 :]
+    return np.flatnonzero(alive)
+
+
+def class_wise(
+    boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray, k: int, *, nms_iou: float = NMS_IOU
+) -> np.ndarray:
+    """(M,) int64: the best `k` of each class after non-maximum suppression within it, best first.
+
+    Parameters
+    ----------
+    boxes : (N, 4) float
+    scores : (N,) float
+    classes : (N,) int
+    """
+    order = np.argsort(-scores, kind="stable")
+    kept = [np.zeros(0, np.int64)]
+    for one in np.unique(classes):
+        own = order[classes[order] == one][:MAX_CANDIDATES]
+        kept.append(own[suppress(boxes[own], nms_iou)][:k])
+    chosen = np.concatenate(kept)
+    return chosen[np.argsort(-scores[chosen], kind="stable")]

@@ -234,12 +234,12 @@ def _rows(values: np.ndarray, columns: Sequence[str], activation: str, count: in
     # Ultralytics gives the columns first.
     if table.shape[1] != total and table.shape[0] == total:
         table = table.T
-    if table.shape[1] != total:
-        raise InputError(
-            "the output of the rows has another number of columns than the TOML file says",
-            got=list(values.shape),
-            expected=f"{total}: " + ", ".join(f"{widths[c]} of {c}" for c in columns),
-        )
+    require(
+        table.shape[1] == total,
+        "the output of the rows has another number of columns than the TOML file says",
+        got=list(values.shape),
+        expected=f"{total}: " + ", ".join(f"{widths[c]} of {c}" for c in columns),
+    )
     ends = np.cumsum([widths[c] for c in columns])
     parts = dict(zip(columns, np.split(table, ends[:-1], axis=1), strict=True))
     if "scores" in parts:
@@ -336,10 +336,12 @@ def _activated(values: np.ndarray, activation: str) -> np.ndarray:
 def _one_hot(scores: np.ndarray, classes: np.ndarray, count: int) -> np.ndarray:
     """(N, count); a number below 0 stands for no detection, as some exports pad their lists."""
     numbers = np.rint(classes).astype(np.int64)
-    if len(numbers) and numbers.max() >= count:
-        raise InputError(
-            "the network gives more classes than there are names", got=int(numbers.max()), expected=f"below {count}"
-        )
+    require(
+        not len(numbers) or numbers.max() < count,
+        "the network gives more classes than there are names",
+        got=lambda: int(numbers.max()),
+        expected=f"below {count}",
+    )
     table = np.zeros((len(scores), count), np.float32)
     real = np.flatnonzero(numbers >= 0)
     table[real, numbers[real]] = scores[real]
@@ -349,22 +351,22 @@ def _one_hot(scores: np.ndarray, classes: np.ndarray, count: int) -> np.ndarray:
 def _foreground(scores: np.ndarray, config: BoxOutput) -> np.ndarray:
     part = {"none": slice(None), "first": slice(1, None), "last": slice(None, -1)}[config.background]
     scores = scores[:, part].astype(np.float32)
-    if len(scores) and not (scores.min() >= -1e-3 and scores.max() <= 1 + 1e-3):
-        raise InputError(
-            "the scores are no probabilities",
-            got=f"{float(scores.min()):.3g} to {float(scores.max()):.3g}",
-            expected="0..1",
-            cause='are these logits? say activation = "sigmoid" or "softmax"',
-        )
+    require(
+        not len(scores) or (scores.min() >= -1e-3 and scores.max() <= 1 + 1e-3),
+        "the scores are no probabilities",
+        got=lambda: f"{float(scores.min()):.3g} to {float(scores.max()):.3g}",
+        expected="0..1",
+        cause='are these logits? say activation = "sigmoid" or "softmax"',
+    )
     return np.clip(scores, 0, 1)
 
 
 def _corners(boxes: np.ndarray, form: str) -> np.ndarray:
     first, second = boxes[:, :2], boxes[:, 2:]
-    if form == "yxyx":
-        return boxes[:, [1, 0, 3, 2]]
-    if form == "cxcywh":
-        return np.concatenate([first - second / 2, first + second / 2], axis=1)
-    if form == "xywh":
-        return np.concatenate([first, first + second], axis=1)
-    return boxes
+    low, high = {
+        "xyxy": (first, second),
+        "yxyx": (first[:, ::-1], second[:, ::-1]),
+        "cxcywh": (first - second / 2, first + second / 2),
+        "xywh": (first, first + second),
+    }[form]
+    return np.concatenate([low, high], axis=1)

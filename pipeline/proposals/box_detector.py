@@ -11,12 +11,11 @@ import numpy as np
 
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.base import Proposals
+from pipeline.proposals.base import Proposals, class_wise
 from pipeline.proposals.box_config import BoxInput, Candidates, decode, find_box_model, output_names, read_box_model
 from pipeline.proposals.class_names import metadata_names, names_hash
 from pipeline.proposals.network import MAX_PER_NAME, NetworkDetector, proposals_of
-from pipeline.proposals.selection import class_wise
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, needed, require
 from pipeline.system.onnx_session import run_session, signature
 
 OPTION = "--detector boxes"
@@ -100,12 +99,12 @@ class BoxDetector(NetworkDetector):
             raise InputError(str(error), path=self.config_path) from error
 
     def _names_inside(self) -> tuple[str, ...]:
-        found = metadata_names(self._session)
-        if found is None:
-            raise InputError(
-                "the class names of the detector are not known", expected="names or names_file", path=self.config_path
-            )
-        return found
+        return needed(
+            metadata_names(self._session),
+            "the class names of the detector are not known",
+            expected="names or names_file",
+            path=self.config_path,
+        )
 
     def _checked_input(self) -> tuple[str, tuple[int, int]]:
         """The picture's input and the size of it."""
@@ -140,10 +139,13 @@ class BoxDetector(NetworkDetector):
                 raise InputError(
                     "the model takes any size", expected="size = [HEIGHT, WIDTH] under [input]", path=self.config_path
                 )
-            if isinstance(declared, int) and given is not None and given != declared:
-                raise InputError(
-                    "the model takes another size", got=list(given_sides), expected=list(sides), path=self.config_path
-                )
+            require(
+                not isinstance(declared, int) or given is None or given == declared,
+                "the model takes another size",
+                got=list(given_sides),
+                expected=list(sides),
+                path=self.config_path,
+            )
             found.append(declared if isinstance(declared, int) else given)
         return rest[0], (found[0], found[1])
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -16,6 +14,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Detector, Proposals, detect_expression, reads_annotations
 from pipeline.proposals.segmenter import Segmenter
 from pipeline.system.paths import cache_folder
+from pipeline.system.recent import Recent
 from pipeline.system.whole_files import keep_whole
 
 _IN_MEMORY = 8
@@ -32,25 +31,10 @@ class CachedDetector:
 
     def __init__(self, detector: Detector, folder: Path | None = None) -> None:
         self.detector = detector
+        self.name, self.exact, self.vocabulary = detector.name, detector.exact, detector.vocabulary
+        self.reads_annotations = reads_annotations(detector)
         self.folder = (folder or cache_folder()) / "proposals"
-        self._recent: OrderedDict[str, Proposals] = OrderedDict()
-        self._lock = Lock()
-
-    @property
-    def name(self) -> str:
-        return self.detector.name
-
-    @property
-    def vocabulary(self) -> tuple[str, ...] | None:
-        return self.detector.vocabulary
-
-    @property
-    def exact(self) -> bool:
-        return self.detector.exact
-
-    @property
-    def reads_annotations(self) -> bool:
-        return reads_annotations(self.detector)
+        self._recent: Recent[str, Proposals] = Recent(_IN_MEMORY)
 
     def fingerprint(self) -> str:
         return self.detector.fingerprint()
@@ -75,18 +59,14 @@ class CachedDetector:
         return xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
 
     def _kept(self, key: str, run: Callable[[], Proposals]) -> Proposals:
-        found = self._recent.get(key)
-        if found is None:  # An empty result is a result.
+        def find() -> Proposals:
             found = _load(self.folder / f"{key}.npz")
-        if found is None:
-            found = run()
-            keep_whole(self.folder / f"{key}.npz", partial(_store, proposals=found))
-        with self._lock:
-            self._recent[key] = found
-            self._recent.move_to_end(key)
-            while len(self._recent) > _IN_MEMORY:
-                self._recent.popitem(last=False)
-        return found
+            if found is None:  # An empty result is a result.
+                found = run()
+                keep_whole(self.folder / f"{key}.npz", partial(_store, proposals=found))
+            return found
+
+        return self._recent.get(key, find)
 
 
 def _store(file: Any, proposals: Proposals) -> None:
@@ -147,12 +127,8 @@ class CachedSegmenter:
     independent = True
 
     def __init__(self, segmenter: Segmenter, folder: Path | None = None) -> None:
-        self.segmenter = segmenter
+        self.segmenter, self.name = segmenter, segmenter.name
         self.folder = (folder or cache_folder()) / "masks"
-
-    @property
-    def name(self) -> str:
-        return self.segmenter.name
 
     def fingerprint(self) -> str:
         return self.segmenter.fingerprint()

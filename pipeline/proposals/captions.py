@@ -52,16 +52,20 @@ def plain_name(name: str) -> str:
 def check_bert(tokenizer: Any, path: Path) -> None:
     """Raise InputError unless the tokenizer has the numbers of the uncased BERT that GroundingDINO has built in."""
     found = {token: tokenizer.token_to_id(token) for token in SPECIAL}
-    if found != SPECIAL:
-        raise InputError(
-            "the tokenizer is not the one of GroundingDINO",
-            got=", ".join(f"{t} = {n}" for t, n in found.items()),
-            expected=", ".join(f"{t} = {n}" for t, n in SPECIAL.items()),
-            cause="it must be that of bert-base-uncased",
-            path=path,
-        )
-    if tokenizer.token_to_id("[UNK]") is None:
-        raise InputError("the tokenizer has no token for unknown words", expected="[UNK]", path=path)
+    require(
+        found == SPECIAL,
+        "the tokenizer is not the one of GroundingDINO",
+        got=", ".join(f"{t} = {n}" for t, n in found.items()),
+        expected=", ".join(f"{t} = {n}" for t, n in SPECIAL.items()),
+        cause="it must be that of bert-base-uncased",
+        path=path,
+    )
+    require(
+        tokenizer.token_to_id("[UNK]") is not None,
+        "the tokenizer has no token for unknown words",
+        expected="[UNK]",
+        path=path,
+    )
 
 
 def build_captions(names: Sequence[str], tokenizer: Any, limit: int = MAX_TOKENS) -> list[Caption]:
@@ -92,20 +96,21 @@ def build_captions(names: Sequence[str], tokenizer: Any, limit: int = MAX_TOKENS
 
 
 def _tokens(name: str, plain: str, tokenizer: Any, limit: int) -> list[int]:
-    if not plain:
-        raise InputError("a name has no words that can be looked for", got=repr(name[:60]))
+    require(plain, "a name has no words that can be looked for", got=repr(name[:60]))
     tokens = tokenizer.encode(plain, add_special_tokens=False).ids
     unknown = tokenizer.token_to_id("[UNK]")
-    if not tokens or all(t == unknown for t in tokens):
-        raise InputError("the model's tokenizer knows no word of a name", got=repr(name[:60]))
-    if set(tokens) & set(SPECIAL.values()):
-        raise InputError("a name holds a mark that parts names", got=repr(name[:60]))
-    if len(tokens) + 3 > limit:
-        raise InputError(
-            "a name is too long for the model",
-            got=f"{len(tokens)} tokens in {name[:40]!r}",
-            expected=f"at most {limit - 3}",
-        )
+    require(
+        tokens and not all(t == unknown for t in tokens),
+        "the model's tokenizer knows no word of a name",
+        got=repr(name[:60]),
+    )
+    require(not set(tokens) & set(SPECIAL.values()), "a name holds a mark that parts names", got=repr(name[:60]))
+    require(
+        len(tokens) + 3 <= limit,
+        "a name is too long for the model",
+        got=f"{len(tokens)} tokens in {name[:40]!r}",
+        expected=f"at most {limit - 3}",
+    )
     return tokens
 
 

@@ -13,7 +13,7 @@ import xxhash
 
 from pipeline.language.naming import Synonyms, default_synonyms, match, same_or_kind
 from pipeline.proposals.base import Detector, unknown_class
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import metadata
 
 ADVICE = 'all: `spatialviz models FILE`; another name for one: --synonyms FILE with {{"groups": [[{}, NAME]]}}'
@@ -96,12 +96,12 @@ def read_class_names(path: Path) -> tuple[str, ...]:
         names = [n.strip() for n in names]
         while names and not names[-1]:
             names.pop()
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) and n.strip() for n in names):
-        raise InputError(
-            "the file holds no list of class names",
-            expected="one name a line, a JSON list, or the categories of a COCO or LVIS file",
-            path=path,
-        )
+    require(
+        isinstance(names, list) and names and all(isinstance(n, str) and n.strip() for n in names),
+        "the file holds no list of class names",
+        expected="one name a line, a JSON list, or the categories of a COCO or LVIS file",
+        path=path,
+    )
     return tuple(names)
 
 
@@ -142,10 +142,11 @@ def same_name(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
 
 def same_names(a: Sequence[str], b: Sequence[str], synonyms: Synonyms | None = None) -> np.ndarray:
     """(N, M) bool: `same_name` of every label of `a` with every one of `b`."""
-    names_a, place_a = _distinct(a)
-    names_b, place_b = _distinct(b)
+    # Each name once: most labels of a picture are of few.
+    names_a, names_b = list(dict.fromkeys(a)), list(dict.fromkeys(b))
     table = np.array([[same_name(x, y, synonyms) for y in names_b] for x in names_a], np.bool_)
-    return table.reshape(len(names_a), len(names_b))[np.ix_(place_a, place_b)]
+    rows, columns = [names_a.index(name) for name in a], [names_b.index(name) for name in b]
+    return table.reshape(len(names_a), len(names_b))[np.ix_(rows, columns)]
 
 
 def name_groups(names: Sequence[str], synonyms: Synonyms | None = None) -> dict[str, str]:
@@ -160,9 +161,3 @@ def name_groups(names: Sequence[str], synonyms: Synonyms | None = None) -> dict[
         if stands[name] == name:
             chosen.append(name)
     return stands
-
-
-def _distinct(labels: Sequence[str]) -> tuple[list[str], list[int]]:
-    names = list(dict.fromkeys(labels))
-    place = {name: i for i, name in enumerate(names)}
-    return names, [place[label] for label in labels]

@@ -23,9 +23,8 @@ from pipeline.proposals.class_names import (
 )
 from pipeline.proposals.contracts import DETIC_CONTRACTS, detic_tensors
 from pipeline.proposals.mismatch import fitting
-from pipeline.proposals.network import NetworkDetector
-from pipeline.proposals.resampling import pillow_resized
-from pipeline.system.errors import InputError
+from pipeline.proposals.network import NetworkDetector, pillow_resized
+from pipeline.system.errors import InputError, needed, require
 from pipeline.system.onnx_session import run_session
 
 VERSION = "1"
@@ -118,13 +117,13 @@ class DeticDetector(NetworkDetector):
                 path=self.path,
             )
         classes = classes.astype(np.int64)
-        if count and not 0 <= classes.min() <= classes.max() < vocabulary:
-            raise InputError(
-                "the class names are not those of the model",
-                got=f"{vocabulary} names",
-                expected=f"more than {int(classes.max())}",
-                path=self.path,
-            )
+        require(
+            not count or 0 <= classes.min() <= classes.max() < vocabulary,
+            "the class names are not those of the model",
+            got=f"{vocabulary} names",
+            expected=lambda: f"more than {int(classes.max())}",
+            path=self.path,
+        )
         scale = np.array([frame.width / width, frame.height / height] * 2, np.float32)
         limits = np.array([frame.width, frame.height] * 2, np.float32)
         boxes = np.clip(boxes * scale, 0, limits).astype(np.float32)
@@ -140,15 +139,13 @@ def find_names(model: Path) -> Path:
         Where there is none.
     """
     beside = [model.with_name(n.format(stem=model.stem)) for n in NAME_FILES]
-    found = next((p for p in beside if p.is_file()), None)
-    if found is None:
-        raise InputError(
-            "the class names of the Detic model are not known",
-            expected=f"{beside[0].name} beside it, or --model-config FILE",
-            cause="one name a line, or the categories of LVIS's annotations",
-            path=model,
-        )
-    return found
+    return needed(
+        next((p for p in beside if p.is_file()), None),
+        "the class names of the Detic model are not known",
+        expected=f"{beside[0].name} beside it, or --model-config FILE",
+        cause="one name a line, or the categories of LVIS's annotations",
+        path=model,
+    )
 
 
 def resized_shape(height: int, width: int) -> tuple[int, int]:

@@ -20,15 +20,16 @@ from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import (
+    NMS_IOU,
     Detector,
     Proposals,
     detect_expression,
     no_proposals,
     reads_annotations,
+    suppress,
     unknown_class,
 )
 from pipeline.proposals.class_names import known_names, knows, name_groups, same_name
-from pipeline.proposals.selection import NMS_IOU, suppress
 from pipeline.system.errors import require
 
 Fusion = Literal["wbf", "nms"]
@@ -68,12 +69,9 @@ class EnsembleDetector:
         require(len(members) >= 2, "at least two detectors are needed to fuse them", got=len(members))
         require(fusion in FUSIONS, f"there is no fusion {fusion!r}", expected=" or ".join(FUSIONS))
         self.members = tuple(members)
+        self.name = "&".join(member.name for member in members)
         self.fusion = fusion
         self.synonyms = synonyms
-
-    @property
-    def name(self) -> str:
-        return "&".join(member.name for member in self.members)
 
     @property
     def vocabulary(self) -> tuple[str, ...] | None:
@@ -197,15 +195,6 @@ def _identity(box: np.ndarray, mask: np.ndarray | None) -> int:
     if mask is not None:
         digest.update(np.packbits(mask).tobytes())
     return digest.intdigest() >> (64 - _ID_BITS)
-
-
-def fused_detector(
-    first: Detector | None, others: Sequence[Detector], fusion: str, synonyms: Synonyms | None
-) -> Detector | None:
-    """The first detector alone, or with others fused into it."""
-    if not others or first is None:
-        return first
-    return EnsembleDetector((first, *others), fusion, synonyms)
 
 
 FUSION_IOU = 0.55

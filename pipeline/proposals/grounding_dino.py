@@ -10,14 +10,13 @@ where that threshold is low.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import xxhash
 
 from pipeline.geometry.frame import Frame
-from pipeline.proposals.base import Proposals
+from pipeline.proposals.base import NMS_IOU, Proposals
 from pipeline.proposals.captions import (
     MAX_TOKENS,
     TOKENIZER,
@@ -30,25 +29,23 @@ from pipeline.proposals.captions import (
 )
 from pipeline.proposals.contracts import GROUNDING_DINO_CONTRACTS, grounding_dino_tensors
 from pipeline.proposals.mismatch import fitting
-from pipeline.proposals.network import MAX_PER_NAME, TextDetector, proposals_of, to_pixels
-from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
-from pipeline.proposals.selection import NMS_IOU
+from pipeline.proposals.network import (
+    IMAGENET_MEAN,
+    IMAGENET_STD,
+    MAX_PER_NAME,
+    TextDetector,
+    normalised,
+    pillow_resized,
+    proposals_of,
+    shortest_edge,
+    to_pixels,
+)
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import run_session
 
 TOKENIZERS = (TOKENIZER, "vocab.txt", "*vocab*.txt")
 BOX_THRESHOLD, TEXT_THRESHOLD = 0.15, 0.10
 """Those of the paper."""
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What one caption found: queries above the thresholds, as (N, ...) arrays."""
-
-    boxes: np.ndarray
-    scores: np.ndarray
-    names: np.ndarray
-    ids: np.ndarray
 
 
 class GroundingDinoDetector(TextDetector):
@@ -117,9 +114,7 @@ class GroundingDinoDetector(TextDetector):
         found = [self._run(frame, caption) for caption in build_captions(names, self._tokenizer, self._limit)]
         if not found:
             return proposals_of(np.zeros((0, 4)), np.zeros(0), np.zeros(0), names, np.zeros(0))
-        boxes, scores, which, ids = (
-            np.concatenate([getattr(f, part) for f in found]) for part in ("boxes", "scores", "names", "ids")
-        )
+        boxes, scores, which, ids = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return self._chosen(boxes, scores, which, names, ids)
 
     def detect_expression(self, frame: Frame, text: str) -> Proposals:
@@ -128,10 +123,11 @@ class GroundingDinoDetector(TextDetector):
 
     @property
     def _limit(self) -> int:
-        declared = [n for n in (self._inputs["input_ids"][-1],) if isinstance(n, int)]
-        return min([MAX_TOKENS, *declared])
+        declared = self._inputs["input_ids"][-1]
+        return min(MAX_TOKENS, declared) if isinstance(declared, int) else MAX_TOKENS
 
-    def _run(self, frame: Frame, caption: Caption) -> _Found:
+    def _run(self, frame: Frame, caption: Caption) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Boxes (N, 4) in pixels, scores, numbers of the names, and ids (N,) of what one caption finds."""
         feed = self._feed(frame, caption)
         logits, relative = run_session(self._session, self._outputs, feed, self.path)
         tokens = len(caption.ids)
@@ -150,7 +146,7 @@ class GroundingDinoDetector(TextDetector):
         boxes = to_pixels(relative[0][queries], frame.width, frame.height, frame)
         # 37 and 16 bits: so many are whole numbers to every reader of JSON.
         run = xxhash.xxh3_64_intdigest(caption.text.encode()) >> 27
-        return _Found(boxes, best[queries], caption.names[winner[queries]], (run << 16) + queries)
+        return boxes, best[queries], caption.names[winner[queries]], (run << 16) + queries
 
     def _feed(self, frame: Frame, caption: Caption) -> dict[str, np.ndarray]:
         size = self._inputs["input_ids"][-1]

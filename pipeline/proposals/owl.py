@@ -14,13 +14,22 @@ from typing import Any
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.proposals.base import Proposals
+from pipeline.proposals.base import NMS_IOU, Proposals
 from pipeline.proposals.captions import plain_name, sigmoid
 from pipeline.proposals.contracts import OWL_CONTRACTS, SIDES, TOKENS, Kind, owl_tensors
 from pipeline.proposals.mismatch import fitting
-from pipeline.proposals.network import MAX_PER_NAME, TextDetector, inside, proposals_of, to_pixels
-from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
-from pipeline.proposals.selection import NMS_IOU
+from pipeline.proposals.network import (
+    CLIP_MEAN,
+    CLIP_STD,
+    MAX_PER_NAME,
+    TextDetector,
+    inside,
+    normalised,
+    padded_square,
+    pillow_resized,
+    proposals_of,
+    to_pixels,
+)
 from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import run_session
 
@@ -170,15 +179,14 @@ class OwlDetector(TextDetector):
         """(S,) int64: the marked tokens of a text, padded."""
         declared = self._inputs["input_ids"][1]
         size = declared if isinstance(declared, int) else TOKENS
-        if not prompt:
-            raise InputError("a name has no words that can be looked for", got=repr(name[:60]))
+        require(prompt, "a name has no words that can be looked for", got=repr(name[:60]))
         ids = [self._begin, *self._tokenizer.encode(prompt, add_special_tokens=False).ids, self._end]
-        if len(ids) > size:
-            raise InputError(
-                "a text is too long for the model",
-                got=f"{len(ids)} tokens of {prompt[:60]!r}",
-                expected=f"at most {size}",
-            )
+        require(
+            len(ids) <= size,
+            "a text is too long for the model",
+            got=f"{len(ids)} tokens of {prompt[:60]!r}",
+            expected=f"at most {size}",
+        )
         return np.array(ids + [PAD] * (size - len(ids)), np.int64)
 
     def _tensor(self, frame: Frame) -> np.ndarray:
@@ -193,13 +201,13 @@ class OwlDetector(TextDetector):
 def _marks(tokenizer: Any, path: Path) -> tuple[int, int]:
     """The numbers of the tokens that begin and end a text."""
     begin, end = tokenizer.token_to_id(BEGIN), tokenizer.token_to_id(END)
-    if begin is None or end is None or end != tokenizer.get_vocab_size() - 1:
-        raise InputError(
-            "the tokenizer is not CLIP's",
-            got=f"{BEGIN} = {begin}, {END} = {end} of {tokenizer.get_vocab_size()} tokens",
-            expected="both, the last of them the very last token",
-            path=path,
-        )
+    require(
+        None not in (begin, end) and end == tokenizer.get_vocab_size() - 1,
+        "the tokenizer is not CLIP's",
+        got=f"{BEGIN} = {begin}, {END} = {end} of {tokenizer.get_vocab_size()} tokens",
+        expected="both, the last of them the very last token",
+        path=path,
+    )
     return begin, end
 
 

@@ -37,10 +37,9 @@ from pipeline.proposals.contracts import (
     SAM_ENCODERS,
     SAM_SIDE,
 )
-from pipeline.proposals.model_pair import PairModel
-from pipeline.proposals.prompted import best_mask, corners, resampled, stretched
-from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD
-from pipeline.system.errors import InputError, require
+from pipeline.proposals.network import IMAGENET_MEAN, IMAGENET_STD
+from pipeline.proposals.prompted import PairModel, best_mask, corners, resampled, stretched
+from pipeline.system.errors import require
 
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
@@ -124,14 +123,14 @@ class SamModel(PairModel):
         height, width = _declared_or(self.encoder_input.shape[:2], image.shape[:2])
         if (height, width) == image.shape[:2]:
             return image
-        if height < image.shape[0] or width < image.shape[1]:
-            raise InputError(
-                "the encoder takes pictures of one shape only",
-                got=f"{image.shape[1]}x{image.shape[0]} with the long side {SAM_SIDE}",
-                expected=f"{width}x{height}",
-                cause="export it with a free height and width",
-                path=self.encoder_path,
-            )
+        require(
+            height >= image.shape[0] and width >= image.shape[1],
+            "the encoder takes pictures of one shape only",
+            got=f"{image.shape[1]}x{image.shape[0]} with the long side {SAM_SIDE}",
+            expected=f"{width}x{height}",
+            cause="export it with a free height and width",
+            path=self.encoder_path,
+        )
         # The mean colour is zero once it is normalised, which is what padding is made of.
         padded = np.tile(MEAN, (height, width, 1))
         padded[: image.shape[0], : image.shape[1]] = image

@@ -34,8 +34,9 @@ from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
-from pipeline.system.errors import FrameUnusable, InputError, require
+from pipeline.system.errors import FrameUnusable, InputError, needed, require
 from pipeline.system.reading import checked
+from pipeline.system.recent import Recent
 
 KEPT_ANSWERS = 32
 """Answers about the frame that was asked last, kept for when the same names are asked again."""
@@ -83,7 +84,7 @@ class _Playback:
         self.frame_id, self.shape = frame.id, (frame.height, frame.width)
         self.found = found
         self.names = np.array(found.names, dtype=np.str_)
-        self.answers: dict[tuple[str, ...] | None, Proposals] = {}
+        self.answers: Recent[tuple[str, ...] | None, Proposals] = Recent(KEPT_ANSWERS)
         self._read = read
         self._crops: dict[str, MaskCrop] = {}
 
@@ -192,13 +193,7 @@ class RecordedDetector:
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         playback = self._of_frame(frame)
         key = None if labels is None else tuple(labels)
-        answer = playback.answers.pop(key, None)
-        if answer is None:
-            answer = self._answer(frame, playback, key)
-        playback.answers[key] = answer
-        if len(playback.answers) > KEPT_ANSWERS:
-            del playback.answers[next(iter(playback.answers))]
-        return answer
+        return playback.answers.get(key, lambda: self._answer(frame, playback, key))
 
     def _answer(self, frame: Frame, playback: _Playback, labels: tuple[str, ...] | None) -> Proposals:
         keep = playback.found.scores >= self.min_score
@@ -222,17 +217,20 @@ class RecordedDetector:
 
     def _of_frame(self, frame: Frame) -> _Playback:
         if self._last is None or not self._last.shows(frame):
-            found = self._read_arrays(frame) if self._recording is None else self._recording.get(frame.id)
-            if found is None:
-                raise FrameUnusable(f"the recording has no detections for frame {frame.id}", path=self.path)
+            found = needed(
+                self._read_arrays(frame) if self._recording is None else self._recording.get(frame.id),
+                f"the recording has no detections for frame {frame.id}",
+                path=self.path,
+                error=FrameUnusable,
+            )
             shape = (frame.height, frame.width)
             self._last = _Playback(frame, found, lambda code, where: self._mask(code, shape, where))
         return self._last
 
     def _read_arrays(self, frame: Frame) -> FrameDetections | None:
         file = self.path / (frame.id.replace("/", "__") + ".npz")
-        if not file.is_file():
-            raise FrameUnusable(f"the recording has no detections for frame {frame.id}", path=file)
+        missing = f"the recording has no detections for frame {frame.id}"
+        require(file.is_file(), missing, path=file, error=FrameUnusable)
         found = _read_npz(file)
         if isinstance(found.masks, np.ndarray) and found.masks.shape[1:] != (frame.height, frame.width):
             raise InputError(
@@ -246,8 +244,9 @@ class RecordedDetector:
     def _mask(self, code: MaskCode, shape: tuple[int, int], where: str) -> np.ndarray | MaskCrop:
         if isinstance(code, tuple):
             # The size is checked before memory for it is asked for.
-            if code[0] != shape:
-                raise InputError(f"{where}: the mask has another size", got=code[0], expected=shape, path=self.path)
+            require(
+                code[0] == shape, f"{where}: the mask has another size", got=code[0], expected=shape, path=self.path
+            )
             return decode_crop(code[0], code[1], where)
         mask = self._mask_file(code, where)
         require(

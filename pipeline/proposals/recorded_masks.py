@@ -22,7 +22,7 @@ from pipeline.geometry.masks import RunLength, decode_run_length, fill_polygons
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter, Segments, segment_from
-from pipeline.system.errors import FrameUnusable, InputError, require
+from pipeline.system.errors import FrameUnusable, InputError, needed, require
 from pipeline.system.reading import checked
 
 
@@ -72,8 +72,12 @@ def open_recorded_masks(path: str | Path, synonyms: Synonyms | None = None) -> S
     if path.is_dir():
         if any(path.glob("*.npz")):
             return DetectorSegmenter(RecordedDetector(path), synonyms)
-        if next(path.rglob("*.png"), None) is None:
-            raise InputError("the folder holds no masks", expected="PNG files named after the frames", path=path)
+        require(
+            next(path.rglob("*.png"), None) is not None,
+            "the folder holds no masks",
+            expected="PNG files named after the frames",
+            path=path,
+        )
         return PngMasks(path)
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
@@ -156,9 +160,9 @@ class CocoMasks:
         )
         for fits in tests:
             found = [image for image, fit in zip(self._images, fits, strict=True) if fit]
-            if len(found) > 1:
-                names = " and ".join(repr(image.file_name) for image in found[:2])
-                raise FrameUnusable(f"several images may be frame {frame.id}: {names}", path=self.path)
+            names = " and ".join(repr(image.file_name) for image in found[:2])
+            several = f"several images may be frame {frame.id}: {names}"
+            require(len(found) <= 1, several, path=self.path, error=FrameUnusable)
             if found:
                 return found[0]
         raise FrameUnusable(f"there are no recorded masks for frame {frame.id}", path=self.path)
@@ -218,8 +222,12 @@ class PngMasks:
 
     def _of_frame(self, frame: Frame) -> Segments:
         file, folder = self.path / f"{frame.id}.png", self.path / frame.id
-        if not file.resolve().is_relative_to(self.path.resolve()):
-            raise FrameUnusable(f"frame {frame.id}: its masks would lie outside the folder", path=self.path)
+        require(
+            file.resolve().is_relative_to(self.path.resolve()),
+            f"frame {frame.id}: its masks would lie outside the folder",
+            path=self.path,
+            error=FrameUnusable,
+        )
         if file.is_file():
             from scipy.ndimage import find_objects
 
@@ -231,29 +239,29 @@ class PngMasks:
                 np.array(rectangles, np.float64).reshape(-1, 4), (None,) * len(found), lambda i: values == numbers[i]
             )
         files = sorted(folder.glob("*.png")) if folder.is_dir() else []
-        if not files:
-            raise FrameUnusable(f"there are no recorded masks for frame {frame.id}", path=file)
+        require(files, f"there are no recorded masks for frame {frame.id}", path=file, error=FrameUnusable)
         masks = [_read_png(f, frame) > 0 for f in files]
         return Segments(np.stack([_bounding_box(m) for m in masks]), (None,) * len(masks), lambda i: masks[i])
 
 
 def _read_png(file: Path, frame: Frame) -> np.ndarray:
-    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise FrameUnusable(f"frame {frame.id}: the mask file cannot be read", path=file)
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
-        raise FrameUnusable(
-            f"frame {frame.id}: a mask file must have one channel of 8 or 16 bits",
-            got=f"{image.dtype} {image.shape}",
-            path=file,
-        )
-    if image.shape != (frame.height, frame.width):
-        raise FrameUnusable(
-            f"frame {frame.id}: the mask has another size",
-            got=image.shape,
-            expected=(frame.height, frame.width),
-            path=file,
-        )
+    unreadable = f"frame {frame.id}: the mask file cannot be read"
+    image = needed(cv2.imread(str(file), cv2.IMREAD_UNCHANGED), unreadable, path=file, error=FrameUnusable)
+    require(
+        image.ndim == 2 and image.dtype in (np.uint8, np.uint16),
+        f"frame {frame.id}: a mask file must have one channel of 8 or 16 bits",
+        got=f"{image.dtype} {image.shape}",
+        path=file,
+        error=FrameUnusable,
+    )
+    require(
+        image.shape == (frame.height, frame.width),
+        f"frame {frame.id}: the mask has another size",
+        got=image.shape,
+        expected=(frame.height, frame.width),
+        path=file,
+        error=FrameUnusable,
+    )
     return image
 
 

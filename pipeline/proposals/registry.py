@@ -7,18 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, TypeVar
 
 from pipeline.language.naming import Synonyms, suggest
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
 from pipeline.proposals.cache import CachedDetector, CachedSegmenter
 from pipeline.proposals.depth_segmenter import DepthSegmenter
-from pipeline.proposals.ensemble import fused_detector
+from pipeline.proposals.ensemble import EnsembleDetector
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, Segmented, Segmenter
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import resolve_model
 from pipeline.system.plugins import load_plugins
 
@@ -47,55 +48,28 @@ class DetectorRequest:
     config: Path | None = None
 
 
-def _annotations(request: DetectorRequest) -> Detector:
-    return AnnotationDetector(request.class_names, request.synonyms)
+def _loaded(home: str) -> Any:
+    """What "module.Name" of this package names, imported when it is asked for: start-up need not wait for it."""
+    module, _, name = home.partition(".")
+    return getattr(import_module(f"pipeline.proposals.{module}"), name)
 
 
 def _recorded(request: DetectorRequest) -> Detector:
-    path = _needed(request, "recorded", "the JSON file or the folder of NPZ files")
+    path = needed(
+        request.model, "--detector recorded needs --model", expected="the JSON file or the folder of NPZ files"
+    )
     return RecordedDetector(path, synonyms=request.synonyms, min_score=request.min_score or 0.0)
 
 
-def _yolo_seg(request: DetectorRequest) -> Detector:
-    from pipeline.proposals.yolo_seg import YoloSegDetector
+def _network(
+    name: str, home: str, what: str, options: Callable[[DetectorRequest], dict[str, Any]]
+) -> Callable[[DetectorRequest], Detector]:
+    """A detector that runs a model file, fetched where it is named by its id on the model hub."""
 
-    path = _network(request, "yolo-seg", "an ONNX file")
-    return CachedDetector(
-        YoloSegDetector(path, names=request.config, synonyms=request.synonyms, min_score=request.min_score)
-    )
-
-
-def _detic(request: DetectorRequest) -> Detector:
-    from pipeline.proposals.detic import DeticDetector
-
-    path = _network(request, "detic", "an ONNX file with its class names beside it")
-    return CachedDetector(
-        DeticDetector(path, names=request.config, synonyms=request.synonyms, min_score=request.min_score)
-    )
-
-
-def _boxes(request: DetectorRequest) -> Detector:
-    from pipeline.proposals.box_detector import BoxDetector
-
-    path = _network(request, "boxes", "an ONNX file with a TOML file beside it")
-    return CachedDetector(
-        BoxDetector(path, config=request.config, synonyms=request.synonyms, min_score=request.min_score)
-    )
-
-
-def _grounding_dino(request: DetectorRequest) -> Detector:
-    from pipeline.proposals.grounding_dino import GroundingDinoDetector
-
-    path = _network(request, "grounding-dino", "an ONNX file with its tokenizer beside it")
-    return CachedDetector(GroundingDinoDetector(path, min_score=request.min_score, default_labels=request.class_names))
-
-
-def _owl(kind: Literal["owlv2", "owlvit"]) -> Callable[[DetectorRequest], Detector]:
     def make(request: DetectorRequest) -> Detector:
-        from pipeline.proposals.owl import OwlDetector
-
-        path = _network(request, kind, "an ONNX file with its tokenizer.json beside it")
-        return CachedDetector(OwlDetector(path, kind, min_score=request.min_score, default_labels=request.class_names))
+        expected = f"{what}, or its id on the model hub"
+        path = resolve_model(needed(request.model, f"--detector {name} needs --model", expected=expected))
+        return CachedDetector(_loaded(home)(path, min_score=request.min_score, **options(request)))
 
     return make
 
@@ -110,28 +84,34 @@ def _simulated(request: DetectorRequest) -> Detector:
     )
 
 
-def _needed(request: DetectorRequest, name: str, what: str) -> Path:
-    if request.model is None:
-        raise InputError(f"--detector {name} needs --model", expected=what)
-    return request.model
-
-
-def _network(request: DetectorRequest, name: str, what: str) -> Path:
-    """The model's file, fetched where it is named by its id on the model hub."""
-    return resolve_model(_needed(request, name, f"{what}, or its id on the model hub"))
-
-
+_BESIDE = "an ONNX file with its tokenizer.json beside it"
 DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
-    "annotations": _annotations,
+    "annotations": lambda request: AnnotationDetector(request.class_names, request.synonyms),
     "recorded": _recorded,
-    "yolo-seg": _yolo_seg,
-    "detic": _detic,
-    "boxes": _boxes,
-    "grounding-dino": _grounding_dino,
-    "owlv2": _owl("owlv2"),
-    "owlvit": _owl("owlvit"),
+    "yolo-seg": _network(
+        "yolo-seg", "yolo_seg.YoloSegDetector", "an ONNX file",
+        lambda request: {"names": request.config, "synonyms": request.synonyms},
+    ),
+    "detic": _network(
+        "detic", "detic.DeticDetector", "an ONNX file with its class names beside it",
+        lambda request: {"names": request.config, "synonyms": request.synonyms},
+    ),
+    "boxes": _network(
+        "boxes", "box_detector.BoxDetector", "an ONNX file with a TOML file beside it",
+        lambda request: {"config": request.config, "synonyms": request.synonyms},
+    ),
+    "grounding-dino": _network(
+        "grounding-dino", "grounding_dino.GroundingDinoDetector", "an ONNX file with its tokenizer beside it",
+        lambda request: {"default_labels": request.class_names},
+    ),
+    "owlv2": _network(
+        "owlv2", "owl.OwlDetector", _BESIDE, lambda request: {"kind": "owlv2", "default_labels": request.class_names}
+    ),
+    "owlvit": _network(
+        "owlvit", "owl.OwlDetector", _BESIDE, lambda request: {"kind": "owlvit", "default_labels": request.class_names}
+    ),
     "simulated": _simulated,
-}
+}  # fmt: skip
 CONFIGURABLE = ("yolo-seg", "detic", "boxes")
 """Those of them that a second file says more about."""
 
@@ -168,18 +148,21 @@ def make_detector(
     InputError
         For an unknown name, a missing model, or a model of another contract.
     """
-    if min_score is not None and not 0 <= min_score <= 1:
-        raise InputError("a minimum score must lie in 0..1", got=min_score)
+    require(min_score is None or 0 <= min_score <= 1, "a minimum score must lie in 0..1", got=min_score)
     make = _maker(name, "detector", DETECTORS, ENTRY_POINT_GROUP, near=True)
-    if config is not None and name in DETECTORS and name not in CONFIGURABLE:
-        raise InputError(f"--detector {name} takes no --model-config", expected=" or ".join(CONFIGURABLE), path=config)
-    if config is not None and name in ("yolo-seg", "detic") and config.suffix == ".toml":
-        raise InputError(
-            f"--model-config of --detector {name} is a list of class names",
-            got="a TOML file",
-            expected="for --fuse and --also boxes=MODEL.onnx: that file beside the model, as MODEL.toml",
-            path=config,
-        )
+    require(
+        config is None or name not in DETECTORS or name in CONFIGURABLE,
+        f"--detector {name} takes no --model-config",
+        expected=" or ".join(CONFIGURABLE),
+        path=config,
+    )
+    require(
+        config is None or name not in ("yolo-seg", "detic") or config.suffix != ".toml",
+        f"--model-config of --detector {name} is a list of class names",
+        got="a TOML file",
+        expected="for --fuse and --also boxes=MODEL.onnx: that file beside the model, as MODEL.toml",
+        path=config,
+    )
     return make(DetectorRequest(model, class_names, synonyms, min_score, config))
 
 
@@ -269,9 +252,7 @@ class DetectorSetup:
 
         others = [make(*named_model(text)) for text in self.fuse]
         first = make(self.name, self.model, self.config)
-        found = fused_detector(first, others, self.fusion, table)
-        assert found is not None
-        return found
+        return EnsembleDetector((first, *others), self.fusion, table) if others else first
 
 
 def made_by(text: str | None, detector: Detector) -> bool:
@@ -308,49 +289,38 @@ class SegmenterRequest:
 
 
 def _depth(request: SegmenterRequest) -> Segmenter:
-    if request.model is not None:
-        raise InputError("--segmenter depth takes no model", path=request.model)
+    require(request.model is None, "--segmenter depth takes no model", path=request.model)
     return DepthSegmenter()
 
 
 def _recorded_masks(request: SegmenterRequest) -> Segmenter:
-    from pipeline.proposals.recorded_masks import open_recorded_masks
-
-    path = _needed_masks(request, "recorded", "a COCO file, a recording of detections, or a folder of PNG masks")
-    return open_recorded_masks(path, request.synonyms)
+    what = "a COCO file, a recording of detections, or a folder of PNG masks"
+    path = needed(request.model, "--segmenter recorded needs --segmenter-model", expected=what)
+    return _loaded("recorded_masks.open_recorded_masks")(path, request.synonyms)
 
 
 def _yolo_seg_masks(request: SegmenterRequest) -> Segmenter:
-    from pipeline.proposals.yolo_seg import YoloSegDetector
+    what = "an ONNX file, or its id on the model hub"
+    path = resolve_model(needed(request.model, "--segmenter yolo-seg needs --segmenter-model", expected=what))
+    network = _loaded("yolo_seg.YoloSegDetector")(path, synonyms=request.synonyms)
+    return DetectorSegmenter(CachedDetector(network), request.synonyms)
 
-    path = resolve_model(_needed_masks(request, "yolo-seg", "an ONNX file, or its id on the model hub"))
-    return DetectorSegmenter(CachedDetector(YoloSegDetector(path, synonyms=request.synonyms)), request.synonyms)
 
-
-def _prompted(name: Literal["sam", "sam2", "efficientsam"]) -> Callable[[SegmenterRequest], Segmenter]:
+def _prompted(model: str) -> Callable[[SegmenterRequest], Segmenter]:
     def make(request: SegmenterRequest) -> Segmenter:
-        from pipeline.proposals.prompt_models import EfficientSamModel, Sam2Model, SamModel
-        from pipeline.proposals.prompted import PromptedSegmenter
-
-        model = {"sam": SamModel, "sam2": Sam2Model, "efficientsam": EfficientSamModel}[name]
-        return CachedSegmenter(PromptedSegmenter(model([resolve_model(path) for path in request.models])))
+        files = [resolve_model(path) for path in request.models]
+        return CachedSegmenter(_loaded("prompted.PromptedSegmenter")(_loaded(f"prompt_models.{model}")(files)))
 
     return make
-
-
-def _needed_masks(request: SegmenterRequest, name: str, what: str) -> Path:
-    if request.model is None:
-        raise InputError(f"--segmenter {name} needs --segmenter-model", expected=what)
-    return request.model
 
 
 SEGMENTERS: dict[str, Callable[[SegmenterRequest], Segmenter]] = {
     "depth": _depth,
     "recorded": _recorded_masks,
     "yolo-seg": _yolo_seg_masks,
-    "sam": _prompted("sam"),
-    "sam2": _prompted("sam2"),
-    "efficientsam": _prompted("efficientsam"),
+    "sam": _prompted("SamModel"),
+    "sam2": _prompted("Sam2Model"),
+    "efficientsam": _prompted("EfficientSamModel"),
 }
 TWO_FILES = ("sam", "sam2", "efficientsam")
 """Those that are made of an encoder and a decoder."""
@@ -377,10 +347,10 @@ def make_segmenter(name: str, *, model: SegmenterFiles = None, synonyms: Synonym
     """
     make = _maker(name, "segmenter", SEGMENTERS, SEGMENTER_GROUP)
     files = segmenter_files(model)
-    if len(files) > 1 and name in SEGMENTERS and name not in TWO_FILES:
-        raise InputError(
-            f"--segmenter {name} takes one file at most",
-            got=" ".join(map(str, files)),
-            cause=f"an encoder and a decoder are for --segmenter {' or '.join(TWO_FILES)}",
-        )
+    require(
+        len(files) <= 1 or name not in SEGMENTERS or name in TWO_FILES,
+        f"--segmenter {name} takes one file at most",
+        got=" ".join(map(str, files)),
+        cause=f"an encoder and a decoder are for --segmenter {' or '.join(TWO_FILES)}",
+    )
     return make(SegmenterRequest(files[0] if files else None, synonyms, files))

@@ -9,7 +9,6 @@ makes them: for each name by itself, suppressed, the K best. A detection is a hi
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,6 +20,7 @@ from pipeline.metrics.calibration_metrics import IDENTITY, Platt, fit_platt, sig
 from pipeline.proposals.base import Detector
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
+from pipeline.system.whole_files import write_whole
 
 SCORE_LIMIT = 1e-6
 """Scores are clipped to this and one minus this before their logit is taken."""
@@ -100,13 +100,13 @@ class ScoreCalibration:
         InputError
             The calibration was fitted on the scores of another detector, model or setting.
         """
-        if self.detector is not None and not detector.exact and self.detector != detector.fingerprint():
-            raise InputError(
-                "the score calibration is of another detector",
-                got=detector.fingerprint(),
-                expected=self.detector,
-                cause="another model, recording or minimum score? --force-calibration uses it all the same",
-            )
+        require(
+            self.detector is None or detector.exact or self.detector == detector.fingerprint(),
+            "the score calibration is of another detector",
+            got=lambda: detector.fingerprint(),
+            expected=self.detector,
+            cause="another model, recording or minimum score? --force-calibration uses it all the same",
+        )
 
     def for_any(self) -> ScoreCalibration:
         """The same for any detector."""
@@ -124,15 +124,9 @@ _CALIBRATION = TypeAdapter(ScoreCalibration)
 
 def save_calibration(calibration: ScoreCalibration, path: str | Path, report: dict[str, Any] | None = None) -> None:
     """Write a calibration as JSON, whole or not at all; `report` (see `calibrate_scores`) goes with it."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     record = {"format": FORMAT, **asdict(calibration)} | ({} if report is None else {"report": report})
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    text = json.dumps(record, indent=1, allow_nan=False) + "\n"
+    write_whole(Path(path), text.encode(), "the score calibration")
 
 
 def load_calibration(path: str | Path) -> ScoreCalibration:

@@ -77,23 +77,15 @@ class Segmented:
     """
 
     def __init__(self, detector: Detector, segmenter: Segmenter) -> None:
-        self.detector = detector
-        self.segmenter = segmenter
+        self.detector, self.segmenter = detector, segmenter
+        self.name, self.exact = f"{detector.name}+{segmenter.name}", detector.exact
         self.seconds = 0.0
         """What the segmenter has taken so far."""
         self._last: tuple[Frame, dict[int, np.ndarray]] | None = None
 
     @property
-    def name(self) -> str:
-        return f"{self.detector.name}+{self.segmenter.name}"
-
-    @property
     def vocabulary(self) -> tuple[str, ...] | None:
         return self.detector.vocabulary
-
-    @property
-    def exact(self) -> bool:
-        return self.detector.exact
 
     def fingerprint(self) -> str:
         return f"{self.detector.fingerprint()}|{self.segmenter.fingerprint()}"
@@ -169,12 +161,7 @@ class DetectorSegmenter:
     """
 
     def __init__(self, detector: Detector, synonyms: Synonyms | None = None) -> None:
-        self.detector = detector
-        self.synonyms = synonyms
-
-    @property
-    def name(self) -> str:
-        return self.detector.name
+        self.detector, self.name, self.synonyms = detector, detector.name, synonyms
 
     def fingerprint(self) -> str:
         return f"masks:{self.detector.fingerprint()}"

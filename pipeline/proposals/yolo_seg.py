@@ -20,13 +20,12 @@ import numpy as np
 
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.base import Proposals, no_proposals
+from pipeline.proposals.base import Proposals, no_proposals, suppress
 from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names
 from pipeline.proposals.contracts import MASK_COEFFICIENTS, YOLO_SEG_CONTRACTS, yolo_seg_tensors
 from pipeline.proposals.mismatch import fitting
 from pipeline.proposals.network import NetworkDetector
-from pipeline.proposals.selection import suppress
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 from pipeline.system.onnx_session import run_session
 
 MAX_CANDIDATES = 1000
@@ -191,15 +190,20 @@ def _masks(raw: _Raw, order: np.ndarray, boxes: np.ndarray, height: int, width: 
 
 
 def _checked_names(names: tuple[str, ...] | None, classes: int | None, path: Path) -> tuple[str, ...]:
-    if names is None:
-        raise InputError(
-            "the model's metadata hold no class names",
-            expected=f"`names` with {classes if classes is not None else 'all'} entries, or --model-config FILE",
-            cause="was the file exported without metadata?",
-            path=path,
-        )
-    if classes is not None and len(names) != classes:
-        raise InputError("the class names are not those of the model", got=len(names), expected=classes, path=path)
+    names = needed(
+        names,
+        "the model's metadata hold no class names",
+        expected=f"`names` with {classes if classes is not None else 'all'} entries, or --model-config FILE",
+        cause="was the file exported without metadata?",
+        path=path,
+    )
+    require(
+        classes is None or len(names) == classes,
+        "the class names are not those of the model",
+        got=len(names),
+        expected=classes,
+        path=path,
+    )
     return names
 
 
@@ -242,8 +246,7 @@ def letterbox(rgb: np.ndarray, height: int, width: int, pad: int = 114) -> tuple
     inner_w, inner_h = min(max(round(w * scale), 1), width), min(max(round(h * scale), 1), height)
     left, top = round((width - inner_w) / 2 - 0.1), round((height - inner_h) / 2 - 0.1)
     image = np.full((height, width, 3), pad, np.uint8)
-    resized = rgb
-    if (inner_h, inner_w) != (h, w):
-        resized = cv2.resize(rgb, (inner_w, inner_h), interpolation=cv2.INTER_LINEAR)
+    same = (inner_h, inner_w) == (h, w)
+    resized = rgb if same else cv2.resize(rgb, (inner_w, inner_h), interpolation=cv2.INTER_LINEAR)
     image[top : top + inner_h, left : left + inner_w] = resized
     return image, Letterbox(scale, left, top, inner_w, inner_h)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pipeline.relations.installed import installed_network, installed_networks
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.paths import asset_path
 
 __all__ = ["RelationScorer", "RelationScores", "RuleScorer", "make_scorer", "shipped_network"]
@@ -35,8 +35,7 @@ def make_scorer(name: str | Path = RULE, vectors: Path | None = None) -> Relatio
     InputError
         For an unknown name, or a file that is not a relation network this program can feed.
     """
-    if name == RULE and vectors is not None:
-        raise InputError("the rule uses no class names: leave out --vectors", path=vectors)
+    require(name != RULE or vectors is None, "the rule uses no class names: leave out --vectors", path=vectors)
     if name == RULE:
         return RuleScorer()
     path = shipped_network() if name == TRAINED else Path(name)

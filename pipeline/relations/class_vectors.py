@@ -62,9 +62,12 @@ class ClassVectors:
                 names, vectors = archive["names"], archive["vectors"]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise InputError("the network's class vectors cannot be read", got=error, path=path) from error
-        if names.ndim != 1 or names.dtype.kind != "U" or vectors.shape[:1] != names.shape or vectors.ndim != 2:
-            raise InputError("the network's class vectors cannot be read", got=f"{names.shape}, {vectors.shape}",
-                             path=path)  # fmt: skip
+        require(
+            names.ndim == 1 and names.dtype.kind == "U" and vectors.shape[:1] == names.shape and vectors.ndim == 2,
+            "the network's class vectors cannot be read",
+            got=f"{names.shape}, {vectors.shape}",
+            path=path,
+        )
         return cls(tuple(str(n) for n in names), vectors.astype(np.float32))
 
 

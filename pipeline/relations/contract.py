@@ -156,20 +156,20 @@ class Contract:
             expected=", ".join(FEATURES),
             path=path,
         )
-        if (self.features != base) != (self.language is not None) or bool(self.classes) != (self.language is not None):
-            raise InputError(
-                "the relation network's language features do not fit its feature contract",
-                got=f"{self.features} {'without' if self.language is None else 'with'} text vectors",
-                path=path,
-            )
+        require(
+            (self.features != base) == bool(self.classes) == (self.language is not None),
+            "the relation network's language features do not fit its feature contract",
+            got=f"{self.features} {'without' if self.language is None else 'with'} text vectors",
+            path=path,
+        )
         expected = self.feature_set.columns
-        if self.columns != expected:
-            raise InputError(
-                f"the relation network's {self.features} is another one than this program's",
-                got=_differing(self.columns, expected),
-                expected=f"{len(expected)} features, {expected[0]} to {expected[-1]}",
-                path=path,
-            )
+        require(
+            self.columns == expected,
+            f"the relation network's {self.features} is another one than this program's",
+            got=lambda: _differing(self.columns, expected),
+            expected=f"{len(expected)} features, {expected[0]} to {expected[-1]}",
+            path=path,
+        )
         require(
             not (
                 self.mean.shape != (len(expected),)

@@ -19,7 +19,7 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.relations.pair_measures import Profile
 from pipeline.relations.relations import measure_pairs
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 
 LANGUAGE = "+lang"
 """What the name of a contract with class names ends with."""
@@ -129,9 +129,7 @@ def describe_extents(
     objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
 ) -> np.ndarray:
     """(N, 6): lo and hi along (right, up, forward), metres."""
-    if not objects:
-        return np.zeros((0, 6))
-    return np.stack([np.concatenate([o.lo, o.hi]) for o in objects])
+    return np.array([np.concatenate([o.lo, o.hi]) for o in objects]).reshape(-1, 6)
 
 
 def describe_raw_boxes(
@@ -161,9 +159,8 @@ def describe_boxes_2d(
     InputError
         Without the appearance.
     """
-    if appearance is None:
-        raise InputError("geom2d8 needs the objects' 2D boxes", expected="their appearance in the image")
-    return rows_2d(appearance.bboxes, appearance.width, appearance.height)
+    shown = needed(appearance, "geom2d8 needs the objects' 2D boxes", expected="their appearance in the image")
+    return rows_2d(shown.bboxes, shown.width, shown.height)
 
 
 def rows_2d(bboxes: np.ndarray, width: float, height: float) -> np.ndarray:

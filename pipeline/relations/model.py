@@ -62,13 +62,13 @@ class OnnxScorer:
         self._session: Any = session
         inputs, outputs = session.get_inputs(), session.get_outputs()
         sizes = [list(v.shape)[1:] for v in (*inputs, *outputs)]
-        if sizes != [[self.features.dimension], [len(self.contract.vocabulary)]]:
-            raise InputError(
-                "the relation network's graph does not fit its metadata",
-                got=signature(session),
-                expected=f"{self.features.dimension} numbers in, {len(self.contract.vocabulary)} out",
-                path=path,
-            )
+        require(
+            sizes == [[self.features.dimension], [len(self.contract.vocabulary)]],
+            "the relation network's graph does not fit its metadata",
+            got=lambda: signature(session),
+            expected=f"{self.features.dimension} numbers in, {len(self.contract.vocabulary)} out",
+            path=path,
+        )
         self._input = inputs[0].name
         self._classes: ClassLookup | None = None
         if self.contract.language is not None:
@@ -107,11 +107,11 @@ class OnnxScorer:
         self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
     ) -> np.ndarray:
         """(N, N, R) float64: the network's probabilities of its vocabulary, for all ordered pairs."""
-        if self.features.needs_appearance and appearance is None:
-            raise InputError(
-                f"the relation network's {self.name} needs what objects look like in the image",
-                expected="their 2D boxes and class names (an Appearance)",
-            )
+        require(
+            not self.features.needs_appearance or appearance is not None,
+            f"the relation network's {self.name} needs what objects look like in the image",
+            expected="their 2D boxes and class names (an Appearance)",
+        )
         if appearance is not None and len(appearance.labels) != len(objects):
             raise InputError(
                 "objects and their appearance differ in number", got=f"{len(objects)} and {len(appearance.labels)}"

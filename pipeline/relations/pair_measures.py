@@ -1,11 +1,16 @@
 """The thresholds of the relation profile, and what it measures of every ordered pair of objects.
 
+on, in and near ask for contact, by extents and by points. "a RELATION b" is entry [a, b]; leading dimensions are a
+batch of scenes. Extents and points are along the viewer's (right, up, forward), metres.
+
 States are three-valued: T (+1) a relation holds, F (-1) it does not, U (0) it is too close to call.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -98,3 +103,183 @@ def measure_pairs(lo: np.ndarray, hi: np.ndarray, profile: Profile | None = None
         overlap=overlap,
         overlap_share=overlap / np.minimum(extent[..., :, None, :], extent[..., None, :, :]),
     )
+
+
+_BEYOND_EXTENTS = 0.1
+"""Of 20 points or more, never so large a share lies beyond the extents to one side: 1st and 99th percentiles."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All that is measured of every ordered pair, of points only what is asked for.
+
+    Attributes
+    ----------
+    pairs : PairMeasures
+    profile : Profile
+    clouds : sequence of (M, 3) float, or None
+        Each object's points along (right, up, forward); without them extents stand in.
+    given : ((..., N, N), (..., N, N)) float64, or None
+        `surface` and `share` where they are known: of a batch of scenes always.
+    """
+
+    pairs: PairMeasures
+    profile: Profile
+    clouds: Sequence[np.ndarray] | None = None
+    given: tuple[np.ndarray, np.ndarray] | None = None
+
+    @cached_property
+    def surface(self) -> np.ndarray:
+        """(..., N, N) float64: the height of b's surface under a, metres."""
+        if self.given is not None:
+            return self.given[0]
+        return supporting_surfaces(self.pairs.lo, self.pairs.hi, self.clouds, self.profile)
+
+    @cached_property
+    def share(self) -> np.ndarray:
+        """(..., N, N) float64: the share of a that lies in b's inflated extents."""
+        return enclosed_shares(self.pairs, self.clouds, self.profile) if self.given is None else self.given[1]
+
+
+def on_measures(measured: Measured) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What decides "a on b".
+
+    Returns
+    -------
+    covered : (N, N) float64
+        Share of a's footprint that lies over b's.
+    area_ratio : (N, N) float64
+        Footprint of a over that of b.
+    gap : (N, N) float64
+        Metres between a's bottom and the surface of b under it.
+    """
+    return _on_surfaces(measured.pairs, measured.surface)
+
+
+def _on_surfaces(pairs: PairMeasures, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    area = pairs.extent[..., 0] * pairs.extent[..., 2]
+    covered = pairs.overlap[..., 0] * pairs.overlap[..., 2] / area[..., :, None]
+    return covered, area[..., :, None] / area[..., None, :], np.abs(pairs.lo[..., :, None, 1] - surface)
+
+
+def on_states(measured: Measured) -> np.ndarray:
+    """(..., N, N) states of "a on b"."""
+    pairs, profile = measured.pairs, measured.profile
+    covered, area_ratio, gap = on_measures(measured)
+    supported = (covered >= profile.on_overlap) & (area_ratio < profile.on_area_ratio)
+    touching = np.maximum(profile.on_gap, profile.on_gap_relative * pairs.extent[..., 1])[..., :, None]
+    state = np.where(supported & (gap <= touching), T, np.where(supported & (gap <= profile.on_gap_doubtful), U, F))
+    # Of two flat things at one height only the one whose middle is higher can be on the other.
+    mutual = (state >= U) & (state.swapaxes(-1, -2) >= U)
+    return np.where(mutual & (pairs.delta[..., 1] <= 0), F, state)
+
+
+def supporting_surfaces(
+    lo: np.ndarray, hi: np.ndarray, clouds: Sequence[np.ndarray] | None, profile: Profile
+) -> np.ndarray:
+    """(N, N) float64: the height of b's surface under a, metres; extents lo and hi are (N, 3)."""
+    found = np.empty((len(lo), len(lo)))
+    for b in range(len(lo)):
+        found[:, b] = surface_heights(lo, hi, None if clouds is None else clouds[b], hi[b, 1], profile)
+    return found
+
+
+def surface_heights(
+    lo: np.ndarray, hi: np.ndarray, cloud: np.ndarray | None, top: float, profile: Profile
+) -> np.ndarray:
+    """(N,) height of one object under and around footprints: the 95th percentile of its points there.
+
+    Parameters
+    ----------
+    lo, hi : (N, 3) float
+        Extents of what may stand on it, metres.
+    cloud : (M, 3) float or None
+        Its points along (right, up, forward).
+    top : float
+        Its upper extent, for footprints under which it has no point.
+    """
+    heights = np.full(len(lo), top)
+    if cloud is None or not len(cloud):
+        return heights
+    cloud = cloud[:: max(1, len(cloud) // 1500)]
+    plan = cloud[:, [0, 2]]
+    margin = profile.on_footprint_margin
+    low, high = lo[:, [0, 2]] - margin, hi[:, [0, 2]] + margin
+    # Most footprints are nowhere near: only the others need be compared with each point.
+    near = np.flatnonzero((low <= plan.max(axis=0)).all(axis=1) & (high >= plan.min(axis=0)).all(axis=1))
+    if not len(near):
+        return heights
+    low, high = low[near, None], high[near, None]
+    under = np.logical_and.reduce((plan[None] >= low) & (plan[None] <= high), axis=2)
+    order = np.argsort(cloud[:, 1])
+    rank = np.cumsum(under[:, order], axis=1)
+    number = rank[:, -1]
+    at = (rank >= np.ceil(0.95 * number)[:, None]).argmax(axis=1)
+    heights[near] = np.where(number > 0, cloud[order, 1][at], heights[near])
+    return heights
+
+
+def in_measures(measured: Measured) -> tuple[np.ndarray, np.ndarray]:
+    """What decides "a in b".
+
+    Returns
+    -------
+    share : (N, N) float64
+        Share of a's points, or of its extents where it has none, in b's inflated extents.
+    below_rim : (N, N) float64
+        How far a's bottom lies below b's top, in heights of a.
+    """
+    return measured.share, _below_rim(measured.pairs)
+
+
+def _below_rim(pairs: PairMeasures) -> np.ndarray:
+    return (pairs.hi[..., None, :, 1] - pairs.lo[..., :, None, 1]) / pairs.extent[..., :, None, 1]
+
+
+def points_decide(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np.ndarray]:
+    """Where `on`, and where `in`, look at points: elsewhere extents alone say F. Both (..., N, N) bool."""
+    covered, area_ratio, _ = _on_surfaces(pairs, np.zeros(pairs.delta.shape[:-1]))
+    surface = (covered >= profile.on_overlap) & (area_ratio < profile.on_area_ratio)
+    share = _below_rim(pairs) >= profile.in_below_rim
+    if profile.in_share_doubtful > _BEYOND_EXTENTS:
+        share &= (np.abs(pairs.gap) <= profile.in_inflation).all(axis=-1)
+    return surface, share
+
+
+def enclosed_shares(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile) -> np.ndarray:
+    """(N, N) float64: the share of a that lies in b's inflated extents."""
+    share = np.zeros(pairs.delta.shape[:2])
+    for a in range(len(pairs.lo)):
+        cloud = None if clouds is None else clouds[a]
+        share[a] = enclosed_share(pairs.lo[a], pairs.hi[a], cloud, pairs.lo, pairs.hi, profile)
+    return share
+
+
+def enclosed_share(
+    lo_a: np.ndarray, hi_a: np.ndarray, cloud: np.ndarray | None, lo: np.ndarray, hi: np.ndarray, profile: Profile
+) -> np.ndarray:
+    """(N,) share of one object's points, or of its extents ((3,)) where it has none, in others' ((N, 3)) inflated."""
+    low, high = lo - profile.in_inflation, hi + profile.in_inflation
+    if cloud is not None and len(cloud):
+        cloud = cloud[:: max(1, len(cloud) // 500)]
+        # Most boxes hold none of the points.
+        near = np.flatnonzero((low <= cloud.max(axis=0)).all(axis=1) & (high >= cloud.min(axis=0)).all(axis=1))
+        inside = (cloud[None] >= low[near, None]) & (cloud[None] <= high[near, None])
+        share = np.zeros(len(low))
+        share[near] = inside.all(axis=2).mean(axis=1)
+        return share
+    shared = np.minimum(hi_a, high) - np.maximum(lo_a, low)
+    return (np.clip(shared, 0, None) / np.maximum(hi_a - lo_a, profile.min_extent)).clip(0, 1).prod(axis=1)
+
+
+def in_states(measured: Measured) -> np.ndarray:
+    """(..., N, N) states of "a in b"."""
+    profile, (share, below_rim) = measured.profile, in_measures(measured)
+    sunk = below_rim >= profile.in_below_rim
+    return np.where(sunk & (share >= profile.in_share), T, np.where(sunk & (share >= profile.in_share_doubtful), U, F))
+
+
+def near_measures(pairs: PairMeasures) -> tuple[np.ndarray, np.ndarray]:
+    """What decides "a near b": metres between them, and the mean of their diagonals; both (N, N) float64."""
+    diagonal = np.linalg.norm(pairs.extent, axis=-1)
+    return np.linalg.norm(pairs.gap, axis=-1), (diagonal[..., :, None] + diagonal[..., None, :]) / 2

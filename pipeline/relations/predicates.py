@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.relations.contact import Measured
-from pipeline.relations.margins import margin_of
-from pipeline.relations.pair_measures import F, PairMeasures, Profile, T, U
+from pipeline.relations.pair_measures import F, Measured, PairMeasures, Profile, T, U
 from pipeline.system.errors import InputError
 
 Judge = Callable[[Measured], Sequence[np.ndarray]]
@@ -116,3 +114,8 @@ def pair_margins(measured: Measured, states: np.ndarray, relations: Sequence[str
     """
     margins = _stacked(relations, lambda p: p.margins(measured))
     return np.where(states == T, np.maximum(margins, 0), np.where(states == F, np.minimum(margins, 0), 0.0))
+
+
+def margin_of(holds: np.ndarray, allows: np.ndarray) -> np.ndarray:
+    """The margin, given the slack of T and that of "T or U"."""
+    return np.where(holds >= 0, holds, np.where(allows >= 0, 0.0, allows))

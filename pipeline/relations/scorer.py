@@ -1,4 +1,7 @@
-"""SRM: what scores relations. The rule scorer is the first; a trained network has the same interface."""
+"""SRM: what scores relations. The rule scorer is the first; a trained network has the same interface.
+
+Relations by rule that involve more than two objects, closest, farthest and between, stand here too.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,8 @@ import numpy as np
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
-from pipeline.relations.arrangement import between_states, superlative_states
 from pipeline.relations.features import Appearance
-from pipeline.relations.relations import PROFILE, Indices, directional_states, judged_relations, pairwise_states
+from pipeline.relations.relations import PROFILE, F, Indices, T, U, judged_relations, measure_pairs, pairwise_states
 
 RULE_PROBABILITY = {1: 0.95, 0: 0.50, -1: 0.05}
 """T, U and F as probabilities."""
@@ -83,12 +85,9 @@ class RuleScorer:
         relations: Collection[str] = PAIRWISE,
     ) -> RelationScores:
         lo, hi = stacked_extents(objects)
-        if set(relations) <= set(DIRECTIONAL):
-            states, names = directional_states(lo, hi), DIRECTIONAL
-        else:
-            axes = viewer.matrix.T.astype(np.float32)
-            clouds = [o.points @ axes for o in objects]
-            states, names = pairwise_states(lo, hi, clouds, relations=relations), judged_relations(relations)
+        axes, names = viewer.matrix.T.astype(np.float32), judged_relations(relations)
+        clouds = None if names == DIRECTIONAL else [o.points @ axes for o in objects]
+        states = pairwise_states(lo, hi, clouds, relations=relations)
         return RelationScores(names, states, rule_probabilities(states), dict.fromkeys(names, self.name))
 
 
@@ -99,9 +98,7 @@ def rule_probabilities(states: np.ndarray) -> np.ndarray:
 
 def stacked_extents(objects: Sequence[LiftedObject]) -> tuple[np.ndarray, np.ndarray]:
     """lo and hi of all objects, each (N, 3) float64."""
-    if not objects:
-        return np.zeros((0, 3)), np.zeros((0, 3))
-    return np.stack([o.lo for o in objects]), np.stack([o.hi for o in objects])
+    return np.array([o.lo for o in objects]).reshape(-1, 3), np.array([o.hi for o in objects]).reshape(-1, 3)
 
 
 def superlative_probabilities(
@@ -124,3 +121,76 @@ def between_probabilities(
     """(C, A, B) probabilities of "candidate between a and b"; always by rule."""
     lo, hi = stacked_extents(objects)
     return rule_probabilities(between_states(lo, hi, candidates, first, second))
+
+
+def distances(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
+    """(N, N) float64: metres between the extents of every two objects, 0 where they overlap."""
+    return np.linalg.norm(measure_pairs(lo, hi).gap, axis=2)
+
+
+RANK_MARGIN = 0.03
+
+
+def superlative_states(
+    lo: np.ndarray,
+    hi: np.ndarray,
+    candidates: Indices,
+    references: Indices,
+    farthest: bool = False,
+    same: np.ndarray | None = None,
+) -> np.ndarray:
+    """closest or farthest: which candidate is at the end of the row, seen from each reference.
+
+    Parameters
+    ----------
+    candidates, references : sequences of int
+        Objects that compete, and objects they are measured from.
+    same : (N, N) bool, optional
+        Entries that are one and the same thing; by default each is only itself.
+
+    Returns
+    -------
+    (C, R) int8
+        T for the nearest (farthest) candidate, U for those within 3 cm of it, F for the rest;
+        an object is no candidate for itself.
+    """
+    away = distances(lo, hi)[np.ix_(list(candidates), list(references))]
+    centers = (lo + hi) / 2
+    apart = np.linalg.norm(centers[list(candidates)][:, None] - centers[list(references)][None], axis=2)
+    # Objects that touch the reference all have a gap of 0; centres decide among them.
+    measure = np.where(np.isfinite(away), away + 1e-3 * apart, np.nan)
+    if farthest:
+        measure = -measure
+    itself = np.eye(len(lo), dtype=np.bool_) if same is None else same
+    measure = np.where(itself[np.ix_(list(candidates), list(references))] | np.isnan(measure), np.inf, measure)
+    best = measure.min(axis=0, keepdims=True) if len(measure) else measure
+    state = np.where(measure <= best + RANK_MARGIN, U, F)
+    # Rounding must not decide between two that are equally far.
+    state[measure <= best + 1e-9] = T
+    state[~np.isfinite(measure)] = F
+    return state.astype(np.int8)
+
+
+def between_states(lo: np.ndarray, hi: np.ndarray, candidates: Indices, first: Indices, second: Indices) -> np.ndarray:
+    """between: the candidate's centre lies in the corridor from one object to another, in plan.
+
+    T where the centre projects onto the middle 70 % of the line between the two
+    centres and lies within a quarter of its length of it; U up to the whole line and half its length.
+
+    Returns
+    -------
+    (C, A, B) int8
+    """
+    plan = ((lo + hi) / 2)[:, [0, 2]]
+    p, a, b = plan[list(candidates)][:, None, None], plan[list(first)][None, :, None], plan[list(second)][None, None]
+    line = b - a
+    length = np.linalg.norm(line, axis=-1)
+    safe = np.maximum(length, 1e-9)
+    along = ((p - a) * line).sum(axis=-1) / safe**2
+    aside = np.linalg.norm((p - a) - along[..., None] * line, axis=-1) / safe
+    off_middle = np.abs(along - 0.5)
+    holds, doubtful = (off_middle <= 0.35) & (aside <= 0.25), (off_middle <= 0.5) & (aside <= 0.5)
+    state = np.where(holds, T, np.where(doubtful, U, F))
+    c, i, j = np.asarray(candidates)[:, None, None], np.asarray(first)[None, :, None], np.asarray(second)[None, None]
+    state[np.broadcast_to((c == i) | (c == j) | (i == j) | (length < 1e-6), state.shape)] = F
+    return state.astype(np.int8)

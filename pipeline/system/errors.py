@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+Thing = TypeVar("Thing")
 
 
 class InputError(ValueError):
@@ -56,10 +61,73 @@ def require(
     expected: object = None,
     cause: str | None = None,
     path: str | Path | None = None,
+    error: type[InputError] = InputError,
 ) -> None:
-    """Raise InputError with these words where something does not hold."""
+    """Raise InputError (or another `error`) with these words where something does not hold.
+
+    `got` and `expected` may be functions that give them, where they cost time or only exist then.
+    """
     if not sound:
-        raise InputError(what, got=got, expected=expected, cause=cause, path=path)
+        got, expected = (words() if callable(words) else words for words in (got, expected))
+        raise error(what, got=got, expected=expected, cause=cause, path=path)
+
+
+def needed(
+    value: Thing | None,
+    what: str,
+    *,
+    got: object = None,
+    expected: object = None,
+    cause: str | None = None,
+    path: str | Path | None = None,
+    error: type[InputError] = InputError,
+) -> Thing:
+    """A value that must not be None; InputError (or another `error`) with these words where it is."""
+    if value is None:
+        raise error(what, got=got, expected=expected, cause=cause, path=path)
+    return value
+
+
+@contextmanager
+def as_input_error(what: str, *errors: type[Exception], got: object = None, **words: Any) -> Iterator[None]:
+    """Errors of these kinds in the block, told as InputError with these words (those of `require`).
+
+    `got` may be a function of the error. An InputError, which is a ValueError, goes through as it is.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except errors as error:
+        raise InputError(what, got=got(error) if callable(got) else got, **words) from error
+
+
+def first_line(error: Exception) -> str:
+    """What an error says in its first line."""
+    return str(error).split("\n")[0]
+
+
+def kind_and_text(error: Exception) -> str:
+    """An error by its kind and what it says."""
+    return f"{type(error).__name__}: {error}"
+
+
+class Shown(NamedTuple):
+    """A value as a message quotes it: its first characters, written out only where there is a message."""
+
+    value: object
+    longest: int = 60
+
+    def __str__(self) -> str:
+        return repr(self.value)[: self.longest]
+
+
+def extra_module(module: str, feature: str, extra: str) -> Any:
+    """The module; MissingExtra for the feature where it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingExtra(feature, extra) from error
 
 
 class UnknownFormat(InputError):

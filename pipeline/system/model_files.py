@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pipeline.system.errors import InputError, MissingExtra, require
-from pipeline.system.execution import is_verbose
+from pipeline.system.onnx_session import is_verbose
 from pipeline.system.paths import cache_folder
 from pipeline.system.whole_files import sha256_of
 
@@ -120,12 +120,9 @@ def fetched(hub_id: HubId) -> Path | None:
             revision = (folder / "refs" / _plain(revision)).read_text(encoding="ascii").strip()
         except (OSError, UnicodeDecodeError):
             return None
-    if hub_id.file is not None:
-        path = folder / revision / hub_id.file
-        return path if path.is_file() else None
-    default = _default_file(hub_id.repo)
-    if default is not None:
-        path = folder / revision / default
+    name = hub_id.file or _default_file(hub_id.repo)
+    if name is not None:
+        path = folder / revision / name
         return path if path.is_file() else None
     found = sorted((folder / revision).rglob("*.onnx"))
     return found[0] if len(found) == 1 else None
@@ -156,11 +153,11 @@ def fetch(hub_id: HubId) -> Path:
         raise _unreachable(hub_id, error) from error
     listed = {s.rfilename: s for s in info.siblings or ()}
     file = hub_id.file or _default_file(hub_id.repo) or _only_model(hub_id, listed)
-    if file not in listed:
-        raise InputError(
-            f"the hub has no file {file!r} in {hub_id.repo}",
-            expected=_some([n for n in listed if n.endswith(".onnx")]) or "an ONNX file, of which there is none",
-        )
+    require(
+        file in listed,
+        f"the hub has no file {file!r} in {hub_id.repo}",
+        expected=_some([n for n in listed if n.endswith(".onnx")]) or "an ONNX file, of which there is none",
+    )
     commit = info.sha or ""
     require(
         _COMMIT.fullmatch(commit),

@@ -1,22 +1,28 @@
-"""Open an ONNX file with ONNX Runtime, and say plainly what is wrong with it."""
+"""Open an ONNX file with ONNX Runtime, and say plainly what is wrong with it.
+
+Where it computes, and whether its own messages are shown, is asked of the environment, so that worker processes do
+as their parent does.
+"""
 
 from __future__ import annotations
 
 import mmap
+import os
 import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xxhash
 
 from pipeline.system.errors import InputError, MissingExtra, require
-from pipeline.system.execution import cpu_session, create_session, is_verbose
 
 
 def open_session(path: Path, threads: int | None = None) -> Any:
-    """An `onnxruntime.InferenceSession`, where `pipeline.system.execution` says.
+    """An `onnxruntime.InferenceSession`, where `pipeline.system.onnx_session` says.
 
     A graph that ONNX Runtime cannot load with its optimisations, as happens with half-precision files, is loaded
     without them.
@@ -76,27 +82,31 @@ def metadata(session: Any) -> dict[str, str]:
         return {}
 
 
+_NO_MODEL = (
+    ((b"version https://git-lfs",), "it is a pointer of Git LFS, not the file itself: `git lfs pull` fetches it"),
+    ((b"<!doctype", b"<html", b"<?xml"), "it is a web page, not the file itself: download it again"),
+)
+_CAUSES = (
+    (
+        ("external data", "external initializer", "_data", "model_path must not"),
+        "its weights are in a file of their own: keep it beside the model, under the name it was exported with",
+    ),
+    (("opset",), "the file is newer than this ONNX Runtime: update onnxruntime, or export with an older opset"),
+    (("protobuf", "parse"), "the file is damaged, incomplete, or no ONNX file"),
+)
+
+
 def _no_model(path: Path) -> str | None:
     """What stands where a download failed, where the file is that."""
     with path.open("rb") as file:
         begin = file.read(64).lstrip().lower()
-    if begin.startswith(b"version https://git-lfs"):
-        return "it is a pointer of Git LFS, not the file itself: `git lfs pull` fetches it"
-    if begin.startswith((b"<!doctype", b"<html", b"<?xml")):
-        return "it is a web page, not the file itself: download it again"
-    return None
+    return next((cause for begins, cause in _NO_MODEL if begin.startswith(begins)), None)
 
 
 def _likely_cause(message: str) -> str | None:
     """What ONNX Runtime's words for a file that it cannot load come from."""
     words = message.lower()
-    if any(part in words for part in ("external data", "external initializer", "_data", "model_path must not")):
-        return "its weights are in a file of their own: keep it beside the model, under the name it was exported with"
-    if "opset" in words:
-        return "the file is newer than this ONNX Runtime: update onnxruntime, or export with an older opset"
-    if "protobuf" in words or "parse" in words:
-        return "the file is damaged, incomplete, or no ONNX file"
-    return None
+    return next((cause for parts, cause in _CAUSES if any(part in words for part in parts)), None)
 
 
 def first_line(error: object) -> str:
@@ -151,14 +161,14 @@ def as_declared(session: Any, feed: Mapping[str, np.ndarray], path: Path) -> dic
             raise InputError(f"the model's input {name!r} cannot be given", got=got, expected="numbers", path=path)
         with np.errstate(invalid="ignore", over="ignore"):
             cast[name] = np.ascontiguousarray(value, dtype=wanted)
-        if value.dtype.kind == "f" and cast[name].dtype.kind != "f" and not np.array_equal(cast[name], value):
-            raise InputError(
-                f"the model's input {name!r} takes whole numbers, and what belongs there are none",
-                got=types[name],
-                expected="tensor(float)",
-                cause="was the file quantised together with its inputs?",
-                path=path,
-            )
+        require(
+            value.dtype.kind != "f" or cast[name].dtype.kind == "f" or np.array_equal(cast[name], value),
+            f"the model's input {name!r} takes whole numbers, and what belongs there are none",
+            got=types[name],
+            expected="tensor(float)",
+            cause="was the file quantised together with its inputs?",
+            path=path,
+        )
     return cast
 
 
@@ -223,3 +233,109 @@ def require_onnx() -> Any:
     except ImportError as error:
         raise MissingExtra("writing ONNX files", "train") from error
     return onnx
+
+
+Provider = Literal["auto", "cpu", "cuda", "coreml", "directml"]
+PROVIDER_VARIABLE = "SPATIALVIZ_PROVIDER"
+VERBOSE_VARIABLE = "SPATIALVIZ_VERBOSE"
+CPU = "CPUExecutionProvider"
+ACCELERATORS = {
+    "cuda": "CUDAExecutionProvider",
+    "directml": "DmlExecutionProvider",
+    "coreml": "CoreMLExecutionProvider",
+}
+"""ONNX Runtime's names, the first that it has first."""
+PACKAGES = {"cuda": "onnxruntime-gpu", "directml": "onnxruntime-directml", "coreml": "onnxruntime on macOS"}
+"""The builds of ONNX Runtime that hold them."""
+
+
+class ProviderWarning(UserWarning):
+    """What was asked for cannot compute here, and the CPU does."""
+
+
+def use_execution(provider: str | None = None, verbose: bool = False) -> None:
+    """Set where models that are opened from now on compute, in this process and in those it starts.
+
+    Parameters
+    ----------
+    provider : str, optional
+        "auto", "cpu", "cuda", "coreml" or "directml"; None leaves it as it is.
+    verbose : bool
+        Let ONNX Runtime's own messages reach standard error.
+
+    Raises
+    ------
+    InputError
+        For another provider.
+    """
+    if provider is not None:
+        os.environ[PROVIDER_VARIABLE] = _checked(provider)
+    if verbose:
+        os.environ[VERBOSE_VARIABLE] = "1"
+
+
+def is_verbose() -> bool:
+    """Whether ONNX Runtime's own messages are shown."""
+    return os.environ.get(VERBOSE_VARIABLE, "") not in ("", "0")
+
+
+def _checked(provider: str) -> str:
+    known = ("auto", "cpu", *ACCELERATORS)
+    require(provider in known, "there is no such provider", got=repr(provider), expected=" or ".join(known))
+    return provider
+
+
+def wanted_accelerator(available: list[str]) -> str | None:
+    """ONNX Runtime's name of what computes besides the CPU; None for nothing, with one warning where it was asked for.
+
+    Parameters
+    ----------
+    available : list of str
+        What this ONNX Runtime was built with.
+    """
+    provider = _checked(os.environ.get(PROVIDER_VARIABLE) or "auto")
+    if provider == "cpu":
+        return None
+    if provider == "auto":
+        return next((name for name in ACCELERATORS.values() if name in available), None)
+    if ACCELERATORS[provider] not in available:
+        warn_once(f"this ONNX Runtime has no {provider} ({PACKAGES[provider]} does): the CPU computes")
+        return None
+    return ACCELERATORS[provider]
+
+
+@lru_cache(maxsize=64)
+def warn_once(message: str) -> None:
+    """Warn; the same words only once in a process."""
+    warnings.warn(message, ProviderWarning, stacklevel=3)
+
+
+def create_session(path: str, options: Any) -> Any:
+    """A session on the wanted provider, or on the CPU with one warning; raises what ONNX Runtime raises."""
+    import onnxruntime as ort
+
+    accelerator = wanted_accelerator(ort.get_available_providers())
+    if accelerator is None:
+        return cpu_session(path, options)
+    if accelerator == ACCELERATORS["directml"]:
+        # DirectML refuses memory patterns and parallel execution.
+        options.enable_mem_pattern = False
+        options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    try:
+        # ONNX Runtime's own fallback prints four lines to standard output.
+        session = ort.InferenceSession(path, sess_options=options, providers=[accelerator, CPU], enable_fallback=0)
+    except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
+        session = cpu_session(path, options)
+        reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
+        warn_once(f"{accelerator} cannot be used, the CPU computes: {reason}")
+        return session
+    if accelerator not in session.get_providers():
+        warn_once(f"{accelerator} cannot be used, the CPU computes: its libraries are missing or do not fit")
+    return session
+
+
+def cpu_session(path: str, options: Any) -> Any:
+    """The same on the CPU, whatever is wanted."""
+    import onnxruntime as ort
+
+    return ort.InferenceSession(path, sess_options=options, providers=[CPU])

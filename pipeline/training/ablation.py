@@ -24,10 +24,10 @@ from pipeline.metrics.tables import Row, Table
 from pipeline.relations.features import FEATURES, cli_features
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import rule_probabilities
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 from pipeline.system.worker_pool import results_of
-from pipeline.training.onnx_file import save_onnx
-from pipeline.training.pairs import PairSet
+from pipeline.training.card import save_onnx
+from pipeline.training.label_data import PairSet
 from pipeline.training.train import TrainConfig, require_training, train_pairs
 from pipeline.training.training_data import FIRST_ROOM, ROOMS_A_SEED, FrameSamples, view_samples
 
@@ -84,8 +84,12 @@ class AblationConfig:
             got=self.pairs,
         )
         unknown = [name for name in self.features if name not in FEATURES]
-        if unknown or not self.features:
-            raise InputError("no such feature contract", got=repr(unknown[:1]), expected=", ".join(FEATURES))
+        require(
+            not unknown and self.features,
+            "no such feature contract",
+            got=repr(unknown[:1]),
+            expected=", ".join(FEATURES),
+        )
 
 
 @dataclass(frozen=True)

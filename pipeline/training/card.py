@@ -1,29 +1,37 @@
-"""The whole training job: rooms, network, calibration, figures, and the card that says all of it."""
+"""The whole training job: rooms, network, calibration, figures, and what it leaves: the ONNX file and its card.
+
+Of the figures only pairs of different objects count, and of their cells only those that are T or F in truth: U is
+neither right nor wrong.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import platform
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.calibration_metrics import fit_calibration
+from pipeline.language.relation_names import DIRECTIONAL, RELATIONS
+from pipeline.metrics.calibration_metrics import Platt, calibration_metrics, expected_calibration_error, fit_calibration
+from pipeline.metrics.intervals import mean_of_defined, ratio
+from pipeline.metrics.relation_metrics import multi_label_metrics, single_label_metrics
+from pipeline.relations.class_vectors import vectors_beside
+from pipeline.relations.contract import TrainedOn
 from pipeline.relations.features import cli_features
 from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import measure_pairs
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import require
-from pipeline.system.onnx_session import file_hash
+from pipeline.system.onnx_session import file_hash, require_onnx
 from pipeline.system.plugins import versions_of
-from pipeline.system.threads import one_thread
-from pipeline.training.evaluation import clear_cut_report, evaluate
-from pipeline.training.onnx_file import save_onnx
-from pipeline.training.train import TrainConfig, check_room_config, require_training, train_srm
+from pipeline.system.worker_pool import one_thread
+from pipeline.training.train import TrainConfig, TrainedModel, check_room_config, require_training, train_srm
 from pipeline.training.training_data import (
     SCALES,
     SCATTERED_A_ROOM,
@@ -89,7 +97,7 @@ def train_on_rooms(
     out = network_path(out)
     require_training()
     tell = progress or (lambda what, done, of: None)
-    split = make_split(
+    train, held_back, test = make_split(
         rooms.seed,
         rooms.rooms,
         views=rooms.views,
@@ -98,7 +106,7 @@ def train_on_rooms(
         workers=workers,
         progress=lambda done, of: tell("rooms", done, of),
     )
-    learnt = with_other_sizes(split.train, rooms.seed)
+    learnt = with_other_sizes(train, rooms.seed)
     model = train_srm(learnt, config, lambda done, loss: tell("epochs", done, config.epochs))
     out.parent.mkdir(parents=True, exist_ok=True)
     name = config.features
@@ -107,8 +115,8 @@ def train_on_rooms(
         save_onnx(uncalibrated, model)
         plain = OnnxScorer(uncalibrated)
     calibration = fit_calibration(
-        [plain.logits(frame.rows[name]) for frame in split.calibration],
-        [frame.truth for frame in split.calibration],
+        [plain.logits(frame.rows[name]) for frame in held_back],
+        [frame.truth for frame in held_back],
         DIRECTIONAL,
     )
     save_onnx(out, model, calibration)
@@ -127,7 +135,7 @@ def train_on_rooms(
         },
         "rooms": {**asdict(rooms), **_room_ranges(rooms), "scales": list(SCALES)},
         "calibration": {relation: [round(v, 6) for v in ab] for relation, ab in calibration.items()},
-        "held_out": held_out_figures(OnnxScorer(out), plain, split.test),
+        "held_out": held_out_figures(OnnxScorer(out), plain, test),
     }
     out.with_suffix(".json").write_text(json.dumps(rounded(card), indent=1) + "\n", encoding="utf-8")
     return card
@@ -185,3 +193,256 @@ def rounded(value: Any) -> Any:
     if isinstance(value, (float, np.floating)):
         return round(float(value), 6)
     return value
+
+
+OPSET = 13
+IR_VERSION = 8
+"""Old enough for every ONNX Runtime this program accepts."""
+
+
+def write_onnx(
+    path: Path, layers: Sequence[tuple[np.ndarray, np.ndarray]], metadata: dict[str, str], producer: str = "spatialviz"
+) -> None:
+    """Write a network of dense layers with ReLU between them: `features` (pairs, D) -> `logits` (pairs, R).
+
+    Parameters
+    ----------
+    path : Path
+    layers : sequence of (W, b)
+        W is (inputs, outputs).
+    metadata : dict of str to str
+
+    Raises
+    ------
+    MissingExtra
+        The package onnx is not installed.
+    """
+    onnx = require_onnx()
+    from onnx import TensorProto, helper, numpy_helper
+
+    nodes, constants = [], []
+    value = "features"
+    for k, (w, b) in enumerate(layers):
+        last = k + 1 == len(layers)
+        constants += [
+            numpy_helper.from_array(np.ascontiguousarray(w, np.float32), f"W{k}"),
+            numpy_helper.from_array(np.ascontiguousarray(b, np.float32), f"b{k}"),
+        ]
+        out = "logits" if last else f"dense{k}"
+        nodes.append(helper.make_node("Gemm", [value, f"W{k}", f"b{k}"], [out], name=f"layer{k}"))
+        if not last:
+            nodes.append(helper.make_node("Relu", [out], [f"relu{k}"], name=f"activation{k}"))
+            value = f"relu{k}"
+    inputs = helper.make_tensor_value_info("features", TensorProto.FLOAT, ["pairs", layers[0][0].shape[0]])
+    outputs = helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["pairs", layers[-1][0].shape[1]])
+    graph = helper.make_graph(nodes, "srm", [inputs], [outputs], constants)
+    model = helper.make_model(
+        graph,
+        producer_name=producer,
+        opset_imports=[helper.make_operatorsetid("", OPSET)],
+        ir_version=IR_VERSION,
+    )
+    helper.set_model_props(model, dict(sorted(metadata.items())))
+    onnx.checker.check_model(model)
+    path.write_bytes(model.SerializeToString(deterministic=True))
+
+
+def save_onnx(
+    path: Path,
+    model: TrainedModel,
+    calibration: dict[str, Platt] | None = None,
+    trained_on: TrainedOn | None = None,
+) -> None:
+    """The trained network with its contract, as `OnnxScorer` reads it, and its class vectors beside it."""
+    write_onnx(path, model.layers, replace(model.contract(calibration), trained_on=trained_on).metadata())
+    if model.vectors is not None:
+        vectors_beside(path).write_bytes(model.vectors.content())
+
+
+CLEAR_GAP_M = 0.10
+
+
+def evaluate(
+    probabilities: Sequence[np.ndarray], truth: Sequence[np.ndarray], rule: Sequence[np.ndarray] | None = None
+) -> dict[str, Any]:
+    """Every figure of a relation scorer.
+
+    Parameters
+    ----------
+    probabilities : sequence of (N, N, 6) float
+        Of each view, in the order of DIRECTIONAL.
+    truth : sequence of (N, N, 6) int8
+        Exact states.
+    rule : sequence of (N, N, 6) int8, optional
+        States of the noisy view; adds the cells on which it and the truth differ.
+
+    Returns
+    -------
+    dict
+        `relations` (name -> precision, recall, f1, positives), `micro_f1`,
+        `macro_f1`, `element_accuracy`, `all_negative_accuracy` (what a scorer
+        gets that always says no), `positives_per_pair`, `doubtful_share`,
+        `brier`, `ece`, `pairs`, and with `rule` `differing` (cells, errors,
+        rule_errors, rule_opposite: see `differing_cells`). None where a figure
+        has no meaning, as precision where no relation was found to hold.
+    """
+    p, t = _cells(probabilities).astype(np.float64), _cells(truth).astype(np.int8)
+    metrics, calibration = multi_label_metrics(p, t), calibration_metrics(p, t)
+    relations = {
+        name: {
+            "precision": _defined(metrics.precision[k]),
+            "recall": _defined(metrics.recall[k]),
+            "f1": _defined(metrics.f1[k]),
+            "positives": int(metrics.positives[k]),
+        }
+        for k, name in enumerate(DIRECTIONAL)
+    }
+    report: dict[str, Any] = {
+        "pairs": metrics.pairs,
+        "relations": relations,
+        "micro_f1": _defined(metrics.micro_f1),
+        "macro_f1": _defined(metrics.macro_f1),
+        "element_accuracy": _defined(metrics.element_accuracy),
+        "all_negative_accuracy": _defined(metrics.all_negative_accuracy),
+        "positives_per_pair": _defined(ratio(metrics.positives.sum(), len(t))),
+        "doubtful_share": _defined(ratio(metrics.undecided.sum(), t.size)),
+        "brier": _defined(calibration.pooled_brier),
+        "ece": _defined(calibration.pooled_ece),
+    }
+    if rule is not None:
+        report["differing"] = differing_cells(p, t, _cells(rule))
+    return report
+
+
+def evaluate_classes(
+    probabilities: Sequence[np.ndarray], truth: Sequence[np.ndarray], prior: Sequence[float], vocabulary: Sequence[str]
+) -> dict[str, Any]:
+    """Every figure of a network that says which one relation fits a pair.
+
+    Parameters
+    ----------
+    probabilities : sequence of (N, N, R) float
+        Of each view, softmax over the vocabulary, the prior not divided out.
+    truth : sequence of (N, N) int
+        Index of the one true relation; -1 for pairs that take no part.
+    prior : sequence of float
+        Share of each class in training.
+    vocabulary : sequence of str
+
+    Returns
+    -------
+    dict
+        `pairs`, `top1`, `top2`, `top1_prior_divided` (argmax of p / prior),
+        `mean_recall` over classes that occur, `most_frequent` (what always
+        saying the most frequent class gets), `log_loss`, `ece` of the
+        probability of the answer, and `relations` (name -> precision,
+        recall, f1, positives). None where a figure has no meaning.
+    """
+    rows = [(p[t >= 0], t[t >= 0]) for p, t in zip(probabilities, truth, strict=True)]
+    p = np.concatenate([np.zeros((0, len(vocabulary))), *(p for p, _ in rows)])
+    t = np.concatenate([np.zeros(0, np.int64), *(t for _, t in rows)]).astype(np.int64)
+    metrics = single_label_metrics(p, t, vocabulary)
+    weighted = p / np.asarray(prior, np.float64)
+    divided = single_label_metrics(weighted / weighted.sum(axis=1, keepdims=True), t, vocabulary)
+    holds = metrics.confusion.sum(axis=1)
+    return {
+        "pairs": metrics.pairs,
+        "relations": {
+            name: {
+                "precision": _defined(metrics.precision[k]),
+                "recall": _defined(metrics.recall[k]),
+                "f1": _defined(metrics.f1[k]),
+                "positives": int(holds[k]),
+            }
+            for k, name in enumerate(vocabulary)
+        },
+        "top1": _defined(metrics.top1),
+        "top2": _defined(metrics.top2),
+        "top1_prior_divided": _defined(divided.top1),
+        "mean_recall": _defined(mean_of_defined(metrics.recall)),
+        "most_frequent": _defined(ratio(holds.max(), metrics.pairs)),
+        "log_loss": _defined(ratio(-np.log(np.maximum(p[np.arange(len(t)), t], 1e-12)).sum(), len(t))),
+        "ece": _defined(expected_calibration_error(p.max(axis=1), p.argmax(axis=1) == t)),
+    }
+
+
+def _cells(views: Sequence[np.ndarray]) -> np.ndarray:
+    """(pairs, 6) of all views, the diagonals left out."""
+    rows = [view[~np.eye(len(view), dtype=np.bool_)] for view in views]
+    return np.concatenate(rows) if rows else np.zeros((0, len(DIRECTIONAL)))
+
+
+def _defined(figure: Any) -> float | None:
+    return float(figure) if math.isfinite(figure) else None
+
+
+def differing_cells(p: np.ndarray, truth: np.ndarray, rule: np.ndarray) -> dict[str, int]:
+    """Cells that are T or F in truth and on which the rule, given the noisy view, says something else.
+
+    Returns
+    -------
+    dict
+        cells; errors (of the probabilities, by 0.5); rule_errors (by 0.5: a U
+        counts as "no", which is right where the truth is F); rule_opposite (the
+        rule says F for T or T for F).
+    """
+    cells = (truth != 0) & (rule != truth)
+    holds = truth > 0
+    return {
+        "cells": int(cells.sum()),
+        "errors": int((cells & ((p > 0.5) != holds)).sum()),
+        "rule_errors": int((cells & ((rule > 0) != holds)).sum()),
+        "rule_opposite": int((cells & (rule == -truth)).sum()),
+    }
+
+
+def clear_cut(lo: np.ndarray, hi: np.ndarray, by_centers: bool = False) -> np.ndarray:
+    """Which relation of each ordered pair is beyond dispute.
+
+    Parameters
+    ----------
+    lo, hi : (N, 3) float
+        Exact extents along (right, up, forward), metres.
+    by_centers : bool
+        The dominant axis is that of the largest difference of centres, and not
+        that of the largest gap.
+
+    Returns
+    -------
+    (N, N) int64
+        Index in DIRECTIONAL of the relation along the dominant axis, where the
+        extents are more than 10 cm apart along it; -1 elsewhere.
+    """
+    measured = measure_pairs(lo, hi)
+    axis = np.abs(measured.delta if by_centers else measured.gap).argmax(axis=2)
+    gap = np.take_along_axis(measured.gap, axis[..., None], axis=2)[..., 0]
+    of_axis = {RELATIONS[name].axis: k for k, name in enumerate(DIRECTIONAL)}
+    negative, positive = (np.array([of_axis[k, side] for k in range(3)])[axis] for side in (-1, 1))
+    return np.where(np.abs(gap) <= CLEAR_GAP_M, -1, np.where(gap > 0, positive, negative))
+
+
+def clear_cut_report(
+    probabilities: Sequence[np.ndarray],
+    extents: Sequence[tuple[np.ndarray, np.ndarray]],
+    by_centers: bool = False,
+) -> dict[str, Any]:
+    """Of the clear-cut relations of all views: how many are likely (p > 0.5), how many doubted, how many opposite ones.
+
+    Returns
+    -------
+    dict
+        clear_cut (their number), holds, doubted, opposite (shares of it; None where there is none).
+    """
+    asked, opposed = [], []
+    for p, (lo, hi) in zip(probabilities, extents, strict=True):
+        which = clear_cut(lo, hi, by_centers)
+        a, b = np.nonzero(which >= 0)
+        asked.append(p[a, b, which[a, b]])
+        opposed.append(p[b, a, which[a, b]])
+    own, other = np.concatenate([*asked, []]), np.concatenate([*opposed, []])
+    return {
+        "clear_cut": len(own),
+        "holds": _defined(ratio((own > 0.5).sum(), len(own))),
+        "doubted": _defined(ratio((own == 0.5).sum(), len(own))),
+        "opposite": _defined(ratio((other > 0.5).sum(), len(other))),
+    }

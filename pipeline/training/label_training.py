@@ -21,13 +21,11 @@ from pipeline.metrics.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, S
 from pipeline.relations.class_vectors import ClassVectors, vectors_beside
 from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geometry_of
 from pipeline.relations.model import OnnxScorer
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.onnx_session import file_hash
-from pipeline.system.threads import one_thread
-from pipeline.training.card import network_path, rounded, versions
-from pipeline.training.evaluation import evaluate, evaluate_classes
+from pipeline.system.worker_pool import one_thread
+from pipeline.training.card import evaluate, evaluate_classes, network_path, rounded, save_onnx, versions
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set, read_label_data, trained_on
-from pipeline.training.onnx_file import save_onnx
 from pipeline.training.train import Epoch, TrainConfig, TrainedModel, require_training, train_pairs
 
 CIRCULAR = (
@@ -66,18 +64,17 @@ class LabelTraining:
         self.config.check()
         language = self.config.features.endswith(LANGUAGE)
         feature_set(geometry_of(self.config.features))
-        if language and self.vectors is None:
-            raise InputError(
-                f"the features {cli_features(self.config.features)} need vectors of class names",
-                expected="--vectors with a file of text vectors",
-            )
-        if not language and (self.vectors is not None or self.normalised):
-            raise InputError(
-                f"the features {cli_features(self.config.features)} use no class names",
-                expected="--features with +lang, or no text vectors",
-            )
-        if self.pairs is not None and self.pairs < 2:
-            raise InputError("there must be at least two pairs to learn from", got=self.pairs)
+        require(
+            not language or self.vectors is not None,
+            f"the features {cli_features(self.config.features)} need vectors of class names",
+            expected="--vectors with a file of text vectors",
+        )
+        require(
+            language or (self.vectors is None and not self.normalised),
+            f"the features {cli_features(self.config.features)} use no class names",
+            expected="--features with +lang, or no text vectors",
+        )
+        require(self.pairs is None or self.pairs >= 2, "there must be at least two pairs to learn from", got=self.pairs)
 
 
 @one_thread()
@@ -129,7 +126,8 @@ def train_on_labels(
     watched = pair_set(validation, data.features, config.output, vectors=vectors)
     model = train_pairs(learnt, config, validation=watched, language=language, progress=progress)
     del learnt, watched
-    test, validation = (_of_vocabulary(frames, model, data) for frames in (test, validation))
+    kept = [data.vocabulary.index(relation) for relation in model.vocabulary]
+    test, validation = ([replace(f, states=f.states[..., kept]) for f in frames] for frames in (test, validation))
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".train-") as folder:
         made = Path(folder) / out.name
@@ -165,11 +163,6 @@ def _language(job: LabelTraining, data: LabelData) -> tuple[ClassVectors | None,
     source = open_vectors(job.vectors)
     table = source.phrases(data.names, normalised=job.normalised)
     return ClassVectors(data.names, table.vectors), LanguageContract.of(source, normalised=job.normalised)
-
-
-def _of_vocabulary(frames: Sequence[LabelledFrame], model: TrainedModel, data: LabelData) -> list[LabelledFrame]:
-    kept = [data.vocabulary.index(relation) for relation in model.vocabulary]
-    return [replace(frame, states=frame.states[..., kept]) for frame in frames]
 
 
 def _worded(scorer: OnnxScorer, frame: LabelledFrame, names: Sequence[str]) -> np.ndarray:
@@ -232,16 +225,15 @@ def _labels_record(labels: Labels, data: LabelData) -> dict[str, Any]:
 
 
 def _warnings(model: TrainedModel, plan: SplitPlan, data: LabelData, given: bool) -> list[str]:
-    found = [] if given else [CIRCULAR]
-    if plan.warning is not None:
-        found.append(plan.warning)
     lost = [r for r in data.vocabulary if r not in model.vocabulary]
-    if lost:
-        found.append(f"too few pairs of {', '.join(lost)} to learn from: the network has no output for them")
     empty = [name for k, name in enumerate(PARTS) if not (plan.part == k).any()]
-    if empty:
-        found.append(f"no frames for {', '.join(empty)}")
-    return found
+    reasons = (
+        (not given, CIRCULAR),
+        (plan.warning, plan.warning),
+        (lost, f"too few pairs of {', '.join(lost)} to learn from: the network has no output for them"),
+        (empty, f"no frames for {', '.join(empty)}"),
+    )
+    return [text for holds, text in reasons if holds and text]
 
 
 def _command(job: LabelTraining, out: Path) -> str:

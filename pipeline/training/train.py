@@ -25,9 +25,9 @@ from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import Contract, Output
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T
-from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.errors import MissingExtra, require
 from pipeline.system.onnx_session import require_onnx
-from pipeline.training.pairs import PairSet, class_shares
+from pipeline.training.label_data import PairSet, class_shares
 from pipeline.training.training_data import FrameSamples, iterate_pairs
 
 OUTPUTS: dict[str, Output] = {name: "softmax" if name == "semantic-abstraction" else "sigmoid" for name in VOCABULARIES}
@@ -55,11 +55,12 @@ class TrainConfig:
 
     def check(self) -> None:
         """Raise InputError where the numbers make no sense."""
-        if (
-            min(self.hidden, self.epochs, self.halve_every, 1 if self.batch is None else self.batch) < 1
-            or self.learning_rate <= 0
-        ):
-            raise InputError("width, batch, epochs, halving and learning rate must be positive", got=self)
+        require(
+            min(self.hidden, self.epochs, self.halve_every, 1 if self.batch is None else self.batch) >= 1
+            and self.learning_rate > 0,
+            "width, batch, epochs, halving and learning rate must be positive",
+            got=self,
+        )
         require(0 <= self.seed < 1 << 63, "a seed must be from 0 to 2^63 - 1", got=self.seed)
         require(
             self.vocabulary in OUTPUTS, "no such vocabulary", got=repr(self.vocabulary), expected=" | ".join(OUTPUTS)
@@ -275,7 +276,7 @@ def train_pairs(
 
 
 def _classes_with_examples(states: np.ndarray, vocabulary: Sequence[str]) -> list[int]:
-    """Places of the classes that can be learnt; of two inverse ones both or none."""
+    """Indices of the classes that can be learnt; of two inverse ones both or none."""
     enough = (states == T).sum(axis=0) >= FEWEST_EXAMPLES
     return [
         k

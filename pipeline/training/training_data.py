@@ -98,21 +98,12 @@ class FrameSamples:
 
     def scaled(self, factor: float) -> FrameSamples:
         """The same view of a scene `factor` times as large. Its labels are judged anew: the rule knows metres."""
-        rows = {}
-        for name, described in self.rows.items():
-            rows[name] = described.copy()
-            rows[name][:, list(FEATURES[name].lengths)] *= factor
+        rows = {
+            name: described * np.where(np.isin(np.arange(described.shape[1]), FEATURES[name].lengths), factor, 1.0)
+            for name, described in self.rows.items()
+        }
         extents = (e * factor for e in (self.seen_lo, self.seen_hi, self.exact_lo, self.exact_hi))
         return FrameSamples(self.room, rows, *extents)
-
-
-@dataclass(frozen=True)
-class Split:
-    """Rooms for training, for calibration and for the final figures: no room is in two of them."""
-
-    train: tuple[FrameSamples, ...]
-    calibration: tuple[FrameSamples, ...]
-    test: tuple[FrameSamples, ...]
 
 
 def with_other_sizes(samples: Sequence[FrameSamples], seed: int) -> tuple[FrameSamples, ...]:
@@ -202,8 +193,8 @@ def make_split(
     height: int = 360,
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
-) -> Split:
-    """Samples of `rooms` rooms, split by room, and of twice as many scattered ones.
+) -> tuple[tuple[FrameSamples, ...], tuple[FrameSamples, ...], tuple[FrameSamples, ...]]:
+    """Samples of `rooms` rooms, split by room, and of twice as many scattered ones: to train, to calibrate, to test.
 
     Trained on are varied views of furnished rooms and of the scattered ones, and every second furnished room as
     `spatialviz render` shows it; calibrated on rooms of solids; measured on furnished rooms as rendered.
@@ -218,17 +209,22 @@ def make_split(
         (test, "furnished"),
     ]
     total, done, parts = sum(len(seeds) for seeds, _ in jobs), 0, []
+    tell = progress or (lambda done, of: None)
     for seeds, maker in jobs:
-
-        def tell(count: int, before: int = done) -> None:
-            if progress is not None:
-                progress(before + count, total)
-
-        made = make_samples(seeds, views=views, width=width, height=height, maker=maker, workers=workers, progress=tell)
-        parts.append(made)
+        parts.append(
+            make_samples(
+                seeds,
+                views=views,
+                width=width,
+                height=height,
+                maker=maker,
+                workers=workers,
+                progress=lambda count, before=done: tell(before + count, total),
+            )
+        )
         done += len(seeds)
     *learnt, solids, measured = parts
-    return Split(tuple(frame for part in learnt for frame in part), solids, measured)
+    return tuple(frame for part in learnt for frame in part), solids, measured
 
 
 def _room_samples(job: Job) -> tuple[FrameSamples, ...]:

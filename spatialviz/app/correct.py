@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import viser
 
-from pipeline.corrections.cards import ASKED_BEYOND_M, PairCard, RelationLine, pair_card
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, plain_text, relation_ref
 from pipeline.corrections.label_editor import LabelEditor, Outcome
 from pipeline.corrections.object_card import expression_cards
-from pipeline.corrections.scene import labelled_objects
+from pipeline.corrections.scene import ASKED_BEYOND_M, PairCard, RelationLine, labelled_objects, pair_card
 from pipeline.corrections.wording import consequences, events_text, outcome_text
 from pipeline.system.errors import InputError
 from spatialviz.app.label_view import LabelView, Target

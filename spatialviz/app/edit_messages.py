@@ -11,7 +11,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Edits
-from pipeline.diagnosis.whatif.box_numbers import box_numbers, grown, labelled_mask, rectangle, with_numbers
+from pipeline.diagnosis.whatif.placement import box_numbers, grown, labelled_mask, rectangle, with_numbers
 from pipeline.geometry.boxes import Box3D
 from pipeline.relations.installed import installed_network
 from pipeline.system.errors import InputError
@@ -184,11 +184,11 @@ def _setting(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[s
     if name == "scorer":
         return edits.with_scorer(None if value == "own" else _known_scorer(value))
     if name == "aggregate":
-        return edits.with_rank(aggregate=value)
+        return edits.with_settings("rank", aggregate=value)
     if name in WEIGHTS:
-        return edits.with_rank(**{name: _number(value)})
+        return edits.with_settings("rank", **{name: _number(value)})
     if name in PROFILE_SETTINGS:
-        return edits.with_profile(**{name: _number(value)})
+        return edits.with_settings("profile", **{name: _number(value)})
     raise InputError("there is no such setting", got=name)
 
 

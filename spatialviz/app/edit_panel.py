@@ -8,9 +8,9 @@ import numpy as np
 
 from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif.box_numbers import box_numbers
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
+from pipeline.diagnosis.whatif.placement import box_numbers
 from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE

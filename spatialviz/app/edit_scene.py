@@ -13,6 +13,7 @@ from pipeline.diagnosis.whatif.region import Region
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.palette import RGB, instance_colors, palette
 from pipeline.language.relation_names import RELATIONS
+from pipeline.relations.relations import letter
 from spatialviz.app.glb import unlit_glb
 from spatialviz.app.relation_region import REACH, asked_pair
 from spatialviz.app.scene import SceneView
@@ -94,7 +95,7 @@ class EditScene:
         if asked is None or not known:
             return
         self._middle.position = self._scene.to_show @ (asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2)
-        self._middle.color = {**REGION_COLORS, "F": FAILS}[asked.placement.letter]
+        self._middle.color = {**REGION_COLORS, "F": FAILS}[letter(asked.placement.state)]
 
     def _add_region(self, region: Region, dark: bool) -> None:
         scene, R = self._client.scene, self._scene.to_show.T

@@ -15,8 +15,8 @@ from pipeline.answering.agreement.frames import Beside, beside
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
-from pipeline.datasets.given_up import with_frame_up
 from pipeline.datasets.settings import Vector
+from pipeline.datasets.up import with_frame_up
 from pipeline.system.errors import InputError
 from spatialviz.app.cloud import Cloud, cloud_of
 

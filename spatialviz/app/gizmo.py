@@ -13,7 +13,7 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE
+from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
 
 EditMode = Literal["off", "move", "turn", "resize"]

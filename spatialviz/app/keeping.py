@@ -12,7 +12,9 @@ import viser
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
-from pipeline.diagnosis.cases import Answer, answer, save_case
+from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.asking import answer
+from pipeline.diagnosis.cases.saving import save_case
 from pipeline.diagnosis.whatif import edits_record
 from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.evaluation.run_folder import Run

@@ -9,7 +9,6 @@ from threading import Lock
 import numpy as np
 import viser
 
-from pipeline.corrections.cards import MovingBox
 from pipeline.corrections.journal.edits import Edits, set_box, set_class, set_status
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
@@ -17,9 +16,10 @@ from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.object_card import back_to_automatic, bring_back, judgements, object_card
+from pipeline.corrections.scene import MovingBox
 from pipeline.corrections.support import fit_to_points, snap_to_support
 from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
-from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
+from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, box_numbers, with_numbers
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.palette import palette
 from pipeline.system.errors import InputError

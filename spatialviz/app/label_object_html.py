@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.corrections.cards import Moved
 from pipeline.corrections.object_card import FieldLine, ObjectCard
-from pipeline.diagnosis.whatif.box_numbers import BoxNumbers
+from pipeline.corrections.scene import Moved
+from pipeline.diagnosis.whatif.placement import BoxNumbers
 from pipeline.geometry.palette import RGB
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE

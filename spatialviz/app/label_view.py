@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pipeline.corrections.cards import Moved, PairCard
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.label_editor import EventLine
 from pipeline.corrections.object_card import ExpressionCard
 from pipeline.corrections.review.items import ItemKey
+from pipeline.corrections.scene import Moved, PairCard
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pipeline.corrections.cards import PairCard, RelationLine
 from pipeline.corrections.label_editor import LabelEditor
+from pipeline.corrections.scene import PairCard, RelationLine
 from pipeline.geometry.palette import palette
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 
-from pipeline.corrections.cards import PairCard, RelationLine
 from pipeline.corrections.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event
@@ -17,7 +16,7 @@ from pipeline.corrections.review.detector_evidence import second_setup
 from pipeline.corrections.review.items import BLOCK, ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, refreshed_worklist
-from pipeline.corrections.scene import labelled_objects
+from pipeline.corrections.scene import PairCard, RelationLine, labelled_objects
 from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError

@@ -136,7 +136,7 @@ def test_a_margin_has_the_sign_of_who_comes_first(seed: int, config: RankConfig)
     if at is not None:
         everyone = found.plain.order().tolist()
         assert next(k for k in everyone if found.covered.flat[k]) == at[0] * found.covered.shape[1] + at[1]
-        assert len(everyone) == np.isfinite(found.log_score[0]).sum()
+        assert len(everyone) == np.isfinite(found.table.log_score[0]).sum()
 
 
 def test_scenes_side_by_side_are_scenes_one_by_one() -> None:

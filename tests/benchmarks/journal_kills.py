@@ -10,6 +10,7 @@ import os
 import random
 import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -21,9 +22,8 @@ from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved,
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
 
-from .journal_writers import read_report
+from .journal_writers import FRAME, read_report
 
-FRAME = "scene/000000"
 GROUP = 3
 """Edits of one action."""
 SHARED = 5
@@ -205,11 +205,8 @@ def main(arguments: Sequence[str]) -> int:
         write_groups(arguments[1], arguments[2])
         return 0
     if not arguments:
-        usage = "usage: python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]"
-        print(usage, file=sys.stderr)
+        print("usage: python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]", file=sys.stderr)
         return 2
-    import tempfile
-
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as notes:
         names = ("rounds", "writers", "seed")
         numbers: dict[str, Any] = {name: int(n) for name, n in zip(names, arguments[1:4], strict=False)}

@@ -16,7 +16,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from pipeline.corrections.journal.events import Edit, Event, Saved
+from pipeline.corrections.journal.events import Edit, Event, Saved, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, relation_ref
 from pipeline.corrections.journal.journal import open_journal
 
@@ -140,15 +140,11 @@ def judge(events: Iterable[Event], told: list[list[dict[str, Any]]], writers: in
     saved = [entry for entries in told for entry in entries if "saved" in entry]
     lost = sum(after.get(e["saved"], "nothing") != e["after"] for e in saved)
     acknowledged = {e["saved"] for e in saved}
-    chains: dict[FieldRef, list[Event]] = {}
-    for event in events:
-        chains.setdefault(event.ref, []).append(event)
-    overwritten = 0
-    for chain in chains.values():
-        overwritten += sum(
-            second.base != first.version or second.version != first.version + 1 or second.before != first.after
-            for first, second in pairwise(chain)
-        )
+    overwritten = sum(
+        second.base != first.version or second.version != first.version + 1 or second.before != first.after
+        for chain in grouped(events, lambda e: e.ref).values()
+        for first, second in pairwise(chain)
+    )
     repeated = sum(n - 1 for n in Counter(e["saved"] for e in saved).values())
     return Proof(
         writers,

@@ -17,8 +17,8 @@ from benchmarks.mesh_worlds import mesh_world
 from box_worlds import box_world
 from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied
 
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import in_doubt, judge_objects
+from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import doubted
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.intervals import bootstrap

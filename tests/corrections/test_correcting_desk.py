@@ -13,13 +13,12 @@ from journal_world import FRAME, an_expression
 from waiting import LONG_S
 
 from pipeline.corrections import journal_location
-from pipeline.corrections.cards import ASKED_BEYOND_M, pair_card
 from pipeline.corrections.journal.edits import judge_relation, set_class, set_relation, set_text
 from pipeline.corrections.journal.events import Conflict, Saved
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.scene import labelled_objects
+from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_card
 from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import events_text
 from pipeline.datasets import Dataset

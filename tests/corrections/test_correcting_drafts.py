@@ -27,7 +27,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT, object_ref
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.undo import undo
+from pipeline.corrections.journal.replay import undo
 from pipeline.corrections.wording import consequences
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import T

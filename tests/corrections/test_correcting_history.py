@@ -13,7 +13,7 @@ from journal_world import FRAME
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
-from pipeline.corrections.journal.undo import redo
+from pipeline.corrections.journal.replay import redo
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor, event_lines
 from pipeline.relations.relations import T

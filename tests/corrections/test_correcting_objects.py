@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, half_of, saved, widest
 
-from pipeline.corrections.cards import MovingBox, pair_card
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
@@ -19,10 +18,10 @@ from pipeline.corrections.journal.events import new_ulid
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref, same_value
 from pipeline.corrections.journal.journal import Journal, journal_of
 from pipeline.corrections.object_card import FIELDS, back_to_automatic, bring_back, object_card
-from pipeline.corrections.scene import labelled_box
+from pipeline.corrections.scene import MovingBox, labelled_box, pair_card
 from pipeline.corrections.support import fit_to_points, snap_to_support, support_of
 from pipeline.corrections.unsaved import Waiting
-from pipeline.diagnosis.whatif.box_numbers import box_numbers
+from pipeline.diagnosis.whatif.placement import box_numbers
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T

@@ -17,7 +17,7 @@ from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.undo import undo
+from pipeline.corrections.journal.replay import undo
 from pipeline.corrections.scene import answered_case, effective_mark, effective_truth, withdrawn_by
 from pipeline.diagnosis.asking import judge_trace, labelled_truth
 from pipeline.diagnosis.verdict import Diagnosis

@@ -23,7 +23,7 @@ from pipeline.corrections.journal.incoming.importing import (
 )
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.journal.undo import undo
+from pipeline.corrections.journal.replay import undo
 from pipeline.datasets import Dataset
 from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.labels.exports import export_labels

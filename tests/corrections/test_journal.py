@@ -22,7 +22,7 @@ from waiting import wait_until
 from pipeline.corrections.journal.events import Conflict, Edit, Saved, new_ulid
 from pipeline.corrections.journal.field_refs import FieldRef, relation_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
-from pipeline.corrections.journal.undo import history, redo, undo
+from pipeline.corrections.journal.replay import history, redo, undo
 from pipeline.system.errors import InputError
 
 LEFT = relation_ref("scene/0", 1, 2, "left")

@@ -26,7 +26,7 @@ from pipeline.corrections.journal.events import Edit, NotSaved, Saved
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
 from pipeline.corrections.journal.postgres import address_of, password_in_file
-from pipeline.corrections.journal.undo import redo, undo
+from pipeline.corrections.journal.replay import redo, undo
 from pipeline.system.errors import InputError
 
 NAME = object_ref("f", 1, "label")

@@ -16,12 +16,12 @@ from journal_world import work_of
 
 from pipeline.corrections.journal import connection, sqlite_file
 from pipeline.corrections.journal.chain import CONTENT, FIRST, Head, chained, judged, link
+from pipeline.corrections.journal.connection import back_up, check_journal, recover
 from pipeline.corrections.journal.events import Edit, NotSaved, Saved
 from pipeline.corrections.journal.examining import DamagedJournal, examine
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
-from pipeline.corrections.journal.rescue import back_up, check_journal, recover
-from pipeline.corrections.journal.undo import undo
+from pipeline.corrections.journal.replay import undo
 from pipeline.system.errors import InputError
 
 BEFORE = Path(__file__).parents[1] / "fixtures" / "journal_before_chain.sqlite"

@@ -16,9 +16,9 @@ from pipeline.corrections.journal.effective import Corrector, effective_tables
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_ref, relation_ref, same_value
 from pipeline.corrections.journal.journal import Journal, open_journal
-from pipeline.corrections.journal.undo import redo, undo
+from pipeline.corrections.journal.replay import redo, undo
 from pipeline.datasets import Dataset
-from pipeline.datasets.given_up import with_frame_up
+from pipeline.datasets.up import with_frame_up
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES

@@ -15,10 +15,11 @@ import pytest
 from journal_checks import NAME, journal  # noqa: F401
 from waiting import LONG_S
 
-from pipeline.corrections.journal.connection import network_file_system, writing
+from pipeline.corrections.journal.connection import writing
 from pipeline.corrections.journal.events import Edit, NotSaved, Saved
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
+from pipeline.corrections.journal.sqlite_file import network_file_system
 from pipeline.system.errors import InputError
 
 

@@ -17,7 +17,7 @@ from pipeline.corrections.journal.events import Conflict, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.corrections.journal.journal import Journal, journal_of
 from pipeline.corrections.journal.materialise import MARKS_FILE, UNAPPLIED_FILE, materialise
-from pipeline.corrections.journal.undo import undo
+from pipeline.corrections.journal.replay import undo
 from pipeline.datasets import Dataset
 from pipeline.labels.cases import read_cases
 from pipeline.labels.check import check_labels

@@ -18,13 +18,12 @@ from sqlalchemy.exc import DBAPIError
 from waiting import wait_until
 
 from pipeline.corrections.journal import connection, postgres
-from pipeline.corrections.journal.connection import reading, writing
+from pipeline.corrections.journal.connection import back_up, check_journal, reading, writing
 from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved
 from pipeline.corrections.journal.examining import DamagedJournal
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal.journal import open_journal
-from pipeline.corrections.journal.rescue import back_up, check_journal
-from pipeline.corrections.journal.undo import redo, undo
+from pipeline.corrections.journal.replay import redo, undo
 from pipeline.system.errors import InputError
 
 LEFT = relation_ref("scene/0", 1, 2, "left")

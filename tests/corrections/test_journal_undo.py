@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.corrections.journal import undo as undoing
+from pipeline.corrections.journal import replay as undoing
 from pipeline.corrections.journal.events import Conflict, Edit, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, judged_item, relation_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
-from pipeline.corrections.journal.replay import judgement_ref
-from pipeline.corrections.journal.undo import history, newest, redo, undo
+from pipeline.corrections.journal.replay import history, judgement_ref, newest, redo, undo
 from pipeline.system.errors import InputError
 
 CELLS = [relation_ref("f", 1, b, "left") for b in (2, 3, 4)]

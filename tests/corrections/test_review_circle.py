@@ -16,12 +16,11 @@ from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.review.label_jobs import AFTER, BEFORE, RetrainingJob, RetrainingRun, run_retraining
 from pipeline.corrections.review.retraining import RetrainConfig
-from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.job import evaluate_dataset
+from pipeline.evaluation.records import read_records
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import open_run
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.tables import write_table
+from pipeline.labels.reading import Labels, open_labels, write_table
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.splits import TEST, split_frames

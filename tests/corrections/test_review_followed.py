@@ -14,8 +14,7 @@ from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.field_refs import FieldRef, relation_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
-from pipeline.corrections.journal.replay import judgement_ref
-from pipeline.corrections.journal.undo import undo
+from pipeline.corrections.journal.replay import judgement_ref, undo
 from pipeline.corrections.review.evidence import read_relation_labels
 from pipeline.corrections.review.items import (
     NOBODY,

@@ -26,8 +26,7 @@ from pipeline.corrections.review.items import (
 )
 from pipeline.corrections.review.out_of_fold import DoubtConfig
 from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.tables import write_table
+from pipeline.labels.reading import Labels, open_labels, write_table
 from pipeline.metrics.intervals import Agreement, cohen_kappa
 from pipeline.system.errors import InputError
 from pipeline.training.train import TrainConfig

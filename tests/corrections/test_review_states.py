@@ -19,7 +19,7 @@ from pipeline.corrections.journal.events import Conflict, Saved
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.journal.undo import redo, undo
+from pipeline.corrections.journal.replay import redo, undo
 from pipeline.corrections.review.evidence import read_relation_labels
 from pipeline.corrections.review.items import (
     NOBODY,

@@ -47,7 +47,7 @@ def test_a_list_is_its_queue_with_its_states(count: int, steps: list[tuple[int, 
         if place >= count:
             continue
         was = found.codes.copy()
-        after = found.with_state(keys[place], state)  # pyright: ignore[reportArgumentType]
+        after = found.with_states({keys[place]: state})  # pyright: ignore[reportArgumentType]
         assert (found.codes == was).all()
         found = after
         states[keys[place]] = state
@@ -67,7 +67,7 @@ def test_a_list_is_its_queue_with_its_states(count: int, steps: list[tuple[int, 
     seen, at, now = [], None, found
     while (key := now.next_item(at, skip)) is not None:
         seen.append(key)
-        now, at = now.with_state(key, "accepted"), key
+        now, at = now.with_states({key: "accepted"}), key
     assert sorted(seen) == sorted(left), "each is shown once"
     unreviewed = [k for k in left if states.get(k, "unreviewed") == "unreviewed"]
     assert seen[: len(unreviewed)] == unreviewed, "in the order of the queue, and those that somebody is unsure of last"
@@ -88,13 +88,13 @@ def test_what_comes_next_and_what_was_before() -> None:
     assert found.previous() == keys[5]
     elsewhere = ItemKey("f9", "object", 1, None, "")
     assert found.next_item(elsewhere) == keys[0]
-    assert found.with_state(elsewhere, "accepted") is found
+    assert found.with_states({elsewhere: "accepted"}) is found
     spoken = keys[2]._replace(a=2, b=9)
     assert found.state(spoken) == "unsure", "an expression is named by its id"
     with pytest.raises(InputError, match="no such item"):
         found.state(elsewhere)
     with pytest.raises(InputError, match="no such state"):
-        found.with_state(keys[0], "done")  # pyright: ignore[reportArgumentType]
+        found.with_states({keys[0]: "done"})  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="twice"):
         worklist(pa.concat_tables([queue, queue]))
     assert isinstance(worklist(queue_of(0)), Worklist)
@@ -115,9 +115,9 @@ def test_what_has_gone_is_not_open_until_it_is_back() -> None:
         "items": 5, "unreviewed": 5, "accepted": 0, "corrected": 0, "rejected": 0, "unsure": 0, "settled": 0,
     }  # fmt: skip
     # What is said of it meanwhile is known when it is back.
-    back = away.with_state(keys[4], "rejected").with_gone("f0", ())
-    assert back.counts == found.with_state(keys[4], "rejected").counts
-    assert back.with_state(keys[4], "unreviewed").next_item(keys[3]) == keys[4]
+    back = away.with_states({keys[4]: "rejected"}).with_gone("f0", ())
+    assert back.counts == found.with_states({keys[4]: "rejected"}).counts
+    assert back.with_states({keys[4]: "unreviewed"}).next_item(keys[3]) == keys[4]
     assert found.with_gone("f9", {keys[0]}) is found
     assert found.with_gone("f0", ()) is found
 

@@ -27,13 +27,12 @@ from pipeline.answering.json_records import relation_records
 from pipeline.answering.opening import open_pipeline, relate_frames
 from pipeline.datasets import Dataset, open_dataset, read_settings, survey, write_settings
 from pipeline.datasets.demo import demo_path
-from pipeline.datasets.given_up import told_doubts, told_up, with_frame_up
 from pipeline.datasets.settings import SOURCES, GivenUp, parse_level_at
+from pipeline.datasets.up import told_doubts, told_up, with_frame_up
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec, make_plan
+from pipeline.labels.plan import LabelConfig, SourceSpec, make_plan
 from pipeline.labels.reading import labelled_dataset, labelled_up
 from pipeline.system.errors import InputError
 

@@ -14,7 +14,7 @@ from test_viewer import noisy
 
 from pipeline.answering.objects import prepare_frame
 from pipeline.datasets.base import frames_of_scene, scene_of
-from pipeline.datasets.scene_up import MAX_VOTERS, own_disagreement, resolved_camera, scene_vote
+from pipeline.datasets.up import MAX_VOTERS, own_disagreement, resolved_camera, scene_vote
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import resolve_up, viewer_axes

@@ -22,7 +22,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from recording_checks import CAMERA, pose, refused
 
-from pipeline.datasets import open_dataset, summarise, survey
+from pipeline.datasets import SurveyCounts, open_dataset, survey
 from pipeline.datasets.base import dataset_notes
 from pipeline.datasets.tum import _match
 
@@ -140,7 +140,9 @@ def test_what_no_file_states_is_said_once_with_the_option_that_tells_it(tmp_path
     for note, words, option in zip(notes, said, ("--depth-scale", "--intrinsics"), strict=False):
         assert words in note
         assert option in note
-    assert list(summarise(survey(dataset))["notes"]) == list(notes)
+    counts = SurveyCounts()
+    assert list(counts.watch(survey(dataset)))
+    assert counts.record()["notes"] == list(notes)
     told = open_dataset(tmp_path, intrinsics=CAMERA, depth_scale=1234)
     assert dataset_notes(told) == ()
     (tmp_path / "spatialviz.toml").write_text("depth_scale = 1234.0\n")

@@ -12,7 +12,6 @@ import pytest
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis import asking
-from pipeline.diagnosis.answer import judged_record
 from pipeline.diagnosis.asking import ask_and_judge, case_of, edited_verdicts
 from pipeline.diagnosis.whatif import Baseline, Edits, rerun
 from pipeline.geometry.frame import Frame
@@ -65,7 +64,7 @@ def test_an_annotated_frame_is_judged_by_one_truth(demo: Pipeline, monkeypatch: 
 
     known = asking.annotated_truth
     monkeypatch.setattr(asking, "annotated_truth", counted)
-    found = [judged_record(a) for a in ask_and_judge(demo, 0, TEXTS)]
+    found = [a.record() for a in ask_and_judge(demo, 0, TEXTS)]
     assert len(truths) == 1
     json.dumps(found, allow_nan=False)
     first, second, third = found
@@ -81,7 +80,7 @@ def test_a_wrong_answer_is_blamed_as_in_a_run(demo: Pipeline, labels: Labels) ->
     weak = open_pipeline("demo", srm="rule", detector="simulated")
     row = next(r for r in labels.expressions.to_pylist() if r["frame"] == demo.dataset.frame_ids[0])
     (answer,) = ask_and_judge(weak, row["frame"], [row["text"]], labels)
-    record = judged_record(answer)
+    record = answer.record()
     assert answer.diagnosis is not None
     assert answer.diagnosis.case.id == row["id"]
     assert record["verdict"]["truth"]["acceptable"] == row["acceptable"]
@@ -91,16 +90,16 @@ def test_a_wrong_answer_is_blamed_as_in_a_run(demo: Pipeline, labels: Labels) ->
 def test_without_annotations_nothing_is_said(demo: Pipeline) -> None:
     recorded = changed(demo, annotations=lambda frame: ())
     for answer in ask_and_judge(recorded, 0, TEXTS[:1]):
-        assert not {"verdict", "verdict_reason"} & judged_record(answer).keys()
+        assert not {"verdict", "verdict_reason"} & answer.record().keys()
 
 
 def test_labels_of_another_picture_judge_nothing(demo: Pipeline, labels: Labels) -> None:
     other = changed(demo, rgb=lambda frame: frame.rgb[:, ::-1].copy())
-    (record,) = [judged_record(a) for a in ask_and_judge(other, 0, TEXTS[:1], labels)]
+    (record,) = [a.record() for a in ask_and_judge(other, 0, TEXTS[:1], labels)]
     assert record["answer"] is not None
     assert record["verdict"] is None
     assert "another picture" in record["verdict_reason"]
-    (record,) = [judged_record(a) for a in ask_and_judge(demo, 5, TEXTS[:1], labels)]
+    (record,) = [a.record() for a in ask_and_judge(demo, 5, TEXTS[:1], labels)]
     assert record["verdict"] is None
     assert "say nothing of frame" in record["verdict_reason"]
 

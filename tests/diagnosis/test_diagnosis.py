@@ -20,9 +20,7 @@ from pipeline.diagnosis.substitution import (
     SRM,
     STATE_PROBABILITY,
     SUBSETS,
-    given_scores,
     names_of,
-    size,
     substitute,
 )
 from pipeline.diagnosis.verdict import MARKS, VERDICTS, Diagnosis, explain
@@ -76,7 +74,7 @@ def test_without_oracles_it_is_the_ranking(seed: int, weights: RankConfig) -> No
         return
     assert pair is not None
     assert (int(found.target.index[pair[0]]), int(found.reference.index[pair[1]])) == (best.target, best.reference)
-    assert found.log_score[0][pair] == best.log_score
+    assert found.table.log_score[0][pair] == best.log_score
     scored = answers.score("mug", "left", "box")
     assert scored is not None
     assert np.unravel_index(scored.first()[0], scored.shape) == pair
@@ -104,11 +102,11 @@ def test_each_oracle_replaces_one_thing(seed: int) -> None:
         np.testing.assert_array_equal(role.index[: role.found], candidates.index)
         overlap = evidence.overlap[candidates.index]
         covered = (overlap >= HIT).any(axis=0) if len(overlap) else np.zeros(evidence.labelled, np.bool_)
-        missing = np.flatnonzero(truth.alike[number] & ~covered & evidence.known)
+        missing = np.flatnonzero(truth.alike[number] & ~covered & evidence.objects.known)
         np.testing.assert_array_equal(role.index[role.found :], evidence.detections + missing)
         is_one = (overlap[:, truth.alike[number]] >= HIT).any(axis=1)
-        np.testing.assert_array_equal(given_scores(role)[: role.found], np.where(is_one, 0.99, 0.01))
-    missing = np.isneginf(found.log_score)
+        np.testing.assert_array_equal(role.object[: role.found] >= 0, is_one)
+    missing = np.isneginf(found.table.log_score)
     for subset in range(SUBSETS):
         if not subset & RECALL:
             assert missing[subset, found.target.found :].all()
@@ -123,7 +121,7 @@ def test_margins(seed: int) -> None:
     evidence, case = world(seed)
     found = substitute(evidence, case)
     for subset in range(SUBSETS):
-        s = found.log_score[subset]
+        s = found.table.log_score[subset]
         right = [x for x, ok in zip(s.ravel(), found.covered.ravel(), strict=True) if ok and np.isfinite(x)]
         other = [x for x, ok in zip(s.ravel(), found.covered.ravel(), strict=True) if not ok and np.isfinite(x)]
         if not right and not other:
@@ -175,7 +173,7 @@ def test_verdicts_are_exclusive_and_hold_what_they_say(
         assert (d.detail == "DEGENERATE") == (not together)
         assert (d.verdict == "COMPOUND") == (not flips and bool(together))
         if d.verdict == "COMPOUND":
-            assert size(subset_of(d.repair)) == min(size(s) for s in together)
+            assert subset_of(d.repair).bit_count() == min(s.bit_count() for s in together)
             assert d.detail == "+".join(d.repair)
         if together:
             assert found.accepted[subset_of(d.repair)]
@@ -264,7 +262,7 @@ def test_true_masks_tell_two_objects_apart(diagnosed: Diagnosed) -> None:
     for evidence, case, d in diagnosed:
         if d.verdict == "LIFT" and d.right is None:
             found = substitute(evidence, case)
-            assert np.isneginf(found.log_score[0][found.covered]).all()
+            assert np.isneginf(found.table.log_score[0][found.covered]).all()
             assert found.accepted[LIFT]
             assert "count as one thing" in explain(d, case, query=QUERY)
             seen += 1

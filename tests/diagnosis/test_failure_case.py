@@ -18,9 +18,10 @@ from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import open_dataset
 from pipeline.datasets.saved_case import MANIFEST
+from pipeline.diagnosis.answer import answer_record
 from pipeline.diagnosis.asking import annotated_truth
-from pipeline.diagnosis.cases import answer_record, find_cases, open_case, replay_case, save_case
-from pipeline.diagnosis.cases.replay import replay_all
+from pipeline.diagnosis.cases.replay import find_cases, replay_all, replay_case
+from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.geometry.camera import Camera
 from pipeline.proposals.score_calibration import FittedFrame, ScoreCalibration

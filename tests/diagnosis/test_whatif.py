@@ -16,15 +16,15 @@ from whatif_scenes import ScoringDetector, context_of, row, source
 from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.answering.ranking import RankConfig
-from pipeline.diagnosis.whatif import Baseline, Edits, apply, edits_record, load_edits, read_edits, rerun, what_changed
-from pipeline.diagnosis.whatif.pair_tables import object_keys
+from pipeline.diagnosis.whatif import Baseline, Edits, edits_record, load_edits, read_edits, rerun, what_changed
+from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile, pairwise_states
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 QUESTIONS = (
     "mug left of the laptop",
@@ -36,6 +36,40 @@ QUESTIONS = (
     "lamp left of the mug",
 )
 FRAME = row()
+
+
+def object_keys(trace: Trace, found: dict[str, Any]) -> tuple[str, ...]:
+    """The key of each object of a trace that was answered without edits, in the order of `trace.objects`.
+
+    Parameters
+    ----------
+    found : mapping of str to Proposals
+        The detector's whole run for each name of the expression.
+
+    Raises
+    ------
+    InputError
+        The trace is of other detections.
+    """
+    keys: list[str | None] = [f"#{o.id}" if o.id >= 0 else None for o in trace.objects]
+    for name, candidates in trace.candidates.items():
+        names, proposals = detection_keys(name, found[name]), found[name]
+        taken: set[int] = set()
+        for at in candidates.index.tolist():
+            if keys[at] is not None:
+                continue
+            entry = trace.objects[at]
+            alike = (proposals.boxes == entry.bbox).all(axis=1) & (proposals.scores == np.float32(entry.score))
+            indices = [k for k in np.flatnonzero(alike).tolist() if k not in taken]
+            require(indices, f"the trace has an object {name!r} that is not among these detections")
+            taken.add(indices[0])
+            keys[at] = names[indices[0]]
+    require(not any(key is None for key in keys), "the trace has an object that is no candidate of any name")
+    return tuple(key for key in keys if key is not None)
+
+
+def apply(baseline: Baseline, edits: Edits) -> Trace:
+    return rerun(baseline, edits).trace
 
 
 def assert_same(a: Trace, b: Trace, exactly: bool = True) -> None:
@@ -76,7 +110,7 @@ def test_without_edits_it_is_the_answer_itself(text: str, scorer: str, detector:
     asked = source(detector, scorer)
     baseline = Baseline(asked, context_of(FRAME), text)
     whole = asked.ask(context_of(FRAME), text)
-    assert_same(baseline.trace, whole)
+    assert_same(baseline.outcome.trace, whole)
     assert_same(apply(baseline, Edits()), whole)
     assert baseline.outcome.keys == object_keys(whole, baseline.found)
 
@@ -85,9 +119,13 @@ def test_without_edits_it_is_the_answer_itself(text: str, scorer: str, detector:
     ("edits", "config", "scorer"),
     [
         (Edits().with_k(2), AskConfig(k=2), "trained"),
-        (Edits().with_rank(relation_weight=0.3, aggregate="marginal"), None, "trained"),
-        (Edits().with_lift(erode=0.0, part=0.5), AskConfig(lift=LiftConfig(erode=0.0, part=0.5)), "trained"),
-        (Edits().with_lift(box="pca"), AskConfig(lift=LiftConfig(box="pca")), "trained"),
+        (Edits().with_settings("rank", relation_weight=0.3, aggregate="marginal"), None, "trained"),
+        (
+            Edits().with_settings("lift", erode=0.0, part=0.5),
+            AskConfig(lift=LiftConfig(erode=0.0, part=0.5)),
+            "trained",
+        ),
+        (Edits().with_settings("lift", box="pca"), AskConfig(lift=LiftConfig(box="pca")), "trained"),
         (Edits().with_scorer("rule"), AskConfig(), "rule"),
     ],
 )  # fmt: skip
@@ -99,7 +137,7 @@ def test_settings_edited_are_settings_set(edits: Edits, config: AskConfig | None
     whole = ask(PreparedFrame(FRAME, config.lift), text, ScoringDetector(), scorer=make_scorer(scorer), config=config)
     assert_same(apply(baseline, edits), whole)
     # And back: nothing of an edit stays.
-    assert_same(apply(baseline, Edits()), baseline.trace)
+    assert_same(apply(baseline, Edits()), baseline.outcome.trace)
 
 
 @st.composite
@@ -124,7 +162,9 @@ def some_edits(draw: st.DrawFn) -> Edits:
     if draw(st.booleans()):
         edits = edits.with_relation(draw(st.sampled_from(PAIRWISE)), "#0", "#3", draw(st.floats(0, 1)))
     if draw(st.booleans()):
-        edits = edits.with_profile(cone=draw(st.floats(10, 60)), on_footprint_margin=draw(st.floats(0, 0.3)))
+        edits = edits.with_settings(
+            "profile", cone=draw(st.floats(10, 60)), on_footprint_margin=draw(st.floats(0, 0.3))
+        )
     return edits
 
 
@@ -136,7 +176,7 @@ def test_one_edit_after_another_is_each_from_the_start(steps: list[Edits], text:
     for edits in steps:
         assert_same(apply(baseline, edits), apply(Baseline(asked, context_of(FRAME), text), edits), exactly=False)
         assert read_edits(json.dumps(edits_record(edits))) == edits
-    assert_same(apply(baseline, Edits()), baseline.trace)
+    assert_same(apply(baseline, Edits()), baseline.outcome.trace)
 
 
 @pytest.mark.parametrize("scorer", ["rule", "trained"])
@@ -144,13 +184,13 @@ def test_one_edit_after_another_is_each_from_the_start(steps: list[Edits], text:
 def test_a_moved_box_is_scored_as_the_scorer_scores_it(scorer: str, profile: dict[str, Any]) -> None:
     baseline = Baseline(source(scorer=scorer), context_of(FRAME), "mug left of the laptop")
     key = baseline.outcome.keys[1]
-    entry = baseline.trace.objects[1]
+    entry = baseline.outcome.trace.objects[1]
     assert entry.lifted.box is not None
     center = entry.lifted.box.center + np.array([0.2, -0.1, 0.3])
     box = Box3D(center, entry.lifted.box.R, entry.lifted.box.size * 1.5)
-    outcome = rerun(baseline, Edits().with_box(key, box).with_profile(**profile))
+    outcome = rerun(baseline, Edits().with_box(key, box).with_settings("profile", **profile))
     found = outcome.trace
-    objects = list(baseline.trace.objects)
+    objects = list(baseline.outcome.trace.objects)
     objects[1] = replace(entry, lifted=entry.lifted.moved_to(box, found.viewer))
     lifted = [o.lifted for o in objects]
     expected = make_scorer(scorer).score(lifted, found.viewer, appearance_of(objects, found.frame))
@@ -183,7 +223,7 @@ def test_a_slider_does_not_lift_or_score_again(monkeypatch: pytest.MonkeyPatch) 
 
 def test_keys_outlast_k_threshold_and_hiding() -> None:
     baseline = Baseline(source(ScoringDetector()), context_of(FRAME), "mug left of the laptop")
-    known = dict(zip(baseline.outcome.keys, baseline.trace.objects, strict=True))
+    known = dict(zip(baseline.outcome.keys, baseline.outcome.trace.objects, strict=True))
     assert all("/" in key for key in known)
     best = max(known, key=lambda key: known[key].score)
     for edits in (Edits().with_k(2), Edits().with_min_score(0.5), Edits().with_hidden(best)):
@@ -218,8 +258,8 @@ def test_a_repainted_mask_is_lifted_with_the_whole_cleaning() -> None:
 
 def test_confidence_and_relation_decide_the_answer() -> None:
     baseline = Baseline(source(), context_of(FRAME), "mug left of the laptop")
-    assert baseline.trace.ranking is not None
-    won = baseline.outcome.keys[baseline.trace.ranking.pairs[0].target]
+    assert baseline.outcome.trace.ranking is not None
+    won = baseline.outcome.keys[baseline.outcome.trace.ranking.pairs[0].target]
     doubted = rerun(baseline, Edits().with_confidence("mug", won, 0.01))
     change = what_changed(baseline.outcome, doubted, verdicts=("CORRECT", "OPM-CONF"))
     assert change["changed"]

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.diagnosis.whatif import Edits
-from pipeline.diagnosis.whatif.box_numbers import (
+from pipeline.diagnosis.whatif.changes import each_edit, without_edit
+from pipeline.diagnosis.whatif.placement import (
     MOST_PIXELS,
     SMALLEST_SIDE,
     box_numbers,
@@ -19,7 +20,6 @@ from pipeline.diagnosis.whatif.box_numbers import (
     rectangle,
     with_numbers,
 )
-from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
@@ -139,7 +139,8 @@ def all_kinds() -> Edits:
     edits = Edits().with_box("#1", box).with_box("#2", box).with_mask("#1", mask).with_hidden("mug/3")
     edits = edits.with_confidence('a "mug"', "#1", 0.25).with_relation("left", "#1", "#2", 0.5)
     edits = edits.with_k(3).with_min_score(0.1).with_scorer("rule")
-    return edits.with_rank(relation_weight=2.0, aggregate="marginal").with_profile(cone=30.0).with_lift(erode=1.0)
+    edits = edits.with_settings("rank", relation_weight=2.0, aggregate="marginal")
+    return edits.with_settings("profile", cone=30.0).with_settings("lift", erode=1.0)
 
 
 def test_every_edit_is_listed_once_and_can_be_taken_back_alone() -> None:
@@ -165,7 +166,7 @@ def test_what_is_no_edit_cannot_be_taken_back() -> None:
 
 
 def test_a_threshold_that_others_lean_on_stays() -> None:
-    edits = Edits().with_profile(doubtful_cone=80.0, cone=75.0)
+    edits = Edits().with_settings("profile", doubtful_cone=80.0, cone=75.0)
     doubtful = next(e.id for e in each_edit(edits) if "undecided" in e.text)
     with pytest.raises(InputError, match="doubtful_cone"):
         without_edit(edits, doubtful)

@@ -19,7 +19,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftedObject, Quality, extents
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
-from pipeline.relations.relations import Profile, T, U, pairwise_states
+from pipeline.relations.relations import Profile, T, U, letter, pairwise_states
 from pipeline.system.errors import InputError
 
 VIEWER = viewer_axes(np.array([0.1, -0.9, -0.3]))
@@ -113,7 +113,7 @@ def test_a_placement_is_the_rules_verdict_with_its_reason(
     target, reference = solid(np.array(place), np.array(size)), solid(np.array(middle), np.array(extent))
     found = place_in_region(target, reference, relation, VIEWER, profile)
     assert found.state == rule(target, reference, relation, profile)
-    assert found.why.endswith(f": {found.letter}")
+    assert found.why.endswith(f": {letter(found.state)}")
     assert "\n" not in found.why
     assert all(np.isfinite(v) for v in found.measures.values())
 
@@ -200,19 +200,19 @@ def test_a_region_of_nothing_is_refused() -> None:
 )
 def test_a_map_says_what_moving_the_box_says(scorer: str, text: str, exact: bool) -> None:
     baseline = Baseline(source(None if exact else ScoringDetector(), scorer), context_of(FRAME), text)
-    assert baseline.trace.ranking is not None
-    edits = Edits().with_rank(aggregate="marginal") if text.startswith("table") else Edits()
-    at = baseline.trace.ranking.pairs[-1].target
+    assert baseline.outcome.trace.ranking is not None
+    edits = Edits().with_settings("rank", aggregate="marginal") if text.startswith("table") else Edits()
+    at = baseline.outcome.trace.ranking.pairs[-1].target
     key = baseline.outcome.keys[at]
     found = decision_map(baseline, edits, key, cells=7)
-    entry, middle = baseline.trace.objects[at].lifted, None
+    entry, middle = baseline.outcome.trace.objects[at].lifted, None
     assert entry.box is not None
     middle = (entry.lo + entry.hi) / 2
     wrong = 0
     for i in range(7):
         for j in range(7):
             shift = np.array([found.right[j] - middle[0], 0, found.forward[i] - middle[2]])
-            box = Box3D(entry.box.center + shift @ baseline.trace.viewer.matrix, entry.box.R, entry.box.size)
+            box = Box3D(entry.box.center + shift @ baseline.outcome.trace.viewer.matrix, entry.box.R, entry.box.size)
             ranking = rerun(baseline, edits.with_box(key, box)).trace.ranking
             assert ranking is not None
             pair = ranking.pairs[0]

@@ -37,7 +37,7 @@ def views(draw: st.DrawFn) -> ViewState:
         center = np.array([draw(st.floats(-900, 900)) for _ in range(3)])
         edits = edits.with_box("#1", Box3D(center, np.eye(3), np.abs(center)))
         edits = edits.with_mask("mug/2", np.eye(7, 9, dtype=bool))
-        edits = edits.with_profile(gap_switch_band=(0.01, draw(st.floats(0.01, 1))))
+        edits = edits.with_settings("profile", gap_switch_band=(0.01, draw(st.floats(0.01, 1))))
     return ViewState(
         dataset=draw(texts),
         frame=draw(texts),

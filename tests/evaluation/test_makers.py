@@ -32,7 +32,7 @@ from pipeline.evaluation.shared_makers import (
     SIMULATED,
     Measured,
     rank,
-    relation_share,
+    scorer_share,
     shared_makers,
     shares_of_run,
     title_of,
@@ -226,11 +226,11 @@ def test_makers_of_the_demo(demo_labels: Labels) -> None:
     assert makers.masks is not None
     assert makers.masks.detectors == (Model("annotations"),)
     spec = RelationSpec(others=("rule",))
-    assert all(relation_share(makers, s) is not None for s in open_systems({}, spec, demo_labels))
+    assert all(scorer_share(makers, s.name, s.scorer) is not None for s in open_systems({}, spec, demo_labels))
     silent = demo_labels.manifest.model_copy(update={"models": {**demo_labels.manifest.models, "second_opinion": NONE}})
     own, rule = open_systems({}, spec, demo_labels)
-    assert relation_share(makers_of(silent), own) is None
-    assert relation_share(makers_of(silent), rule) is not None
+    assert scorer_share(makers_of(silent), own.name, own.scorer) is None
+    assert scorer_share(makers_of(silent), rule.name, rule.scorer) is not None
 
 
 def test_what_people_decided_is_counted(demo_labels: Labels, bare_corrector: Corrector, journal: Journal) -> None:

@@ -23,9 +23,8 @@ from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import AGREEMENT, PERFECT
 from pipeline.labels.check import check_labels
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
+from pipeline.labels.plan import LabelConfig, SourceSpec
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.relation_names import DIRECTIONAL, VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig, Estimate

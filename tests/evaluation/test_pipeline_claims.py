@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.grounding_tables import relation_gain
 from pipeline.evaluation.job import evaluate_dataset
+from pipeline.evaluation.records import read_records
 from pipeline.evaluation.run import EvalSpec, evaluate_labels
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec

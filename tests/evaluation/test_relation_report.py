@@ -16,9 +16,8 @@ from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.relation_cases import RelationSpec
 from pipeline.evaluation.relation_records import read_relation_records
 from pipeline.evaluation.relation_report import BY_RELATION, MEASURES, all_systems, counted_pairs
-from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.shared_makers import AGREEMENT
-from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.language.relation_names import DIRECTIONAL, PHRASE, VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig, Estimate
@@ -312,7 +311,7 @@ def test_what_cannot_be_measured_is_refused(
 
 
 def test_labels_of_other_objects_are_refused(label_sets: dict[str, Labels], tmp_path: Path) -> None:
-    from pipeline.labels.tables import read_table, write_table
+    from pipeline.labels.reading import read_table, write_table
 
     labels = tmp_path / "labels"
     shutil.copytree(label_sets["demo"].root, labels)

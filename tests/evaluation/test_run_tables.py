@@ -14,10 +14,9 @@ from pipeline.answering.recording import record_detections
 from pipeline.evaluation.grounding_tables import relation_gain
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.plots import PALE_TONE, _tones
-from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.run_folder import other_systems
 from pipeline.evaluation.shared_makers import PERFECT, SIMULATED
-from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.labels.job import label_dataset
 from pipeline.labels.makers import Makers
 from pipeline.labels.plan import SourceSpec
@@ -104,8 +103,8 @@ def test_names_that_are_taken_are_told_apart(folder: Path) -> None:
     assert list(found) == [
         "simulated + rule (simulated)", "simulated + rule (again)", "simulated + rule (again, 2)", "annotations + rule",
     ]  # fmt: skip
-    gain, test = relation_gain(found["simulated + rule (again)"].records, config=QUICK)
-    assert gain.n == test.n == found["annotations + rule"].records.num_rows
+    gain, test = relation_gain(found["simulated + rule (again)"][0], config=QUICK)
+    assert gain.n == test.n == found["annotations + rule"][0].num_rows
 
 
 def test_runs_that_cannot_stand_beside_are_refused(folder: Path, tmp_path: Path) -> None:

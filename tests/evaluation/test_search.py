@@ -16,7 +16,7 @@ from run_records import CLASSES, RELATIONS, random_records
 from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.records import records_schema
-from pipeline.evaluation.search import compile_search, complete, completions, find, find_failures, find_rows
+from pipeline.evaluation.search import compile_search, complete, completions, find_failures, find_rows
 from pipeline.evaluation.search_words import quote, read_terms
 from pipeline.system.errors import InputError
 
@@ -24,6 +24,10 @@ TABLES = [random_records(seed) for seed in range(4)]
 COMPARE: dict[str, Any] = {
     "<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal, "=": np.equal, "!=": np.not_equal,
 }  # fmt: skip
+
+
+def find(records: pa.Table, query: str) -> pa.Table:
+    return records.take(find_rows(records, query))
 
 
 def missing(value: Any) -> bool:

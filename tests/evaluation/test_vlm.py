@@ -17,8 +17,8 @@ import pytest
 from chat_server import MODELS, ChatServer, Clock, CutOff, Make, Raw, Script, Slow, Trickle, completion, error, flat
 from waiting import LONG_S
 
-from pipeline.evaluation.vlm import KEY_VARIABLE, Prices, Question, ServerError, Usage
-from pipeline.evaluation.vlm.protocol import money
+from pipeline.evaluation.vlm.client import KEY_VARIABLE, Question, ServerError
+from pipeline.evaluation.vlm.protocol import Usage
 from pipeline.evaluation.vlm.transport import wait_asked
 from pipeline.evaluation.vlm.view import Picture
 from pipeline.system.errors import InputError
@@ -366,14 +366,6 @@ def test_an_interrupt_is_heeded_while_answers_are_awaited(
     # What was under way is still kept; nothing new is begun.
     assert client.ask("fresh", flat()).text == "Yes"
     assert {r.prompt for r in server.requests} == {"0", "fresh"}
-
-
-def test_money() -> None:
-    usage = Usage(prompt_tokens=2_000_000, completion_tokens=500_000, cached_prompt_tokens=1_000_000)
-    assert money(usage, Prices(0.5, 4)) == pytest.approx(3.0)
-    assert money(usage, Prices(0.5, 4), with_cached=True) == pytest.approx(3.5)
-    with pytest.raises(InputError, match="price"):
-        Prices(-1, 2)
 
 
 @pytest.mark.parametrize(

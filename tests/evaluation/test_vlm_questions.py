@@ -9,7 +9,7 @@ import pytest
 from chat_server import ChatServer, Make, Script, completion, error, flat
 from scenes import frame_of, upright
 
-from pipeline.evaluation.vlm import GroundingConfig, RelationConfig, ground, ground_many, score_pairs
+from pipeline.evaluation.vlm.questions import GroundingConfig, RelationConfig, ground_many, score_pairs
 from pipeline.evaluation.vlm.view import PADDING, marked, view_of
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
@@ -146,7 +146,7 @@ def test_names_that_cannot_be_asked_and_pairs_that_are_none(server: ChatServer, 
 def test_grounding_finds_the_box_in_the_frame(server: ChatServer, client_of: Make, frame: Frame) -> None:
     """The picture of 320 x 240 is sent as a square of 320, with 40 rows of padding above and below."""
     server.script = ["[0.25, 0.25, 0.5, 0.5]"]
-    found = ground(client_of(), frame, "the mug left of the laptop")
+    found = ground_many(client_of(), frame, ["the mug left of the laptop"])[0]
     assert found.box is not None
     assert found.box == pytest.approx([80, 40, 160, 120])
     assert (found.raw, found.reason, found.notes) == ("[0.25, 0.25, 0.5, 0.5]", None, ())
@@ -175,8 +175,8 @@ def test_grounding_reads_other_scales_and_says_why_there_is_no_box(
     assert [g.reason for g in padded] == ["a box outside the frame, in the padding", "3 numbers, not the 4 of a box"]
     asked = len(server.requests)
     with pytest.raises(InputError, match="scale"):
-        ground(client_of(), frame, "a", config=GroundingConfig(box_scale=-1))
+        ground_many(client_of(), frame, ["a"], config=GroundingConfig(box_scale=-1))
     for text in (" ", "the <image> there"):
         with pytest.raises(InputError):
-            ground(client_of(), frame, text)
+            ground_many(client_of(), frame, [text])
     assert len(server.requests) == asked

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.exports import export_labels
-from pipeline.labels.exports.hub import HubConfig
+from pipeline.labels.exports.exporting import HubConfig
 from pipeline.labels.exports.provenance import extended_schema
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES

@@ -19,10 +19,9 @@ from label_damages import DAMAGES, Damage, item, pair, put
 from label_damages_pairs import PAIR_DAMAGES
 
 from pipeline.labels.check import RULES, Finding, check_labels, finding_record, stream
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.engines import label_shard, open_labeller
 from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import SourceSpec, make_plan, save_plan
+from pipeline.labels.plan import LabelConfig, SourceSpec, make_plan, save_plan
 from pipeline.labels.reading import open_labels
 from pipeline.labels.schema import TABLES
 from pipeline.labels.store import Store

@@ -25,8 +25,8 @@ from pipeline.labels.check.relations import shortest_cycle
 from pipeline.labels.check.stream import Rows, violations
 from pipeline.labels.check.view import MaskRuns, read_runs, runs_object
 from pipeline.labels.profiles import PROFILES
+from pipeline.labels.reading import arrow_schema
 from pipeline.labels.schema import TABLES
-from pipeline.labels.tables import arrow_schema
 from pipeline.labels.wording import expression_text
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE

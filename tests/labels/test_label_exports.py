@@ -28,15 +28,13 @@ from pipeline.labels.exports import (
     export_labels,
     exporting,
     import_labels,
-    jsonl,
     kitti,
 )
-from pipeline.labels.exports.hub import HubConfig
+from pipeline.labels.exports.exporting import HubConfig, read_rows
 from pipeline.labels.exports.provenance import json_lines
-from pipeline.labels.exports.vqa_records import VqaConfig
-from pipeline.labels.reading import Labels
+from pipeline.labels.exports.vqa_geometry import VqaConfig
+from pipeline.labels.reading import Labels, build_table, content_hash
 from pipeline.labels.schema import SCHEMA_FOLDER, TABLES, json_schemas, schema_text
-from pipeline.labels.tables import build_table, content_hash
 from pipeline.system import plugins
 from pipeline.system.errors import InputError
 
@@ -173,7 +171,7 @@ def test_a_number_and_a_text_survive_json_lines(numbers: list[float | None], tex
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "relations.jsonl"
         path.write_text("".join(lines), encoding="utf-8")
-        assert content_hash(jsonl.read_rows(path, "relations"), "relations") == content_hash(table, "relations")
+        assert content_hash(read_rows(path, "relations"), "relations") == content_hash(table, "relations")
 
 
 @pytest.mark.parametrize("format", ["jsonl", "coco"])

@@ -13,15 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.datasets import FrameReport, SurveyCounts, summarise
+from pipeline.datasets import FrameReport, SurveyCounts
 from pipeline.labels import statistics
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, arrow_schema, build_table, open_labels, read_table, write_table
 from pipeline.labels.report import distributions as shown
 from pipeline.labels.report import need_matplotlib, write_report
 from pipeline.labels.report.folder import FILES
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES
 from pipeline.labels.statistics import DISTANCE_BINS, label_statistics, open_database, quantiles
-from pipeline.labels.tables import arrow_schema, build_table, read_table, write_table
 from pipeline.language.relation_names import PAIRWISE, RELATIONS
 from pipeline.system.errors import InputError, MissingExtra
 
@@ -388,6 +387,13 @@ def test_a_report_leaves_other_pages_alone(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "labels", "site"]
 
 
+def counted(reports: list[FrameReport]) -> dict[str, Any]:
+    counts = SurveyCounts()
+    for report in reports:
+        counts.add(report)
+    return counts.record()
+
+
 def test_every_relation_has_a_colour_of_its_own() -> None:
     assert len({RELATIONS[name].color for name in PAIRWISE}) == len(PAIRWISE)
 
@@ -399,7 +405,7 @@ def test_a_survey_is_summed_up() -> None:
         FrameReport(2, "c", False, "frame c: no usable depth; got only zeros"),
         FrameReport(3, "d", False, "frame d: no usable depth; got only zeros"),
     ]
-    found = summarise(reports)
+    found = counted(reports)
     assert found == {
         "frames": 4, "frames_usable": 2, "frames_broken": 2, "notes": [], "problems": {"no usable depth": 2},
         "frames_with_little_depth": 1, "frames_without_pose": 1, "frames_without_objects": 1, "frames_with_notes": 1,
@@ -409,4 +415,4 @@ def test_a_survey_is_summed_up() -> None:
     counts = SurveyCounts()
     assert list(counts.watch(iter(reports))) == reports
     assert counts.record() == found
-    assert summarise([])["depth_valid"] is None
+    assert counted([])["depth_valid"] is None

@@ -16,13 +16,12 @@ from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
 from pipeline.labels.labelling import FrameLabels, in_doubt, judge_objects, label_objects, occluded_share
+from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import doubted, open_second_opinion
-from pipeline.labels.reading import open_labels
+from pipeline.labels.reading import content_hash, open_labels
 from pipeline.labels.schema import TABLES
-from pipeline.labels.tables import content_hash
 from pipeline.language.naming import same_class
 from pipeline.language.noun_phrase import readable
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE

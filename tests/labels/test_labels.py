@@ -20,16 +20,14 @@ from waiting import wait_until
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.datasets.demo import demo_path
-from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.engines import label_shard, open_labeller
 from pipeline.labels.job import label_dataset
 from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import SourceSpec, load_plan, make_plan, part_of, save_plan
+from pipeline.labels.plan import LabelConfig, SelectConfig, SourceSpec, load_plan, make_plan, part_of, save_plan
 from pipeline.labels.profiles import PROFILES
-from pipeline.labels.reading import open_labels
+from pipeline.labels.reading import PART_TABLES, open_labels, read_table
 from pipeline.labels.schema import Manifest
 from pipeline.labels.store import Store
-from pipeline.labels.tables import PART_TABLES, read_table
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.system.errors import InputError
 

@@ -18,11 +18,10 @@ from waiting import wait_until
 from pipeline import __version__
 from pipeline.datasets.demo import demo_path
 from pipeline.labels import merge
-from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.engines import label_shard, open_labeller
 from pipeline.labels.job import label_dataset
 from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import SourceSpec, files_hash, load_plan, make_plan, save_plan
+from pipeline.labels.plan import LabelConfig, SelectConfig, SourceSpec, files_hash, load_plan, make_plan, save_plan
 from pipeline.labels.reading import open_labels
 from pipeline.labels.store import Store
 from pipeline.system import whole_files

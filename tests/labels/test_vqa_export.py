@@ -11,7 +11,7 @@ import pytest
 from vqa_check import read_questions, verify_vqa
 
 from pipeline.labels.exports import export_labels
-from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, KINDS, VqaConfig
+from pipeline.labels.exports.vqa_geometry import CONVERSATIONS_FILE, KINDS, VqaConfig
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
 

@@ -22,14 +22,21 @@ from pipeline.datasets import Dataset
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.viewer import viewer_axes
-from pipeline.labels.config import LabelConfig
 from pipeline.labels.exports import export_labels
 from pipeline.labels.exports.base import FrameRows
-from pipeline.labels.exports.vqa_geometry import EXACT, HUMAN, POINTS, Depths, Figures, figures_of, gap_between
-from pipeline.labels.exports.vqa_records import VqaConfig
+from pipeline.labels.exports.vqa_geometry import (
+    EXACT,
+    HUMAN,
+    POINTS,
+    Depths,
+    Figures,
+    VqaConfig,
+    figures_of,
+    gap_between,
+)
 from pipeline.labels.labelling import label_objects
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import build_table
+from pipeline.labels.plan import LabelConfig
+from pipeline.labels.reading import Labels, build_table
 from pipeline.proposals.annotations import AnnotationDetector
 
 

@@ -12,13 +12,13 @@ from onnx import TensorProto
 from onnx_stubs import GROUNDING, grounding_outputs, write_stub
 from scenes import frame_of, upright
 
-from pipeline.evaluation.whole_expression import Referring
+from pipeline.evaluation.run import Referring
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.captions import build_captions, load_tokenizer, sigmoid, span_scores, token_blocks
 from pipeline.proposals.contracts import GROUNDING_DINO_CONTRACTS
 from pipeline.proposals.grounding_dino import GroundingDinoDetector
-from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
+from pipeline.proposals.network import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
 from pipeline.system.errors import InputError, MissingExtra
 
 if TYPE_CHECKING:

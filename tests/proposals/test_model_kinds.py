@@ -23,8 +23,14 @@ from pipeline.proposals.base import reads_annotations
 from pipeline.proposals.ensemble import EnsembleDetector
 from pipeline.proposals.mismatch import explain_mismatch, recognise
 from pipeline.system.errors import InputError
-from pipeline.system.execution import PROVIDER_VARIABLE, ProviderWarning, use_execution, wanted_accelerator, warn_once
-from pipeline.system.onnx_session import open_session
+from pipeline.system.onnx_session import (
+    PROVIDER_VARIABLE,
+    ProviderWarning,
+    open_session,
+    use_execution,
+    wanted_accelerator,
+    warn_once,
+)
 
 pytest.importorskip("tokenizers", reason="detectors that read text need the extra hub")
 ROOT = Path(__file__).resolve().parents[2]

@@ -17,7 +17,7 @@ from scenes import frame_of, upright
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import detic, make_detector, make_segmenter, prompt_models
 from pipeline.proposals.class_names import metadata_names
-from pipeline.proposals.resampling import shortest_edge
+from pipeline.proposals.network import shortest_edge
 from pipeline.proposals.yolo_seg import letterbox
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import metadata, model_hash, open_session

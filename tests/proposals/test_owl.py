@@ -11,12 +11,12 @@ from onnx import TensorProto
 from onnx_stubs import OWL, write_stub
 from scenes import camera_of, frame_of, upright
 
-from pipeline.evaluation.whole_expression import Referring
+from pipeline.evaluation.run import Referring
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.contracts import OWL_CONTRACTS
+from pipeline.proposals.network import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.proposals.owl import OwlDetector
-from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:

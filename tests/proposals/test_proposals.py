@@ -18,8 +18,7 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import AnnotationDetector, CachedDetector, Detector, Proposals, make_detector, top_k
 from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.base import no_proposals
-from pipeline.proposals.selection import suppress
+from pipeline.proposals.base import no_proposals, suppress
 from pipeline.proposals.yolo_seg import letterbox
 from pipeline.system.errors import InputError
 

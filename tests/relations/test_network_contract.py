@@ -29,7 +29,7 @@ from pipeline.system.errors import InputError
 def written(path: Path, metadata: dict[str, str], inputs: int = 14, outputs: int = 6) -> Path:
     """A network of the given shape that says the given things about itself."""
     pytest.importorskip("onnx")
-    from pipeline.training.onnx_file import write_onnx
+    from pipeline.training.card import write_onnx
 
     rng = np.random.default_rng(0)
     write_onnx(path, [(rng.normal(size=(inputs, outputs)), np.zeros(outputs))], metadata)

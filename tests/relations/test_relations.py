@@ -15,8 +15,8 @@ from pipeline.geometry.lifting import extents
 from pipeline.geometry.viewer import viewer_axes
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE, PAIRWISE, PHRASE, VOCABULARIES
 from pipeline.relations import RuleScorer, make_scorer
-from pipeline.relations.arrangement import between_states, distances, superlative_states
 from pipeline.relations.relations import F, T, U, directional_states, letter, pairwise_states
+from pipeline.relations.scorer import between_states, distances, superlative_states
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -38,7 +38,7 @@ from pipeline.relations.relations import directional_states
 from pipeline.relations.scorer import rule_probabilities, stacked_extents
 from pipeline.system.errors import InputError
 from pipeline.system.paths import asset_path
-from pipeline.training.evaluation import clear_cut, clear_cut_report, evaluate
+from pipeline.training.card import clear_cut, clear_cut_report, evaluate
 
 LEFT, RIGHT, ABOVE, BELOW, FRONT, BEHIND = range(6)
 

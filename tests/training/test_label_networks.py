@@ -22,10 +22,9 @@ from pipeline.relations.features import CLI_FEATURES, FEATURES, Appearance
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T
 from pipeline.system.errors import InputError
-from pipeline.training.evaluation import evaluate_classes
+from pipeline.training.card import evaluate_classes, write_onnx
 from pipeline.training.label_data import pair_set, read_label_data
 from pipeline.training.label_training import LabelTraining, train_on_labels
-from pipeline.training.onnx_file import write_onnx
 from pipeline.training.train import TrainConfig, train_pairs
 
 pytest.importorskip("torch")

@@ -18,10 +18,9 @@ from pipeline.relations.features import FEATURES, feature_set
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
-from pipeline.training.label_data import pair_set, read_label_data
+from pipeline.training.card import save_onnx
+from pipeline.training.label_data import PairSet, pair_set, read_label_data
 from pipeline.training.label_training import LabelTraining, held_out, train_on_labels
-from pipeline.training.onnx_file import save_onnx
-from pipeline.training.pairs import PairSet
 from pipeline.training.train import TrainConfig, train_pairs
 
 pytest.importorskip("torch")

@@ -17,8 +17,7 @@ from pipeline.relations.features import FEATURES
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.training import card
-from pipeline.training.card import RoomConfig
-from pipeline.training.onnx_file import save_onnx, write_onnx
+from pipeline.training.card import RoomConfig, save_onnx, write_onnx
 from pipeline.training.train import TrainConfig, require_training, train_srm
 from pipeline.training.training_data import (
     SCATTERED_A_ROOM,
@@ -139,12 +138,14 @@ def test_rooms_are_split_from_rooms() -> None:
 
 def test_progress_counts_all_rooms() -> None:
     seen = []
-    split = make_split(1, 3, views=1, width=64, height=48, progress=lambda done, of: seen.append((done, of)))
+    train, calibration, test = make_split(
+        1, 3, views=1, width=64, height=48, progress=lambda done, of: seen.append((done, of))
+    )
     total = 4 + 3 * SCATTERED_A_ROOM
     assert seen == [(k, total) for k in range(1, total + 1)]
-    assert len(split.test) == 1
-    assert len(split.calibration) == SOLIDS_A_VIEW
-    assert len(split.train) > 1
+    assert len(test) == 1
+    assert len(calibration) == SOLIDS_A_VIEW
+    assert len(train) > 1
 
 
 # That it learns.

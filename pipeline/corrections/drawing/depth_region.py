@@ -11,7 +11,7 @@ from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import surface_step
 from pipeline.geometry.normals import surface_normals
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import needed, require
 
 TOLERANCE = 0.015
 """The default."""
@@ -172,8 +172,7 @@ def grown_region(surface: Surface, seeds: np.ndarray, tolerance: float = TOLERAN
         else:
             # Something small or strongly curved has no normals at all.
             seed = _nearest(surface.measured, pixel)
-            if seed is None:
-                raise InputError("there is no depth at this point", got=f"{x:.1f}, {y:.1f}")
+            seed = needed(seed, "there is no depth at this point", got=f"{x:.1f}, {y:.1f}")
             either = surface.right.alike(tolerance, True), surface.down.alike(tolerance, True)
             region = flooded(surface.measured & ~surface.known, *either, seed)
         found |= _with_rim(surface, region, tolerance)
@@ -228,8 +227,9 @@ def _with_rim(surface: Surface, region: np.ndarray, tolerance: float) -> np.ndar
     # A round thing falls away behind its last normal; what rises there is something else.
     rises = (normals * (surface.points[candidates] - points)).sum(axis=1)
     candidates[candidates] = rises <= np.float32(tolerance) * points[:, 2]
-    grid = link_grid(region | candidates, surface.right.joined, surface.down.joined)
-    _, parts = cv2.connectedComponents(grid, connectivity=4)
+    _, parts = cv2.connectedComponents(
+        link_grid(region | candidates, surface.right.joined, surface.down.joined), connectivity=4
+    )
     pixels = np.asarray(parts[::2, ::2], np.int64)
     kept = np.zeros(int(pixels.max()) + 1, np.bool_)
     kept[pixels[region]] = True

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.answering.objects import PreparedFrame
 from pipeline.corrections.drawing.depth_region import LEAST, MOST, TOLERANCE, Surface, grown_region, surface_of
 from pipeline.proposals.depth_segmenter import DepthSegmenter
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, require
 
 Kind = Literal["stroke", "polygon", "rectangle", "surface", "depth", "cut"]
 FEWEST: dict[Kind, int] = {"stroke": 1, "polygon": 3, "rectangle": 2, "surface": 2, "depth": 1, "cut": 2}
@@ -112,8 +112,7 @@ def gesture_of(kind: Any, points: Any, height: int, width: int, *, fractions: bo
         found = np.array(points, np.float64)
     except (TypeError, ValueError, OverflowError):
         found = np.zeros(0)
-    if found.ndim != 2 or found.shape[1:] != (2,):
-        raise InputError("points must be a list of [x, y]", got=repr(points)[:60])
+    require(found.ndim == 2 and found.shape[1:] == (2,), "points must be a list of [x, y]", got=Shown(points))
     require(np.isfinite(found).all(), "points must be finite numbers")
     scale = np.array([width, height], np.float64)
     if fractions:
@@ -143,8 +142,11 @@ def read_gesture(message: Any, height: int, width: int) -> Gesture:
     InputError
         It is none.
     """
-    if not isinstance(message, Mapping) or set(message) - {"do", "at", "add", "radius", "tolerance"}:
-        raise InputError("not a movement of a tool", got=repr(message)[:60])
+    require(
+        isinstance(message, Mapping) and not set(message) - {"do", "at", "add", "radius", "tolerance"},
+        "not a movement of a tool",
+        got=Shown(message),
+    )
     more = {name: message[name] for name in ("radius", "tolerance") if name in message}
     return gesture_of(
         message.get("do"), message.get("at"), height, width, fractions=True, adds=message.get("add", True), **more
@@ -173,12 +175,7 @@ class Canvas:
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """(H, W) bool: what the depth segmenter finds between two corners (x, y, pixels)."""
-        box = np.sort(points, axis=0).ravel()
-        return self._segmenter.segment(self.context.frame, box[None], [""])[0][0]
-
-    @cached_property
-    def _segmenter(self) -> Any:
-        return DepthSegmenter()
+        return DepthSegmenter().segment(self.context.frame, np.sort(points, axis=0).ravel()[None], [""])[0][0]
 
 
 def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = None) -> np.ndarray:

@@ -24,7 +24,7 @@ from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
 from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, Kind, box_of, judged_item
 from pipeline.corrections.journal.journal import Journal
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _STATES = {"T": T, "U": U, "F": F}
 SHAPES = ("polygon", "rectangle", "strokes", "seeds")
@@ -85,8 +85,9 @@ class Shapes(BaseModel):
         if self.polygon is not None:
             found = gesture_of("polygon", self.polygon, height, width)
         elif self.rectangle is not None:
-            corners = [self.rectangle[:2], self.rectangle[2:]]
-            found = gesture_of("surface" if surface else "rectangle", corners, height, width)
+            found = gesture_of(
+                "surface" if surface else "rectangle", [self.rectangle[:2], self.rectangle[2:]], height, width
+            )
         else:
             found = gesture_of("depth", self.seeds, height, width, tolerance=self.tolerance)
         return drawn(found, height, width, canvas)
@@ -173,8 +174,8 @@ def _new_object(a: NewObject, frame: EffectiveFrame, author: str, canvas: Canvas
 
 def _value(a: Any, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
     ref = FieldRef(a.kind, a.frame, a.key, a.field)
-    if ref.kind == "review" and judged_item(ref.key)[0] not in (author.strip(), OF_ALL):
-        raise InputError("a judgement of another person", got=judged_item(ref.key)[0], expected=author)
+    whose = judged_item(ref.key)[0] if ref.kind == "review" else OF_ALL
+    require(whose in (author.strip(), OF_ALL), "a judgement of another person", got=whose, expected=author)
     return actions.set_value(frame, ref, a.to, a.reason)
 
 
@@ -190,8 +191,9 @@ def _settle(a: Any, frame: EffectiveFrame, author: str, canvas: Canvas | None) -
     state = _STATES.get(a.to) if a.ref.kind == "relation" else None
     if state is None:
         return actions.settle(frame, a.ref, a.to, a.reason)
-    status = "accepted" if state == frame.value(actions.state_ref(a.ref)) else "corrected"
-    return actions.settle(frame, a.ref, status, a.reason, state)
+    return actions.settle(
+        frame, a.ref, "accepted" if state == frame.value(actions.state_ref(a.ref)) else "corrected", a.reason, state
+    )
 
 
 KINDS: dict[str, tuple[type[Action], dict[str, Any], Callable[[Any, EffectiveFrame, str, Canvas | None], Edits]]] = {

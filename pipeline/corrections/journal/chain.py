@@ -67,8 +67,9 @@ def link(previous: str, row: Row) -> str:
         A column holds what is no value of it.
     """
     time = row["time"].astimezone(timezone.utc).isoformat(timespec="microseconds")
-    told = [previous, *(time if name == "time" else row[name] for name in CONTENT)]
-    return hashlib.sha256(_JSON.encode(told).encode()).hexdigest()
+    return hashlib.sha256(
+        _JSON.encode([previous, *(time if name == "time" else row[name] for name in CONTENT)]).encode()
+    ).hexdigest()
 
 
 def chained(previous: str, rows: Iterable[Row]) -> list[dict[str, Any]]:
@@ -351,12 +352,6 @@ def create(connection: sa.Connection, first: str) -> None:
         )
     head = {"one": 1, "version": VERSION, "events": 0, "last": 0, "hash": first, "tables": made}
     connection.execute(HEAD.insert(), head)
-
-
-def drop_before(connection: sa.Connection) -> None:
-    """Remove the tables of version 1, whose events are at hand."""
-    for table in (BEFORE, EVENTS.name):
-        connection.exec_driver_sql(f"DROP TABLE {table}")
 
 
 def fingerprint(statements: Iterable[str]) -> str:

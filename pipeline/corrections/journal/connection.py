@@ -2,15 +2,17 @@
 
 A journal of the release before is checked, kept beside as it was, and its events
 are chained, in one transaction.
+
+Here too is what is done with a journal as a whole: it is checked, copied, or what
+is intact of it is written into a new one.
 """
 
 from __future__ import annotations
 
 import os
-import re
 import sqlite3
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from itertools import count
 from pathlib import Path
@@ -20,6 +22,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from pipeline.corrections.journal.chain import (
+    BEFORE,
     CONTENT,
     EVENTS,
     FIRST,
@@ -29,12 +32,11 @@ from pipeline.corrections.journal.chain import (
     Row,
     chained,
     create,
-    drop_before,
     judged,
     judged_alone,
     version_of,
 )
-from pipeline.corrections.journal.examining import Examined, examine, known_version, read_only
+from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty, known_version, read_only
 from pipeline.corrections.journal.postgres import ask_for_turn, postgres_engine, state_of
 from pipeline.corrections.journal.sqlite_file import (
     BUSY_S,
@@ -44,12 +46,8 @@ from pipeline.corrections.journal.sqlite_file import (
     plain_reason,
     sqlite_engine,
 )
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 
-NETWORK_FILE_SYSTEMS = frozenset(
-    {"nfs", "nfs3", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p", "lustre", "gpfs", "beegfs", "afs", "ceph",
-     "fuse.ceph", "glusterfs", "fuse.glusterfs", "ocfs2", "gfs2", "fuse.s3fs", "fuse.gcsfuse", "davfs", "fuse.davfs2"}
-)  # fmt: skip
 DATABASE_ERRORS = (SQLAlchemyError, sqlite3.Error, OSError)
 """What goes wrong in a database; the second where a connection is only being made, the third on the network."""
 _HELP = (
@@ -66,7 +64,6 @@ _HELP = (
 """Words of a reason, and what helps."""
 _ADVISORY = 0x5350_4A4C
 """Key of the lock by which PostgreSQL's writers take turns: events are numbered in the order of their saving."""
-_ESCAPE = re.compile(r"\\([0-7]{3})")
 ORIGINAL, _TABLE = "before-chain", "events_before_chain"
 """What the name of the copy ends with, and PostgreSQL's table."""
 NOTHING = Head(0, 0, FIRST)
@@ -87,9 +84,7 @@ def make_engine(where: str | Path) -> sa.Engine:
     MissingExtra
         PostgreSQL's driver is not installed.
     """
-    if not is_url(where):
-        return sqlite_engine(where, _come_instead)
-    return postgres_engine(str(where))
+    return postgres_engine(str(where)) if is_url(where) else sqlite_engine(where, _come_instead)
 
 
 @contextmanager
@@ -112,9 +107,11 @@ def _come_instead(path: Path) -> None:
 
 def location_of(engine: sa.Engine) -> str:
     """Where a journal is, without its password."""
-    if engine.dialect.name == "sqlite":
-        return str(engine.url.database)
-    return engine.url.set(drivername="postgresql").render_as_string(hide_password=True)
+    return (
+        str(engine.url.database)
+        if engine.dialect.name == "sqlite"
+        else engine.url.set(drivername="postgresql").render_as_string(hide_password=True)
+    )
 
 
 @contextmanager
@@ -239,23 +236,6 @@ def likely_cause(reason: str) -> str | None:
     return next((help for words, help in _HELP if any(word in message for word in words)), None)
 
 
-def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mounts") -> str | None:
-    """The kind of network file system that a path lies on; None where it is a local one or cannot be known.
-
-    SQLite's write-ahead log needs memory that all writers share, and so one machine (sqlite.org/wal.html).
-    """
-    try:
-        lines = Path(mounts).read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        return None
-    location, kind, longest = Path(path).expanduser().resolve(), "", 0
-    for fields in (line.split(" ") for line in lines):
-        point = _ESCAPE.sub(lambda m: chr(int(m[1], 8)), fields[1]) if len(fields) > 2 else ""
-        if point and location.is_relative_to(point) and len(point) >= longest:
-            kind, longest = fields[2], len(point)
-    return kind if kind in NETWORK_FILE_SYSTEMS else None
-
-
 def take_over(connection: sa.Connection, location: str) -> str:
     """Chain the events of version 1, in the connection's turn to write; the original is kept beside.
 
@@ -278,7 +258,8 @@ def take_over(connection: sa.Connection, location: str) -> str:
     else:
         rows, kept = examined_server(connection, location, chain=False).believe().intact, _TABLE
         connection.exec_driver_sql(f"CREATE TABLE IF NOT EXISTS {kept} AS TABLE events")
-    drop_before(connection)
+    for table in (BEFORE, EVENTS.name):
+        connection.exec_driver_sql(f"DROP TABLE {table}")
     create(connection, FIRST)
     write_rows(connection, rows)
     return kept
@@ -296,13 +277,16 @@ def write_rows(connection: sa.Connection, rows: Iterable[Row], last: Head = NOTH
 
 def examined_server(connection: sa.Connection, location: str, *, chain: bool) -> Examined:
     """As `examine`, of a journal in PostgreSQL; `chain` is whether its events are chained."""
-    names = (*CONTENT, "hash") if chain else CONTENT
-    query = sa.select(*(EVENTS.c[name] for name in names)).order_by(EVENTS.c.id)
+    query = sa.select(*(EVENTS.c[name] for name in ((*CONTENT, "hash") if chain else CONTENT))).order_by(EVENTS.c.id)
     rows = [(int(row["id"]), dict(row)) for row in connection.execute(query).mappings()]
     kept = connection.execute(sa.select(HEAD.c.events, HEAD.c.last, HEAD.c.hash)).one_or_none() if chain else None
     head = None if kept is None else Head(*kept)
-    found = judged(rows, head) if chain else judged_alone(rows)
-    return Examined(location, 2 if chain else 1, head.events if head else len(rows), *found)
+    return Examined(
+        location,
+        2 if chain else 1,
+        head.events if head else len(rows),
+        *(judged(rows, head) if chain else judged_alone(rows)),
+    )
 
 
 def _free(path: Path) -> Path:
@@ -331,3 +315,112 @@ def copy_whole(path: Path, to: Path) -> None:
         os.replace(part, to)
     finally:
         part.unlink(missing_ok=True)
+
+
+def check_journal(where: str | Path) -> Examined:
+    """Examine a journal in full, and change nothing.
+
+    Parameters
+    ----------
+    where : str or Path
+        As `open_journal` takes it.
+
+    Raises
+    ------
+    InputError
+        There is none, or it cannot be opened.
+    """
+    if is_url(where):
+        with opened(where) as engine, reading(engine) as connection:
+            version = version_of(connection)
+            if version is not None and 0 < version <= VERSION:
+                return examined_server(connection, location_of(engine), chain=version == VERSION)
+        return Examined(location_of(engine), version, None, (), ()).believe()
+    path = Path(where).expanduser()
+    require(path.is_file(), "no journal here", path=path)
+    if is_empty(path):
+        raise empty_file(path)
+    return examine(path)
+
+
+def back_up(where: str | Path, to: Path) -> Examined:
+    """Write a copy of a journal, with what is in its log, and examine it; others may save meanwhile.
+
+    Raises
+    ------
+    InputError
+        It is in a server, the copy's name is taken, or it cannot be written.
+    DamagedJournal
+        The journal is damaged.
+    """
+    path = _file(where, to, "pg_dump copies it")
+    check_journal(path).believe()
+    return _written(to, lambda: copy_whole(path, to))
+
+
+def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
+    """Write what is intact of a journal into a new one; the damaged one is not changed.
+
+    An undo or redo is left out where what it takes back is.
+
+    Returns
+    -------
+    damaged, made : Examined
+
+    Raises
+    ------
+    InputError
+        It is in a server, nothing is intact, the new name is taken, or it cannot be written.
+    """
+    path = _file(where, to, "its own backups hold it")
+    found = check_journal(path)
+    rows = found.standing
+    if not rows:
+        what = "those of its events that are intact take back others, which are not" if found.intact else found.summary
+        raise InputError(f"nothing of the journal can be recovered: {what}", cause="a backup may have it", path=path)
+
+    def write() -> None:
+        part = Path(f"{to}.part")
+        try:
+            with opened(part) as engine:
+                prepare(engine)
+                with writing(engine) as connection:
+                    write_rows(connection, rows)
+            os.replace(part, to)
+        finally:
+            for end in ("", "-wal", "-shm"):
+                Path(f"{part}{end}").unlink(missing_ok=True)
+
+    return found, _written(to, write)
+
+
+def _file(where: str | Path, to: Path, instead: str) -> Path:
+    require(not is_url(where), "a journal in a server is not copied into a file", cause=instead)
+    what = "there is a file of this name" if to.exists() else "the folder is not there"
+    require(not to.exists() and to.parent.is_dir(), f"no journal can be written: {what}", path=to)
+    return Path(where).expanduser()
+
+
+def _written(to: Path, write: Callable[[], None]) -> Examined:
+    with as_input_error("the copy cannot be written", *DATABASE_ERRORS, got=lambda e: reason_of(e, str(to)), path=to):
+        write()
+    return examine(to).believe()
+
+
+def examined_record(found: Examined) -> dict[str, Any]:
+    """`journal --check --json`: "events" were saved (null where unknown), "ranges" of ids are intact."""
+    return {
+        "journal": found.location,
+        "sound": not found.damage,
+        "chained": found.chained,
+        "events": found.events,
+        "intact": len(found.intact),
+        "ranges": [list(run) for run in found.ranges],
+        "damage": list(found.damage),
+        "help": found.help,
+    }
+
+
+def written_record(found: Examined, made: Examined) -> dict[str, Any]:
+    """`journal --backup --json` and `--recover --json`: the file that was made, and its events."""
+    return {"journal": found.location, "written": made.location, "events": len(made.intact), "of": found.events}

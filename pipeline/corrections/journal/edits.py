@@ -28,7 +28,7 @@ from pipeline.corrections.journal.replay import judgement_ref
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.proposals.annotations import box_mask
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 
 Edits = tuple[Edit, ...]
 Rectangle = Sequence[float] | np.ndarray
@@ -51,8 +51,7 @@ def set_status(
     """
     if author is not None:
         own, out = judge(frame, ref, status, author, reason), frame.statuses.get(ref) == "rejected"
-        mine = out and frame.origin(ref).author == author
-        for_all = not out if status == "rejected" else mine
+        for_all = not out if status == "rejected" else out and frame.origin(ref).author == author
         if ref.kind not in ("object", "expression") or not for_all:
             return own
         return (*own, *set_status(frame, ref, status if status == "rejected" else None, reason))
@@ -135,8 +134,9 @@ def set_relation(frame: EffectiveFrame, a: int, b: int, relation: str, state: in
     InputError
         No such pair or relation, or a state that is none.
     """
-    refs = _both_ways(frame, relation_ref(frame.frame, a, b, relation))
-    return tuple(_edit(frame, ref, state, reason) for ref in refs)
+    return tuple(
+        _edit(frame, ref, state, reason) for ref in _both_ways(frame, relation_ref(frame.frame, a, b, relation))
+    )
 
 
 def judge(frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
@@ -178,8 +178,14 @@ def judge_both_ways(frame: EffectiveFrame, ref: FieldRef, status: str | None, au
 
 def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: str, reason: str = "") -> Edits:
     """What a reviewer says of a place where an object may be missing: "rejected" where there is none."""
-    ref = judgement_ref(frame.frame, "object", -1, None, what, author)
-    return (_edit(frame, ref, None if status is None else {"status": status}, reason),)
+    return (
+        _edit(
+            frame,
+            judgement_ref(frame.frame, "object", -1, None, what, author),
+            None if status is None else {"status": status},
+            reason,
+        ),
+    )
 
 
 def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", state: int | None = None) -> Edits:
@@ -302,18 +308,18 @@ def _expression_edit(frame: EffectiveFrame, expression: str, field: str, after: 
 
 
 def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
-    row = frame.object(number)
-    if row is None:
-        raise InputError(f"frame {frame.frame} has no object {number}", expected=_listed(frame.objects))
-    return row
+    return needed(frame.object(number), f"frame {frame.frame} has no object {number}", expected=_listed(frame.objects))
 
 
 def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
     """Refuse what is of no object, expression or pair of the frame."""
     if ref.kind == "object" and ref.field != "exists":
         _row(frame, ref.numbers[0])
-    known = ref.kind != "expression" or ref.key in frame.auto.expressions
-    require(known, f"frame {frame.frame} has no such expression", got=repr(ref.key))
+    require(
+        ref.kind != "expression" or ref.key in frame.auto.expressions,
+        f"frame {frame.frame} has no such expression",
+        got=repr(ref.key),
+    )
     if ref.kind != "relation":
         return
     relation = ref.field.removesuffix(".status")
@@ -334,8 +340,11 @@ def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
 def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
     size = frame.size
     pixels = decode_run_length(size, mask) if isinstance(mask, str) else mask
-    sound = pixels.dtype == np.bool_ and pixels.shape == size
-    require(sound, f"a mask must be bool {size}", got=f"{pixels.dtype} {pixels.shape}")
+    require(
+        pixels.dtype == np.bool_ and pixels.shape == size,
+        f"a mask must be bool {size}",
+        got=f"{pixels.dtype} {pixels.shape}",
+    )
     require(pixels.any(), "the mask is empty")
     return mask if isinstance(mask, str) else encode_run_length(pixels)
 
@@ -343,9 +352,11 @@ def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
 def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
     """(H, W) bool: an object's mask, or the filled 2D box where it has none; InputError where there is no object."""
     row = _row(frame, number)
-    if row["mask"] is None:
-        return box_mask(np.array(row["bbox"], np.float32), *frame.size)
-    return decode_run_length(frame.size, row["mask"], f"object {number}")
+    return (
+        box_mask(np.array(row["bbox"], np.float32), *frame.size)
+        if row["mask"] is None
+        else decode_run_length(frame.size, row["mask"], f"object {number}")
+    )
 
 
 def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:

@@ -33,7 +33,6 @@ from pipeline.corrections.journal.effective_objects import (
     correct_expressions,
     correct_objects,
     correct_pairs,
-    unusable,
 )
 from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item
@@ -51,7 +50,7 @@ from pipeline.datasets import Dataset
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import MaskCrop, decode_run_length
-from pipeline.labels.labelling import label_objects
+from pipeline.labels.labelling import label_objects, unusable
 from pipeline.labels.profiles import NONE, open_second_opinion
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
@@ -433,7 +432,8 @@ def _rename(frame: EffectiveFrame) -> None:
         row = frame.objects.get(number)
         if row is None or row["reason"] == "not lifted yet":
             continue
-        reason = unusable(row, frame.setting)
+        config = frame.setting.config
+        reason = unusable(config, row["label"], row["mask_pixels"], row["points"], row["fallback"])
         if reason != row["reason"] and "background" in (reason, row["reason"]):
             for column, value in (("usable", reason is None), ("reason", reason)):
                 frame.put("objects", str(number), column, Origin.of("recomputed", event), row[column])

@@ -15,9 +15,8 @@ from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
 from pipeline.corrections.journal.replay import ORIGIN_FIELDS, Origin, Replayed, Unapplied
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check.relations import MIRRORED_PROFILES
-from pipeline.labels.config import LabelConfig
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import arrow_schema, build_table
+from pipeline.labels.plan import LabelConfig
+from pipeline.labels.reading import Labels, build_table, table_of_rows
 from pipeline.language.relation_names import MIRRORED, PAIRWISE
 from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa
@@ -173,8 +172,11 @@ class EffectiveFrame:
 
     def expression(self, name: str) -> Row | None:
         """The row of an expression as it is now, also of one that was left out; None where there never was one."""
-        left_out = (w.row for w in self.withdrawn if w.id == name)
-        return self.expressions.get(name) or next(left_out, None) or self.auto.expressions.get(name)
+        return (
+            self.expressions.get(name)
+            or next((w.row for w in self.withdrawn if w.id == name), None)
+            or self.auto.expressions.get(name)
+        )
 
     def version(self, ref: FieldRef) -> int:
         """How many events a cell has: what an edit of it is based on."""
@@ -188,10 +190,7 @@ class EffectiveFrame:
     def tables(self) -> dict[str, pa.Table]:
         """The frame's rows in each of the four tables, in canonical order."""
         chosen = {"frames": [self.row], "objects": self.objects.values(), "expressions": self.expressions.values()}
-        found = {
-            name: build_table(name, {column: [row[column] for row in rows] for column in arrow_schema(name).names})
-            for name, rows in chosen.items()
-        }
+        found = {name: table_of_rows(name, rows) for name, rows in chosen.items()}
         return {**found, "relations": self.pairs.table(self.frame, self.auto.index, self.setting.relations)}
 
 
@@ -308,9 +307,11 @@ def filled(values: Any, length: int, empty: float) -> np.ndarray:
     """A column as an array, with `empty` where it is null."""
     if values is None:
         return np.full(length, empty)
-    if isinstance(values, np.ndarray) and values.dtype != object:
-        return values
-    return np.array([empty if v is None else v for v in values], np.float64)
+    return (
+        values
+        if isinstance(values, np.ndarray) and values.dtype != object
+        else np.array([empty if v is None else v for v in values], np.float64)
+    )
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,7 @@ from pipeline.labels.check.objects import clipped, projected
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone, same_names
 from pipeline.language.relation_names import INVERSE, PAIRWISE
-from pipeline.relations.pair_measures import NOT_JUDGED
-from pipeline.relations.relations import F, T, U
+from pipeline.relations.pair_measures import NOT_JUDGED, F, T, U
 from pipeline.system.errors import InputError
 
 DERIVED = (
@@ -167,18 +166,6 @@ def projected_box(corners: Any, frame: Row) -> list[float]:
     return box.tolist() if box[2] > box[0] and box[3] > box[1] else [0.0, 0.0, float(size[1]), float(size[0])]
 
 
-def unusable(row: Row, setting: Setting) -> str | None:
-    """Why an object is not asked for, by its row; as `labels.labelling` has it of what it lifted."""
-    config = setting.config
-    if config.is_background(row["label"]):
-        return "background"
-    if row["mask_pixels"] < config.min_pixels:
-        return f"fewer than {config.min_pixels} pixels"
-    if row["points"] < config.min_points:
-        return f"fewer than {config.min_points} points"
-    return "too small to clean" if row["fallback"] else None
-
-
 def correct_pairs(frame: EffectiveFrame, refs: Mapping[FieldRef, Sequence[Event]], relifted: Pairs | None) -> None:
     """Apply corrections of relations, and those of objects, which are corrected, as far as relations follow from them.
 
@@ -202,8 +189,13 @@ def correct_pairs(frame: EffectiveFrame, refs: Mapping[FieldRef, Sequence[Event]
             ruled_out = frame.pairs.states[a, b, PAIRWISE.index(name)] == T and (a, b, name) not in human
             if ruled_out and name in frame.setting.relations:
                 _settle(frame, a, b, PAIRWISE.index(name), F)
-                key = f"{frame.pairs.numbers[a]},{frame.pairs.numbers[b]}"
-                frame.put("relations", key, name, Origin.of("recomputed", event), T)
+                frame.put(
+                    "relations",
+                    f"{frame.pairs.numbers[a]},{frame.pairs.numbers[b]}",
+                    name,
+                    Origin.of("recomputed", event),
+                    T,
+                )
 
 
 def _follow_geometry(frame: EffectiveFrame, relifted: Pairs | None) -> None:

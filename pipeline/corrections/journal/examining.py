@@ -81,8 +81,10 @@ class Examined:
     @property
     def ranges(self) -> tuple[tuple[int, int], ...]:
         """First and last id of each run of intact events."""
-        numbered = enumerate(row["id"] for row in self.intact)
-        runs = [[n for _, n in run] for _, run in groupby(numbered, key=lambda x: x[1] - x[0])]
+        runs = [
+            [n for _, n in run]
+            for _, run in groupby(enumerate(row["id"] for row in self.intact), key=lambda x: x[1] - x[0])
+        ]
         return tuple((run[0], run[-1]) for run in runs)
 
     @property

@@ -16,7 +16,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import run_lengths
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import letter
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, as_input_error, require
 
 Kind = Literal["object", "relation", "expression", "frame", "review"]
 KINDS: tuple[Kind, ...] = ("object", "relation", "expression", "frame", "review")
@@ -59,11 +59,17 @@ class FieldRef:
         plain_text(self.frame, "the frame's id", LONGEST_TEXT)
         if self.kind in ("object", "relation"):
             numbers = self.key.split(",")
-            if len(numbers) != (2 if self.kind == "relation" else 1) or not all(map(_is_number, numbers)):
-                raise InputError(f"not the key of a {self.kind}", got=repr(self.key)[:60])
+            require(
+                len(numbers) == (2 if self.kind == "relation" else 1) and all(map(_is_number, numbers)),
+                f"not the key of a {self.kind}",
+                got=Shown(self.key),
+            )
         elif self.kind == "review":
-            if (judged_item(self.key)[0] == OF_ALL) != (self.field == "settled"):
-                raise InputError("what is said has an author, what is settled has none", got=repr(self.key)[:60])
+            require(
+                (judged_item(self.key)[0] == OF_ALL) == (self.field == "settled"),
+                "what is said has an author, what is settled has none",
+                got=Shown(self.key),
+            )
         elif (self.kind == "frame") != (self.key == "") or len(self.key) > LONGEST_NAME:
             raise InputError(f"not the key of a {self.kind}", got=repr(self.key)[:60])
 
@@ -112,12 +118,18 @@ def judged_item(key: str) -> tuple[str, str, int, int | None, str]:
         raise InputError("not the key of a review", got=repr(key)[:60]) from error
     numbers = type(a) is int and (b is None or type(b) is int)
     sound = kind in ("object", "relation", "expression") and isinstance(author, str) and isinstance(what, str)
-    if not (numbers and sound and -1 <= a < 2**31 and -1 <= (b or 0) < 2**31) or written != key:
-        raise InputError("not the key of a review", got=repr(key)[:60])
+    require(
+        numbers and sound and -1 <= a < 2**31 and -1 <= (b or 0) < 2**31 and written == key,
+        "not the key of a review",
+        got=Shown(key),
+    )
     if author != OF_ALL:
         plain_text(author, "an author", LONGEST_NAME)
-    if kind == "relation" and (what not in PAIRWISE or b is None or min(a, b) < 0):
-        raise InputError("not the key of a relation's review", got=repr(key)[:60])
+    require(
+        kind != "relation" or (what in PAIRWISE and b is not None and min(a, b) >= 0),
+        "not the key of a relation's review",
+        got=Shown(key),
+    )
     if what:
         plain_text(what, "what is judged", LONGEST_NAME)
     return author, kind, a, b, what
@@ -140,8 +152,7 @@ def plain_text(value: Any, what: str, longest: int) -> str:
     InputError
         It is no text, empty, too long, or holds what is no character.
     """
-    if not isinstance(value, str) or not value.strip():
-        raise InputError(f"{what} must be a text that is not empty", got=repr(value)[:60])
+    require(isinstance(value, str) and value.strip(), f"{what} must be a text that is not empty", got=Shown(value))
     require(len(value) <= longest, f"{what} is too long", got=f"{len(value)} characters", expected=f"at most {longest}")
     if "\x00" in value or any("\ud800" <= c <= "\udfff" for c in value):
         raise InputError(f"{what} holds a character that cannot be kept", got=ascii(value)[:60])
@@ -207,11 +218,11 @@ def box_of(value: Any) -> Box3D:
     InputError
         It is none.
     """
-    try:
+    with as_input_error(
+        "a 3D box must have center, R and size", KeyError, TypeError, ValueError, IndexError, got=Shown(value)
+    ):
         center, R, size = (np.array(value[n], np.float64) for n in ("center", "R", "size"))
         shaped = R.reshape(3, 3)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise InputError("a 3D box must have center, R and size", got=repr(value)[:60]) from error
     return Box3D(center, shaped, size)
 
 
@@ -231,8 +242,11 @@ _status = _one_of("status", STATUSES)
 
 
 def _judgement(value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict) or set(value) - {"status", "value"} or "status" not in value:
-        raise InputError("a judgement has a status, and of a relation a value", got=repr(value)[:60])
+    require(
+        isinstance(value, dict) and not set(value) - {"status", "value"} and "status" in value,
+        "a judgement has a status, and of a relation a value",
+        got=Shown(value),
+    )
     state = value.get("value")
     return {"status": _status(value["status"]), "value": None if state is None else _state(state)}
 
@@ -249,25 +263,33 @@ def _flag(value: Any) -> bool:
 
 
 def _state(value: Any) -> int:
-    if isinstance(value, bool) or value not in (-1, 0, 1):
-        raise InputError("no such state", got=repr(value)[:60], expected="1 (T), 0 (U) or -1 (F)")
+    require(
+        not isinstance(value, bool) and value in (-1, 0, 1),
+        "no such state",
+        got=Shown(value),
+        expected="1 (T), 0 (U) or -1 (F)",
+    )
     return int(value)
 
 
 def _numbers(value: Any) -> list[int]:
     sound = isinstance(value, (list, tuple)) and all(isinstance(n, int) and not isinstance(n, bool) for n in value)
-    if not sound or min(value, default=0) < 0 or max(value, default=0) >= 2**31:
-        raise InputError("must be a list of numbers of objects", got=repr(value)[:60])
+    require(
+        sound and min(value, default=0) >= 0 and max(value, default=0) < 2**31,
+        "must be a list of numbers of objects",
+        got=Shown(value),
+    )
     return sorted({int(n) for n in value})
 
 
 def _rectangle(value: Any) -> list[float]:
-    try:
+    with as_input_error("a 2D box must be four numbers", TypeError, ValueError, got=Shown(value)):
         box = [float(x) for x in value]
-    except (TypeError, ValueError) as error:
-        raise InputError("a 2D box must be four numbers", got=repr(value)[:60]) from error
-    if len(box) != 4 or not all(map(math.isfinite, box)) or box[2] <= box[0] or box[3] <= box[1]:
-        raise InputError("a 2D box must be x0 y0 x1 y1 with x1 > x0 and y1 > y0", got=repr(value)[:60])
+    require(
+        len(box) == 4 and all(map(math.isfinite, box)) and box[2] > box[0] and box[3] > box[1],
+        "a 2D box must be x0 y0 x1 y1 with x1 > x0 and y1 > y0",
+        got=Shown(value),
+    )
     return box
 
 
@@ -282,8 +304,11 @@ def _box(value: Any) -> dict[str, list[float]]:
 
 
 def _new_object(value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict) or set(value) - {"label", "mask", "bbox", "box"}:
-        raise InputError("a new object has a label and a mask, a 2D box or a 3D box", got=repr(value)[:60])
+    require(
+        isinstance(value, dict) and not set(value) - {"label", "mask", "bbox", "box"},
+        "a new object has a label and a mask, a 2D box or a 3D box",
+        got=Shown(value),
+    )
     found: dict[str, Any] = {"label": _name(value.get("label"))}
     for name, check in (("mask", _mask), ("bbox", _rectangle), ("box", _box)):
         if value.get(name) is not None:

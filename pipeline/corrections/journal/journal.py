@@ -21,7 +21,6 @@ from pipeline.corrections.journal.connection import (
     likely_cause,
     location_of,
     make_engine,
-    network_file_system,
     prepare,
     reading,
     reason_of,
@@ -31,6 +30,7 @@ from pipeline.corrections.journal.connection import (
 from pipeline.corrections.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
 from pipeline.corrections.journal.examining import DamagedJournal, empty_file, examine, is_empty
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
+from pipeline.corrections.journal.sqlite_file import network_file_system
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError, require
@@ -339,8 +339,7 @@ def journal_of(
     In a database that is shared, the project is the name of the dataset's folder unless another is given.
     """
     if project is None:
-        shared = where is not None and is_url(where)
-        project = Path(str(labels.manifest.dataset.get("path", ""))).name if shared else ""
+        project = Path(str(labels.manifest.dataset.get("path", ""))).name if where is not None and is_url(where) else ""
     return open_journal(
         labels.root / JOURNAL_FILE if where is None else where,
         project=project,

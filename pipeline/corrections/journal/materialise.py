@@ -13,9 +13,8 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.datasets import Dataset
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment, write_manifest, write_merged
-from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
+from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels, write_table
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version, write_schemas
-from pipeline.labels.tables import write_table
 from pipeline.system.errors import require
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import temporary_folder, write_synced

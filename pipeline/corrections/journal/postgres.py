@@ -29,7 +29,7 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import ArgumentError, DBAPIError, InvalidatePoolError
 
-from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.errors import as_input_error, extra_module, require
 
 CONNECT_S = 5.0
 PING_S = 3.0
@@ -93,21 +93,18 @@ def postgres_engine(where: str) -> sa.Engine:
     MissingExtra
         The driver is not installed.
     """
-    try:
+    with as_input_error(
+        "the journal's URL cannot be read", ArgumentError, ValueError, expected="postgresql://user@host/database"
+    ):
         url = sa.make_url(where)
         port = url.port
-    except (ArgumentError, ValueError) as error:
-        raise InputError("the journal's URL cannot be read", expected="postgresql://user@host/database") from error
     require(
         url.drivername in ("postgresql", "postgres", "postgresql+pg8000"),
         "no such kind of journal",
         got=url.drivername,
         expected="a path, or postgresql://...",
     )
-    try:
-        import pg8000  # noqa: F401
-    except ImportError as error:
-        raise MissingExtra("a journal in PostgreSQL", "postgres") from error
+    extra_module("pg8000", "a journal in PostgreSQL", "postgres")
     address = address_of(url)
     plain = url.set(drivername="postgresql+pg8000", port=port)
     engine = sa.create_engine(plain, creator=lambda: _connect(address))
@@ -195,7 +192,7 @@ def _ssl(mode: str, query: dict[str, str]) -> ssl.SSLContext | bool | None:
         return False
     if mode in ("allow", "prefer") and not own:
         return None
-    try:
+    with as_input_error("a certificate cannot be read", OSError, got=str, path=root or own):
         context = ssl.create_default_context(cafile=root)
         # With a root certificate "require" checks it, as libpq does.
         verified = mode.startswith("verify") or (mode == "require" and root is not None)
@@ -203,8 +200,6 @@ def _ssl(mode: str, query: dict[str, str]) -> ssl.SSLContext | bool | None:
         context.verify_mode = ssl.CERT_REQUIRED if verified else ssl.CERT_NONE
         if own:
             context.load_cert_chain(own, query.get("sslkey"))
-    except OSError as error:
-        raise InputError("a certificate cannot be read", got=str(error), path=root or own) from error
     return context
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import sqlite3
 import tempfile
 import time
@@ -160,8 +161,7 @@ def _settle(connection: Any) -> None:
 
 
 def _begin(connection: sa.Connection) -> None:
-    reading = connection.get_execution_options().get(READING, False)
-    connection.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")
+    connection.exec_driver_sql("BEGIN" if connection.get_execution_options().get(READING, False) else "BEGIN IMMEDIATE")
 
 
 def lost_in_log(path: Path) -> str | None:
@@ -252,3 +252,27 @@ def _weights(length: int) -> tuple[np.ndarray, np.ndarray]:
         terms[:, k : k + 2] = power @ np.array([[1, 0], [1, 1]], np.uint32)
         power = power @ np.array([[1, 1], [1, 2]], np.uint32)
     return power, terms
+
+
+NETWORK_FILE_SYSTEMS = frozenset(
+    {"nfs", "nfs3", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p", "lustre", "gpfs", "beegfs", "afs", "ceph",
+     "fuse.ceph", "glusterfs", "fuse.glusterfs", "ocfs2", "gfs2", "fuse.s3fs", "fuse.gcsfuse", "davfs", "fuse.davfs2"}
+)  # fmt: skip
+_ESCAPE = re.compile(r"\\([0-7]{3})")
+
+
+def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mounts") -> str | None:
+    """The kind of network file system that a path lies on; None where it is a local one or cannot be known.
+
+    SQLite's write-ahead log needs memory that all writers share, and so one machine (sqlite.org/wal.html).
+    """
+    try:
+        lines = Path(mounts).read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return None
+    location, kind, longest = Path(path).expanduser().resolve(), "", 0
+    for fields in (line.split(" ") for line in lines):
+        point = _ESCAPE.sub(lambda m: chr(int(m[1], 8)), fields[1]) if len(fields) > 2 else ""
+        if point and location.is_relative_to(point) and len(point) >= longest:
+            kind, longest = fields[2], len(point)
+    return kind if kind in NETWORK_FILE_SYSTEMS else None

@@ -27,7 +27,7 @@ from pipeline.metrics.relation_metrics import cell_outcomes
 from pipeline.metrics.splits import FrameKey
 from pipeline.relations.relations import U
 from pipeline.system.errors import require
-from pipeline.system.threads import one_thread
+from pipeline.system.worker_pool import one_thread
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set
 from pipeline.training.train import TrainConfig, require_training, train_pairs
 from pipeline.training.training_data import FIRST_ROOM, ROOMS_A_SEED, FrameSamples, make_samples
@@ -132,8 +132,10 @@ class Recovery:
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
-        back = {stage: self.recovered(stage) for stage in ("mended", "again")}
-        return {**vars(self), "recovered": {k: v if np.isfinite(v) else None for k, v in back.items()}}
+        return {
+            **vars(self),
+            "recovered": {s: x if np.isfinite(x := self.recovered(s)) else None for s in ("mended", "again")},
+        }
 
 
 def bench_review(
@@ -221,8 +223,10 @@ def review_rooms(
         workers=workers, progress=progress,
     )  # fmt: skip
     cut = first + config.rooms - max(1, round(config.rooms * TEST_SHARE))
-    parts = [s for s in samples if s.room < cut], [s for s in samples if s.room >= cut]
-    train, test = (data_of_samples(part, config.labels == "exact") for part in parts)
+    train, test = (
+        data_of_samples(part, config.labels == "exact")
+        for part in ([s for s in samples if s.room < cut], [s for s in samples if s.room >= cut])
+    )
     return train, test
 
 

@@ -191,5 +191,4 @@ def second_setup(source: Pipeline, labels: Labels) -> tuple[str, DetectorSetup] 
     maker = labels.manifest.models.get("detector")
     own, other = source.sides
     known = ((other, source.second_detector, source.second_setup), (own, source.detector, source.setup))
-    new = ((name, s) for name, d, s in known if d is not None and s is not None and not made_by(maker, d))
-    return next(new, None)
+    return next(((name, s) for name, d, s in known if d is not None and s is not None and not made_by(maker, d)), None)

@@ -17,12 +17,10 @@ import numpy as np
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.out_of_fold import Doubts
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.check.findings import Finding
-from pipeline.labels.reading import Labels
-from pipeline.labels.tables import read_table
+from pipeline.labels.check.view import Finding
+from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import INVERSE
-from pipeline.relations.pair_measures import NOT_JUDGED
-from pipeline.relations.relations import F, T, U
+from pipeline.relations.pair_measures import NOT_JUDGED, F, T, U
 from pipeline.training.label_data import LabelData, column_arrays, rows_of_frame
 
 CONTRADICTED = 0.9
@@ -112,8 +110,9 @@ def margin_evidence(cells: RelationLabels, least: float) -> RelationEvidence:
     rows, columns = np.nonzero(((cells.states == T) | (cells.states == F)) & (weight >= least))
     mm = 1000 * near[rows, columns]
     told = np.where(mm < 0.05, "less than 0.1", np.char.add("only ", np.char.mod("%.1f", mm)))
-    reason = _joined(told, " mm from where the rule would be undecided")
-    return RelationEvidence(rows, columns, weight[rows, columns], reason)
+    return RelationEvidence(
+        rows, columns, weight[rows, columns], _joined(told, " mm from where the rule would be undecided")
+    )
 
 
 def linter_evidence(
@@ -162,8 +161,7 @@ def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
         return [(a, b, relation, CONTRADICTED)]
     inverse = INVERSE.get(relation, relation)
     if found.rule == "relation/cycle":
-        ring = (*found.objects, found.objects[0])
-        return [(i, j, relation, 1 / len(found.objects)) for i, j in pairwise(ring)]
+        return [(i, j, relation, 1 / len(found.objects)) for i, j in pairwise((*found.objects, found.objects[0]))]
     others = {
         "relation/inverse": (b, a, inverse),
         "relation/exclusive": (a, b, inverse),
@@ -323,8 +321,9 @@ def read_relation_labels(labels: Labels) -> RelationLabels:
     """
     relations = labels.relation_names
     margins = [f"{r}_margin" for r in relations]
-    names = ("frame", "frame_index", "a", "b", *relations, *margins)
-    table = read_table(labels.root / "relations.parquet", "relations", names)
+    table = read_table(
+        labels.root / "relations.parquet", "relations", ("frame", "frame_index", "a", "b", *relations, *margins)
+    )
     table = table.take(np.lexsort([table.column(name).to_numpy() for name in ("b", "a", "frame_index")]))
     states = [table.column(r).fill_null(NOT_JUDGED).to_numpy().astype(np.int8) for r in relations]
     found = column_arrays(table.select(["frame", "frame_index", "a", "b"]))

@@ -30,7 +30,7 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import by_ref, standing_at
 from pipeline.relations.relations import letter
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, as_input_error, require
 
 Kind = Literal["relation", "object", "expression"]
 State = Literal["unreviewed", "accepted", "corrected", "rejected", "unsure"]
@@ -89,10 +89,8 @@ class ItemKey(NamedTuple):
         InputError
             It is no key.
         """
-        try:
+        with as_input_error("not the key of a review item", ValueError, TypeError, got=Shown(text, 80)):
             frame, kind, a, b, what = json.loads(text)
-        except (ValueError, TypeError) as error:
-            raise InputError("not the key of a review item", got=repr(text)[:80]) from error
         numbers = type(a) is int and (b is None or type(b) is int)
         require(
             isinstance(frame, str) and kind in KINDS and numbers and isinstance(what, str),
@@ -132,8 +130,9 @@ def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
     """
     checked_states(states)
     kept = queue.select([name for name in queue.column_names if name != "state"])
-    column = [states.get(key, "unreviewed") for key in item_keys(queue)]
-    return kept.append_column("state", pa.array(column, pa.string()))
+    return kept.append_column(
+        "state", pa.array([states.get(key, "unreviewed") for key in item_keys(queue)], pa.string())
+    )
 
 
 def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
@@ -150,9 +149,11 @@ def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table
 
 def disputed_rows(queue: pa.Table) -> np.ndarray:
     """(N,) bool: what reviewers judge differently, by its score."""
-    if "score" not in queue.column_names:
-        return np.zeros(queue.num_rows, np.bool_)
-    return queue.column("score").to_numpy(zero_copy_only=False).astype(np.float64) >= DISAGREED
+    return (
+        np.zeros(queue.num_rows, np.bool_)
+        if "score" not in queue.column_names
+        else queue.column("score").to_numpy(zero_copy_only=False).astype(np.float64) >= DISAGREED
+    )
 
 
 def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[str, int]:
@@ -288,9 +289,7 @@ class Judgements:
 
     def verdict(self, key: ItemKey) -> str | None:
         """What stands of a settled item, as of `Judgement.verdict`; None where it is open."""
-        if self.state(key) not in SETTLED:
-            return None
-        return max(self._open_words(key), key=lambda w: w.at).verdict
+        return None if self.state(key) not in SETTLED else max(self._open_words(key), key=lambda w: w.at).verdict
 
     def states(self, author: str | None = None) -> dict[ItemKey, State]:
         """The state of every item that anyone, or this person, has said something of."""
@@ -341,8 +340,7 @@ def judgements_of(
     ignored : collection of str
         ULIDs of events that say nothing of the labels as they are now (`EffectiveLabels.unapplied`).
     """
-    events = journal.events() if isinstance(journal, Journal) else tuple(journal)
-    refs = by_ref(events)
+    refs = by_ref(journal.events() if isinstance(journal, Journal) else tuple(journal))
     standing = {ref: [x for x in standing_at(members) if x[0].ulid not in ignored] for ref, members in refs.items()}
     settling = {e.group for ref, found in standing.items() if ref.field == "settled" for e, _ in found}
     items = {ref: key for ref in refs if (key := item_of(ref)) is not None}

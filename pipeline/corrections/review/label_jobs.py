@@ -29,10 +29,10 @@ from pipeline.corrections.review.reviewed import Reviewed, pair_agreements, revi
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_of, read_queue, worklist, write_queue
 from pipeline.datasets import Dataset
 from pipeline.diagnosis.verdict import read_marks
-from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.evaluation.shared_makers import scorer_share
+from pipeline.evaluation.summary import Comparison
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.language.naming import Synonyms
@@ -41,7 +41,7 @@ from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.background import SharedJob
 from pipeline.system.errors import InputError, require
-from pipeline.system.staging import staged_folder
+from pipeline.system.whole_files import staged_folder
 from pipeline.training.label_data import read_label_data
 
 Step = tuple[str, int, int]
@@ -413,8 +413,9 @@ def compare_with(
     was, now = (read_label_data(x, config.train.features, contract.vocabulary) for x in (before, after))
     fed = now if contract.features == now.features else read_label_data(after, contract.features, contract.vocabulary)
     plan = shared_split(was, now, config)
-    cards = ({**card, "file": str(current.name)}, card)
-    found = compare_networks(current, new, was, now, plan, cards, config.bootstrap, fed_before=fed)
+    found = compare_networks(
+        current, new, was, now, plan, ({**card, "file": str(current.name)}, card), config.bootstrap, fed_before=fed
+    )
     share = scorer_share(makers_of(after.manifest), current.path.stem, current)
     return found if share is None else replace(found, caveats=(f"before: {share.sentence}",))
 

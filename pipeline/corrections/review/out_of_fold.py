@@ -28,7 +28,7 @@ from pipeline.metrics.splits import FEWEST_SCENES, FRAME_GAP, GAP_M, FrameKey, a
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import require
-from pipeline.system.threads import one_thread
+from pipeline.system.worker_pool import one_thread
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set
 from pipeline.training.train import OUTPUTS, TrainConfig, TrainedModel, train_pairs
 
@@ -287,9 +287,11 @@ def make_folds(frames: Sequence[FrameKey], folds: int = FOLDS, seed: int = 0) ->
     require(len(frames) >= 2, "out-of-fold probabilities need at least two frames", got=len(frames))
     names = np.array([f.scene for f in frames], object)
     scenes = sorted(set(names.tolist()))
-    if len(scenes) >= FEWEST_SCENES:
-        return _by_scene(names, scenes, min(folds, len(scenes)), seed)
-    return _by_block(frames, names, scenes, folds)
+    return (
+        _by_scene(names, scenes, min(folds, len(scenes)), seed)
+        if len(scenes) >= FEWEST_SCENES
+        else _by_block(frames, names, scenes, folds)
+    )
 
 
 def _by_scene(names: np.ndarray, scenes: Sequence[str], folds: int, seed: int) -> Folds:

@@ -148,8 +148,11 @@ def review_queue(
         parts.append(found)
         items += of_items
         items += [ItemEvidence(k, 0.0, "") for k, s in states.items() if s in SETTLED and k.kind != "relation"]
-    columns = _merged(_relation_rows(cells, parts, probability, wrong, settled), _item_rows(labels, items))
-    return _ranked(columns, config.limit, metadata)
+    return _ranked(
+        _merged(_relation_rows(cells, parts, probability, wrong, settled), _item_rows(labels, items)),
+        config.limit,
+        metadata,
+    )
 
 
 def _relation_rows(
@@ -237,8 +240,10 @@ def _objects(values: Sequence[Any]) -> np.ndarray:
 def _merged(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
     shift = len(first["a"])
     merged = {k: np.concatenate([first[k], second[k]]) for k in first if k != "evidence"}
-    moved = [(at + shift, weight, reason) for at, weight, reason in second["evidence"]]
-    return {**merged, "evidence": [*first["evidence"], *moved]}
+    return {
+        **merged,
+        "evidence": [*first["evidence"], *((at + shift, weight, reason) for at, weight, reason in second["evidence"])],
+    }
 
 
 def _ranked(columns: dict[str, Any], limit: int | None, metadata: dict[str, str]) -> pa.Table:

@@ -26,7 +26,7 @@ from pipeline.metrics.tables import Row, Table, markdown
 from pipeline.relations.features import LANGUAGE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import U, letter
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 from pipeline.training.card import network_path, rounded
 from pipeline.training.label_data import LabelData, LabelledFrame, read_label_data
 from pipeline.training.label_training import LabelTraining, train_on_labels
@@ -233,8 +233,11 @@ def shared_split(was: LabelData, now: LabelData, config: RetrainConfig) -> Split
     for data, name in ((was, "before"), (now, "after")):
         parts = plan.for_frames([f.key for f in data.frames]).part
         lacking = [PARTS[k] for k in range(len(PARTS)) if not (parts == k).any()]
-        if lacking and (name == "after" or lacking != ["test"]):
-            raise InputError(f"the labels {name} have no frames to {lacking[0]} on", cause="are both of one dataset?")
+        require(
+            not lacking or (name == "before" and lacking == ["test"]),
+            f"the labels {name} have no frames to {''.join(lacking[:1])} on",
+            cause="are both of one dataset?",
+        )
     return plan
 
 

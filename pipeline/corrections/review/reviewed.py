@@ -90,16 +90,21 @@ def reviewed_labels(labels: Labels, journal: Journal, folder: Path, dataset: Dat
     _, found = materialise(labels, journal, folder, dataset=dataset)
     # Where labels say by now what they were corrected to, the word on them holds.
     ignored = {u.event.ulid for u in found.unapplied if u.kind != "agreed"}
-    keys = {key for event in events if (key := item_of(event.ref)) is not None and key.kind == "relation"}
-    automatic = relation_states(read_relation_labels(labels), keys)
+    automatic = relation_states(
+        read_relation_labels(labels),
+        {key for event in events if (key := item_of(event.ref)) is not None and key.kind == "relation"},
+    )
     return Reviewed(open_labels(folder), judgements_of(events, automatic=automatic.get, ignored=ignored))
 
 
 def relation_states(cells: RelationLabels, keys: set[ItemKey]) -> dict[ItemKey, int]:
     """T, U or F of those of the items that are relations of the labels and have a state."""
     wanted, rows, columns = _places(cells, keys)
-    states = cells.states[rows, columns].tolist()
-    return {key: state for key, state in zip(wanted, states, strict=True) if state in (T, U, F)}
+    return {
+        key: state
+        for key, state in zip(wanted, cells.states[rows, columns].tolist(), strict=True)
+        if state in (T, U, F)
+    }
 
 
 def _places(cells: RelationLabels, keys: set[ItemKey]) -> tuple[list[ItemKey], np.ndarray, np.ndarray]:

@@ -26,9 +26,9 @@ from pipeline.corrections.review.items import (
     judgements_of,
     key_stands,
 )
-from pipeline.labels.tables import write_table
+from pipeline.labels.reading import write_table
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import as_input_error, first_line, needed, require
 
 VERSION_KEY = b"labels_version"
 _UNREVIEWED, _UNSURE = STATES.index("unreviewed"), STATES.index("unsure")
@@ -102,10 +102,6 @@ class Worklist:
         """The item's row of the queue; InputError where it has none."""
         return self.queue.slice(self._place(key), 1).to_pylist()[0]
 
-    def with_state(self, key: ItemKey, state: State) -> Worklist:
-        """The list after one item's state has changed; as `with_states`."""
-        return self.with_states({key: state})
-
     def with_states(self, states: Mapping[ItemKey, State]) -> Worklist:
         """The list after the states of items have changed. Nothing is ranked anew: one byte an item is copied.
 
@@ -174,10 +170,7 @@ class Worklist:
         return self.keys[above[-1]] if len(above) else None
 
     def _place(self, key: ItemKey) -> int:
-        index = self.indices.get(key.plain)
-        if index is None:
-            raise InputError("the queue holds no such item", got=key.text())
-        return index
+        return needed(self.indices.get(key.plain), "the queue holds no such item", got=key.text())
 
 
 def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> Worklist:
@@ -202,8 +195,9 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
     )
     codes = _codes(np.full(len(keys), _UNREVIEWED, np.int8), indices, states)
     kinds = np.array([KINDS.index(key.kind) for key in keys], np.int8)
-    of_frame = grouped(range(len(keys)), lambda k: keys[k].frame)
-    frames = {frame: np.array(found, np.int64) for frame, found in of_frame.items()}
+    frames = {
+        frame: np.array(found, np.int64) for frame, found in grouped(range(len(keys)), lambda k: keys[k].frame).items()
+    }
     return Worklist(queue, keys, indices, codes, kinds, disputed_rows(queue), frames, np.zeros(len(keys), np.bool_))
 
 
@@ -225,11 +219,9 @@ def write_queue(queue: pa.Table, path: Path) -> None:
     InputError
         It cannot be written.
     """
-    try:
+    with as_input_error("the queue cannot be written", OSError, got=lambda e: e.strerror or str(e), path=path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_table(queue, path)
-    except OSError as error:
-        raise InputError("the queue cannot be written", got=error.strerror or str(error), path=path) from error
 
 
 def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
@@ -247,10 +239,8 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
         It is no queue, damaged, or of other labels.
     """
     path = Path(path)
-    try:
+    with as_input_error("the queue cannot be read", pa.ArrowException, OSError, ValueError, got=first_line, path=path):
         queue = pq.ParquetFile(path).read()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError("the queue cannot be read", got=str(error).split("\n")[0], path=path) from error
     metadata = queue.schema.metadata or {}
     require(
         VERSION_KEY in metadata, "not a review queue", cause="was it written by `spatialviz review --out`?", path=path

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
-import shutil
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +14,13 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.synthetic.layout import Room
-from pipeline.datasets.synthetic.raycast import silhouette
+from pipeline.datasets.synthetic.raycast import pose_of, silhouette
 from pipeline.datasets.synthetic.render import RenderedFrame, choose_views, render_view
 from pipeline.datasets.synthetic.rooms import make_room
 from pipeline.system.errors import require
+from pipeline.system.plugins import versions_of
+from pipeline.system.whole_files import temporary_folder
+from pipeline.system.worker_pool import results_of
 
 ROOMS_A_SEED = 1_000_000
 """Room i of dataset seed s has the room seed s * ROOMS_A_SEED + i, so datasets never share a room."""
@@ -97,9 +95,7 @@ def render_dataset(
     out = Path(out)
     _check(out, rooms, views, seed, width, height, workers)
     started = time.perf_counter()
-    out.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".partial", dir=out.parent))
-    try:
+    with temporary_folder(out) as partial:
         jobs = [(partial / f"{k + 1:06d}", seed * ROOMS_A_SEED + k, views, width, height) for k in range(rooms)]
         records = _run(jobs, views, workers, progress)
         models = {key: info for record in records for key, info in record.models.items()}
@@ -111,13 +107,9 @@ def render_dataset(
             f"spatialviz render OUT --rooms {rooms} --views {views} --seed {seed} --width {width} --height {height}"
         )
         (partial / "spatialviz.toml").write_text(_declaration(command, seed), encoding="utf-8")
-        partial.chmod(0o755)
         if out.exists():
             out.rmdir()
         os.replace(partial, out)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
     objects = sum(len(entries) for record in records for entries in record.gt.values())
     classes = tuple(sorted({str(info["name"]) for info in models.values()}))
     return RenderReport(out, rooms * views, rooms, objects, classes, time.perf_counter() - started)
@@ -155,50 +147,30 @@ def _run(jobs: list[Job], views: int, workers: int, progress: Callable[[int, int
     total = views * len(jobs)
     tell = progress or (lambda done, of: None)
     if min(workers, len(jobs)) == 1:
-        records = []
-        for k, job in enumerate(jobs):
-            record = SceneRecord()
-            for view in _render_room(job, record):
-                tell(k * views + view + 1, total)
-            records.append(record)
-        return records
-
-    pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=multiprocessing.get_context("spawn"))
-    try:
-        futures = [pool.submit(_whole_room, job) for job in jobs]
-        for done, future in enumerate(as_completed(futures), start=1):
-            future.result()
-            tell(done * views, total)
-        return [future.result() for future in futures]
-    finally:
-        # A worker must not go on writing into a folder that is being removed.
-        pool.shutdown(wait=True, cancel_futures=True)
+        return [_render_room(job, lambda view, k=k: tell(k * views + view, total)) for k, job in enumerate(jobs)]
+    records: list[SceneRecord] = []
+    for record in results_of(_render_room, jobs, workers):
+        records.append(record)
+        tell(views * len(records), total)
+    return records
 
 
-def _whole_room(job: Job) -> SceneRecord:
-    record = SceneRecord()
-    for _ in _render_room(job, record):
-        pass
-    return record
-
-
-def _render_room(job: Job, record: SceneRecord) -> Iterator[int]:
-    """Render the views of one room, yielding each view's number when its files are written."""
+def _render_room(job: Job, tell: Callable[[int], None] = lambda view: None) -> SceneRecord:
+    """Render the views of one room; `tell` is called with how many are written, after each."""
     folder, room_seed, views, width, height = job
+    record = SceneRecord()
     room = make_room(room_seed)
     cameras = choose_views(room, views, np.random.default_rng([room_seed, 11]), width, height)
     for k, camera in enumerate(cameras):
         frame = render_view(room, camera, np.random.default_rng([room_seed, 13, k]))
         write_frame(folder, k, room, frame, record)
-        yield k
+        tell(k + 1)
+    return record
 
 
 def _declaration(command: str, seed: int) -> str:
     """The dataset's own file: what BOP cannot say, that z is up in its world."""
-    try:
-        tool = version("spatialviz")
-    except PackageNotFoundError:
-        tool = "unknown"
+    tool = versions_of("spatialviz").get("spatialviz", "unknown")
     return (
         'name = "spatialviz synthetic rooms"\n'
         "world_up = [0, 0, 1]\n\n"
@@ -242,9 +214,7 @@ def write_frame(folder: Path, image: int, room: Room, frame: RenderedFrame, reco
     units = np.rint(frame.depth * (1000 / DEPTH_SCALE)).astype(np.uint16)
     _write(folder / "rgb" / f"{image:06d}.jpg", frame.rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     _write(folder / "depth" / f"{image:06d}.png", units, [cv2.IMWRITE_PNG_COMPRESSION, 5])
-    pose = frame.camera.T_world_camera
-    assert pose is not None
-    T_camera_world = np.linalg.inv(pose)
+    T_camera_world = np.linalg.inv(pose_of(frame.camera))
     key = str(image)
     record.camera[key] = {
         "cam_K": _numbers(frame.camera.K),

@@ -12,7 +12,7 @@ from pipeline.datasets.synthetic import textures
 from pipeline.datasets.synthetic.layout import Room
 from pipeline.datasets.synthetic.model import Material, Model
 from pipeline.geometry.camera import Camera
-from pipeline.system.errors import MissingExtra
+from pipeline.system.errors import MissingExtra, needed
 
 SMOOTH_COS = float(np.cos(np.deg2rad(50)))
 """Faces that meet at less than this angle are shaded as one round surface."""
@@ -179,15 +179,19 @@ def _normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nd
     return smooth.reshape(-1, 3, 3).astype(np.float32), flat.astype(np.float32)
 
 
+def pose_of(camera: Camera) -> np.ndarray:
+    """(4, 4) camera to world of what is rendered; InputError without it."""
+    return needed(camera.T_world_camera, "a camera must have a pose to be rendered from", got="T_world_camera=None")
+
+
 def pixel_rays(camera: Camera, v: np.ndarray, u: np.ndarray) -> np.ndarray:
     """(N, 3) float32 world directions of (sub)pixels; their length makes the ray parameter the depth z."""
-    if camera.T_world_camera is None:
-        raise ValueError("a camera must have a pose to be rendered from")
+    T_world_camera = pose_of(camera)
     local = np.empty((len(u), 3), dtype=np.float32)
     local[:, 0] = (u - camera.cx) / camera.fx
     local[:, 1] = (v - camera.cy) / camera.fy
     local[:, 2] = 1
-    return local @ camera.T_world_camera[:3, :3].T.astype(np.float32)
+    return local @ T_world_camera[:3, :3].T.astype(np.float32)
 
 
 @lru_cache(maxsize=256)
@@ -214,9 +218,7 @@ def silhouette(room: Room, index: int, camera: Camera, most: int = 60_000) -> tu
         The rows and columns of those that hit.
     """
     instance = room.instances[index]
-    pose = camera.T_world_camera
-    if pose is None:
-        raise ValueError("a camera must have a pose to be rendered from")
+    pose = pose_of(camera)
     corners = (instance.box.corners - pose[:3, 3]) @ pose[:3, :3]
     w, h = camera.width, camera.height
     u0, v0, u1, v1 = -w, -h, 2 * w, 2 * h
@@ -299,8 +301,7 @@ def looks(scene: Scene) -> Looks:
 
 def find_surfaces(scene: Scene, camera: Camera, directions: np.ndarray) -> Surfaces:
     """What the rays from the camera's centre ((N, 3) directions) see first."""
-    assert camera.T_world_camera is not None
-    origin = camera.T_world_camera[:3, 3].astype(np.float32)
+    origin = pose_of(camera)[:3, 3].astype(np.float32)
     return resolve(scene, scene.trace(origin, directions), origin, directions)
 
 

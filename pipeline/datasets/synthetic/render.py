@@ -8,10 +8,9 @@ import numpy as np
 
 from pipeline.datasets.synthetic.layout import Focus, Room
 from pipeline.datasets.synthetic.lighting import render_colour
-from pipeline.datasets.synthetic.raycast import Scene, build_scene, find_surfaces, pixel_rays
+from pipeline.datasets.synthetic.raycast import Scene, build_scene, find_surfaces, pixel_rays, pose_of
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, intrinsics
-from pipeline.system.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -50,14 +49,13 @@ def render_view(room: Room, camera: Camera, rng: np.random.Generator) -> Rendere
     MissingExtra
         embreex is not installed.
     """
-    T_world_camera = _pose(camera)
+    T_camera_world = np.linalg.inv(pose_of(camera))
     scene = build_scene(room)
     shape = (camera.height, camera.width)
     directions = _all_rays(camera)
     surfaces = find_surfaces(scene, camera, directions)
     exact = surfaces.depth.reshape(shape)
     index = np.where(surfaces.hit, scene.part_instance[surfaces.part], -1).reshape(shape).astype(np.int32)
-    T_camera_world = np.linalg.inv(T_world_camera)
     return RenderedFrame(
         render_colour(scene, camera, surfaces, directions),
         sense(exact, rng),
@@ -84,20 +82,14 @@ def sense_view(room: Room, camera: Camera, rng: np.random.Generator) -> tuple[np
 
 def exact_view(room: Room, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Only the `depth_exact` and the `instances` of `render_view`; raises as `sense_view`."""
-    T_world_camera = _pose(camera)
+    origin = pose_of(camera)[:3, 3].astype(np.float32)
     scene = build_scene(room)
     shape = (camera.height, camera.width)
-    hits = scene.trace(T_world_camera[:3, 3].astype(np.float32), _all_rays(camera))
+    hits = scene.trace(origin, _all_rays(camera))
     hit = hits.face >= 0
     exact = np.where(hit, hits.t, np.float32(0)).reshape(shape)
     owner = scene.part_instance[scene.face_part[np.where(hit, hits.face, 0)]]
     return exact.astype(np.float32), np.where(hit, owner, -1).reshape(shape).astype(np.int32)
-
-
-def _pose(camera: Camera) -> np.ndarray:
-    if camera.T_world_camera is None:
-        raise InputError("a camera must have a pose to be rendered from", got="T_world_camera=None")
-    return camera.T_world_camera
 
 
 def _all_rays(camera: Camera) -> np.ndarray:

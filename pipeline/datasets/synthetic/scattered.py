@@ -7,6 +7,7 @@ plain solids stand wherever they fit.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -253,6 +254,5 @@ def _candidate(room: Room, rng: np.random.Generator) -> tuple[np.ndarray, float,
 
 def _zoomed(camera: Camera, focal: float) -> Camera:
     """The camera with another focal length, in picture widths."""
-    f, w, h = focal * camera.width, camera.width, camera.height
-    K = intrinsics(f, f, (w - 1) / 2, (h - 1) / 2)
-    return Camera(K, w, h, camera.T_world_camera, camera.up, camera.up_source)
+    f = focal * camera.width
+    return replace(camera, K=intrinsics(f, f, (camera.width - 1) / 2, (camera.height - 1) / 2))

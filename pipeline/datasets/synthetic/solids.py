@@ -6,12 +6,13 @@ A network's probabilities are fitted here, because on rooms of its own training 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
 import numpy as np
 
+from pipeline.datasets.synthetic.raycast import pose_of
 from pipeline.datasets.synthetic.render import camera_at
 from pipeline.geometry.camera import Camera
 
@@ -48,8 +49,7 @@ class Solid:
 
     def window(self, camera: Camera) -> tuple[slice, slice]:
         """Rows and columns of the image outside of which the solid cannot be seen."""
-        T = camera.T_world_camera
-        assert T is not None
+        T = pose_of(camera)
         half = {"box": (0.5, 0.5, 0.5), "cylinder": (1, 1, 0.5), "ball": (1, 1, 1)}[self.kind]
         corners = (_CORNERS * half @ self.A.T + self.t - T[:3, 3]) @ T[:3, :3]
         if corners[:, 2].max() <= 0:
@@ -160,8 +160,7 @@ class SolidView:
 
     def exact(self, axes: np.ndarray) -> np.ndarray:
         """(N, 2, 3) lo and hi of the whole things along axes ((3, 3), rows, camera frame), from the camera, metres."""
-        T = self.camera.T_world_camera
-        assert T is not None
+        T = pose_of(self.camera)
         world = axes @ T[:3, :3].T
         found = []
         for thing in self.things:
@@ -177,8 +176,7 @@ def solid_view(seed: int, number: int, width: int = 320, height: int = 240, leas
     close = rng.random() < 0.35
     things = _table_top(rng) if close else _room(rng)
     camera = _camera(rng, things, close, width, height)
-    T = camera.T_world_camera
-    assert T is not None
+    T = pose_of(camera)
     v, u = np.mgrid[:height, :width]
     local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
     rays = local @ T[:3, :3].T
@@ -276,7 +274,7 @@ def _camera(rng: Rng, things: list[Thing], close: bool, width: int, height: int)
     camera = camera_at(eye, float(heading), float(pitch), float(roll), width, height)
     K = camera.K.copy()
     K[[0, 1], [0, 1]] *= rng.uniform(0.95, 1.5)
-    return Camera(K, width, height, camera.T_world_camera, camera.up, camera.up_source)
+    return replace(camera, K=K)
 
 
 def _sensed(depth: np.ndarray, camera: Camera, rng: Rng) -> np.ndarray:

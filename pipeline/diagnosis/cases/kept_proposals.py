@@ -35,7 +35,7 @@ class KeptDetection(RecordedDetection, extra="forbid"):
 
 
 class KeptAnswer(BaseModel, extra="forbid"):
-    """Places of the detections of one name, in the detector's order, or why it refused the name."""
+    """Indices of the detections of one name, in the detector's order, or why it refused the name."""
 
     given: tuple[int, ...] = ()
     unfiltered: tuple[int, ...] = ()
@@ -168,7 +168,7 @@ def read_proposals(path: Path) -> tuple[KeptProposals, str]:
     Raises
     ------
     InputError
-        It is damaged; the message names the place.
+        It is damaged; the message names the field.
     """
     data = path.read_bytes()
     try:
@@ -178,8 +178,11 @@ def read_proposals(path: Path) -> tuple[KeptProposals, str]:
     kept = validated(KeptProposals, content, path)
     (rows,) = kept.frames.values()
     named = [i for a in kept.asked.values() for i in (*a.given, *a.unfiltered)]
-    if not set(named) <= set(range(len(rows))):
-        raise InputError(
-            "the case names a detection that it does not hold", got=max(named), expected=len(rows), path=path
-        )
+    require(
+        set(named) <= set(range(len(rows))),
+        "the case names a detection that it does not hold",
+        got=max(named, default=None),
+        expected=len(rows),
+        path=path,
+    )
     return kept, hashlib.sha256(data).hexdigest()

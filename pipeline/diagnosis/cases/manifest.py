@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat
 
 from pipeline.answering.ask import AskConfig
-from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, Four, SavedFrame, Three, damaged
+from pipeline.datasets.saved_case import CASE_FORMAT, DAMAGED, MANIFEST, Four, SavedFrame, Three
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, require
+from pipeline.system.reading import checked
 
 _LETTERS = {int(T): "T", int(U): "U", int(F): "F"}
 _STATES = {letter: state for state, letter in _LETTERS.items()}
@@ -24,7 +25,6 @@ _GEOMETRY = {"lo": 3, "hi": 3, "center": 3, "R": 9, "size": 3}
 _FACTS = ("distance", "occluded", "mask_pixels")
 
 PROPOSALS, NETWORK = "proposals.json", "relations.onnx"
-FILES = ("rgb.png", "depth.png", "depth.npy", PROPOSALS, NETWORK)
 
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -140,7 +140,7 @@ def checked_manifest(root: Path, table: dict[str, Any]) -> tuple[Manifest, Expec
     Raises
     ------
     InputError
-        It is damaged; the message names the place.
+        It is damaged; the message names the field.
     """
     path = root / MANIFEST
     manifest = validated(Manifest, table, path)
@@ -153,11 +153,9 @@ def checked_expected(record: Any, path: Path) -> Expected:
 
 
 def validated(model: type[_Model], record: Any, path: Path, *inside: str) -> _Model:
-    """A part of a case's file; InputError where it is damaged, which names the place."""
+    """A part of a case's file; InputError where it is damaged, which names the field."""
     try:
-        return model.model_validate(record)
-    except ValidationError as error:
-        raise damaged(error, path, *inside) from error
+        return checked(model.model_validate, record, DAMAGED, path, inside=inside)
     except RecursionError as error:
         where = ".".join(inside) or "the top"
         raise InputError(f"the case is damaged at {where}", got="too deep", path=path) from error
@@ -181,7 +179,7 @@ class TrueObject(_Strict):
 
 
 class TrueExpression(_Strict):
-    """`pipeline.labels.cases.Case`; objects by their place."""
+    """`pipeline.labels.cases.Case`; objects by their index."""
 
     id: str
     text: str
@@ -238,7 +236,7 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
     Raises
     ------
     InputError
-        The record is damaged; the message names the place.
+        The record is damaged; the message names the field.
     """
     saved = validated(TruthRecord, record, path, "truth")
     n, e = len(saved.objects), saved.expression
@@ -252,8 +250,12 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
         got=list(saved.states),
         path=path,
     )
-    if any(o.R is not None and len(o.R) != 9 for o in saved.objects):
-        raise InputError("the case is damaged at truth.objects", expected="R of nine numbers", path=path)
+    require(
+        not any(o.R is not None and len(o.R) != 9 for o in saved.objects),
+        "the case is damaged at truth.objects",
+        expected="R of nine numbers",
+        path=path,
+    )
     case = Case(
         e.id, e.text, e.target, e.relation, e.reference, e.target_object, e.reference_object,
         np.array(e.strict, np.int64), np.array(e.acceptable, np.int64), e.ambiguous, _float(e.margin),

@@ -17,7 +17,7 @@ from pipeline.answering.objects import SAME_BOX_IOU
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
 from pipeline.diagnosis.cases.manifest import Expected, ExpectedObject, checked_expected
-from pipeline.diagnosis.cases.saving import OpenedCase, open_case, write_expected
+from pipeline.diagnosis.cases.saving import OpenedCase, open_case
 from pipeline.geometry.boxes import iou_2d
 from pipeline.relations import make_scorer
 from pipeline.system.errors import InputError, require
@@ -108,11 +108,6 @@ def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool 
         opened.root, opened.manifest.name, opened.expected, after, tuple(changes), (*opened.notes, *warnings), record,
         now,
     )  # fmt: skip
-
-
-def update_case(opened: OpenedCase, replay: Replay) -> None:
-    """Take the answer of now as the expected one."""
-    write_expected(opened.root, opened.table, replay.record)
 
 
 def _compare(before: Expected, after: Expected, tolerance: float, live: bool) -> tuple[list[str], list[str]]:
@@ -232,7 +227,7 @@ def replay_all(
             replay = replay_case(opened, tolerance, live=detector is not None)
             moved = replay.record != opened.manifest.expected
             if update and moved:
-                update_case(opened, replay)
+                opened.expect(replay.record)
         except InputError as error:
             yield Result(folder, "damaged", None, str(error))
             continue

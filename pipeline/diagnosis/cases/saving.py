@@ -40,12 +40,12 @@ from pipeline.diagnosis.cases.manifest import (
     truth_record,
 )
 from pipeline.labels.cases import Case, FrameCases
-from pipeline.language.naming import Synonyms, default_synonyms
+from pipeline.language.naming import default_synonyms
 from pipeline.proposals import make_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
 from pipeline.system.errors import InputError, require
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import temporary_beside, write_synced, write_whole
+from pipeline.system.whole_files import sha256_of, temporary_beside, write_synced, write_whole
 
 LARGEST_COPY = 16 * 2**20
 """Bytes of a relation network that may be copied into a case."""
@@ -131,7 +131,9 @@ def save_case(
         "frame": frame.model_dump(mode="json"),
         "dataset": {"format": source.dataset.format, "name": source.dataset.root.resolve().name},
         "class_names": list(source.dataset.class_names),
-        "synonyms": _synonyms_record(source.synonyms),
+        "synonyms": None
+        if source.synonyms is None or source.synonyms == default_synonyms()
+        else source.synonyms.record(),
         "detector": {
             "name": detector.name,
             "exact": detector.exact,
@@ -155,7 +157,7 @@ def save_case(
 
 
 def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record: dict[str, Any]) -> None:
-    """Write beside the place, replay, and rename."""
+    """Write beside the folder, replay, and rename."""
     partial = temporary_beside(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -165,8 +167,9 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record
         opened = open_case(partial, scorer=source.scorer)
         again = answer_record(opened.answer())
         if again != record:
-            if "proposals" not in record:
-                raise InputError("an expression that cannot be asked cannot be kept", got=record["reason"])
+            require(
+                "proposals" in record, "an expression that cannot be asked cannot be kept", got=record.get("reason")
+            )
             which = next((k for k in record if record[k] != again.get(k)), "a part")
             raise InputError(
                 "the answer does not come back from what was kept", got=f"another {which}",
@@ -193,12 +196,6 @@ def _json(record: dict[str, Any]) -> str:
     return json.dumps(record, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
 
 
-def _synonyms_record(table: Synonyms | None) -> dict[str, Any] | None:
-    if table is None or table == default_synonyms():
-        return None
-    return table.record()
-
-
 def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, bytes | None]:
     """What scores relations, and its file where it goes into the case."""
     if isinstance(scorer, RuleScorer):
@@ -213,17 +210,14 @@ def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, by
     )  # fmt: skip
     if not copy:
         return record, None
-    if len(data) > LARGEST_COPY:
-        raise InputError(
-            "the relation network is too large for a case", got=f"{len(data) / 2**20:.0f} MB",
-            expected=f"at most {LARGEST_COPY >> 20} MB", path=path,
-        )  # fmt: skip
+    require(
+        len(data) <= LARGEST_COPY,
+        "the relation network is too large for a case",
+        got=f"{len(data) / 2**20:.0f} MB",
+        expected=f"at most {LARGEST_COPY >> 20} MB",
+        path=path,
+    )
     return record, data
-
-
-def write_expected(root: Path, table: dict[str, Any], record: dict[str, Any]) -> None:
-    """Put another expected answer into a case's manifest, whole or not at all."""
-    write_whole(root / MANIFEST, _json({**table, "expected": record}).encode(), "the case")
 
 
 @dataclass(frozen=True)
@@ -268,6 +262,10 @@ class OpenedCase:
             self.source, self.context, self.manifest.text, truth=self.truth, case=self.case, mark=self.mark,
             confidence=self.confidence, edits=self.manifest.edits,
         )  # fmt: skip
+
+    def expect(self, record: dict[str, Any]) -> None:
+        """Put another expected answer into the manifest, whole or not at all."""
+        write_whole(self.root / MANIFEST, _json({**self.table, "expected": record}).encode(), "the case")
 
     def with_detector(self, name: str, model: Path | None, min_score: float | None = None) -> OpenedCase:
         """The same case with a detector that looks at the picture now; "live" is the one it was made with.
@@ -347,21 +345,17 @@ def _scorer(
     if srm is not None:
         made = make_scorer(srm, vectors)
         path = getattr(made, "path", None)
-        same = record.kind == "rule" if path is None else _sha256(path) == record.sha256
+        same = record.kind == "rule" if path is None else sha256_of(path) == record.sha256
         return made, () if same else (f"relations are scored by {Path(srm).name}, not by the case's {record.name}",)
     if record.kind == "rule":
         return make_scorer("rule"), ()
     if record.in_case:
         return make_scorer(checked_file(root, {"files": manifest.files}, NETWORK), vectors), ()
     if record.kind == "trained":
-        same = _sha256(shipped_network()) == record.sha256
+        same = sha256_of(shipped_network()) == record.sha256
         note = "the network that comes with the program is another than when the case was saved"
         return make_scorer("trained", vectors), () if same else (note,)
     raise InputError(
         f"the relation network {record.file!r} is not in the case", expected="--srm FILE",
         cause=f"its sha256 begins with {(record.sha256 or '')[:12]}", path=root,
     )  # fmt: skip
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

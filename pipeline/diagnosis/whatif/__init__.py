@@ -8,7 +8,7 @@ would win where, `state` writes a view as one string.
 
 from pipeline.diagnosis.whatif.changes import what_changed
 from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask, edits_record, load_edits, read_edits
-from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, apply, rerun
+from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, rerun
 
 __all__ = [
     "Baseline",
@@ -16,7 +16,6 @@ __all__ = [
     "Outcome",
     "PlacedBox",
     "RunLengthMask",
-    "apply",
     "edits_record",
     "load_edits",
     "read_edits",

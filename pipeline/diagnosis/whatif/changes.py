@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.answering.json_records import present, why_no_answer
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.whatif.edits import Edits, checked_lift, checked_profile, checked_rank
+from pipeline.diagnosis.whatif.edits import CHECKS, Edits
 from pipeline.diagnosis.whatif.rerun import Outcome
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import require
@@ -144,11 +144,12 @@ def _factors(before: Outcome, after: Outcome, names: _Names) -> Record:
 def _moved(before: Outcome, after: Outcome, most: int) -> list[Record]:
     old, new = _pairs(before), _pairs(after)
     gone = [names for names in old if names not in new]
-    found = []
-    for names in (*new, *gone):
-        was, now = (ranks[names][0] if names in ranks else None for ranks in (old, new))
-        if was != now:
-            found.append({"target": names[0], "reference": names[1], "rank_before": was, "rank_after": now})
+    ranks = {names: [side[names][0] if names in side else None for side in (old, new)] for names in (*new, *gone)}
+    found = [
+        {"target": names[0], "reference": names[1], "rank_before": was, "rank_after": now}
+        for names, (was, now) in ranks.items()
+        if was != now
+    ]
     return found[:most]
 
 
@@ -184,12 +185,15 @@ def each_edit(edits: Edits, named: Callable[[str], str] = str) -> tuple[Edit, ..
         Edit(_id("relations", r, a, b), f"P({named(a)} {PHRASE.get(r, r)} {named(b)}) = {p:.2f}", a)
         for (r, a, b), p in edits.relations.items()
     ]
-    for name, value in (("k", edits.k), ("min_score", edits.min_score), ("scorer", edits.scorer)):
-        if value is not None:
-            found.append(Edit(_id(name), f"{_WORDS[name]}: {value}"))
-    for group in ("rank", "profile", "lift"):
-        settings = getattr(edits, group)
-        found += [Edit(_id(group, name), f"{_WORDS.get(name, name)}: {value}") for name, value in settings.items()]
+    found += [
+        Edit(_id(name), f"{_WORDS[name]}: {value}")
+        for name, value in present(k=edits.k, min_score=edits.min_score, scorer=edits.scorer).items()
+    ]
+    found += [
+        Edit(_id(group, name), f"{_WORDS.get(name, name)}: {value}")
+        for group in CHECKS
+        for name, value in getattr(edits, group).items()
+    ]
     return tuple(found)
 
 
@@ -204,8 +208,7 @@ def without_edit(edits: Edits, id: str) -> Edits:
     if group == "hidden":
         return replace(edits, hidden=held - {at})
     left = {key: value for key, value in held.items() if key != at}
-    check = {"rank": checked_rank, "profile": checked_profile, "lift": checked_lift}.get(group)
-    return replace(edits, **{group: left if check is None else check(left)})
+    return replace(edits, **{group: CHECKS[group](left) if group in CHECKS else left})
 
 
 def _id(*parts: str) -> str:

@@ -23,12 +23,12 @@ from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, rerun, with_super
 from pipeline.geometry.palette import instance_colors
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Node
-from pipeline.relations.contact import Measured, enclosed_share, surface_heights
 from pipeline.relations.model import OnnxScorer
+from pipeline.relations.pair_measures import Measured, enclosed_share, surface_heights
 from pipeline.relations.predicates import pair_states, predicates_of
 from pipeline.relations.relations import Profile, measure_pairs
 from pipeline.relations.scorer import RuleScorer, stacked_extents
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
 _PairTable = dict[int, np.ndarray]
 """Other object -> (C, 2, 9): P("moved RELATION other") and P("other RELATION moved") at each cell."""
@@ -60,7 +60,7 @@ class DecisionMap:
     keys : tuple of str
         All objects.
     winner, reference : (G, G) int64
-        Place in `keys` of the target and of the reference that win at [row of forward, column of right];
+        Index in `keys` of the target and of the reference that win at [row of forward, column of right];
         -1 where no pair is allowed.
     margin : (G, G) float64
         Posterior of the winning pair less that of the next.
@@ -113,12 +113,13 @@ def decision_map(baseline: Baseline, edits: Edits, key: str, cells: int = CELLS,
     outcome = rerun(baseline, edits)
     trace = outcome.trace
     require(key in outcome.keys, f"there is no candidate {key!r}", expected=", ".join(outcome.keys) or "any at all")
-    if trace.ranking is None:
-        raise InputError("a question without candidates for every name has no decision map")
+    require(trace.ranking is not None, "a question without candidates for every name has no decision map")
     lo, hi = stacked_extents([o.lifted for o in trace.objects])
     moved = outcome.keys.index(key)
-    if not np.isfinite(lo[moved]).all() or trace.objects[moved].lifted.box is None:
-        raise InputError(f"{key} has no place in space, and so it cannot be moved")
+    require(
+        np.isfinite(lo[moved]).all() and trace.objects[moved].lifted.box is not None,
+        f"{key} has no place in space, and so it cannot be moved",
+    )
     known = np.isfinite(lo).all(axis=1)
     low, high = lo[known].min(axis=0), hi[known].max(axis=0)
     edge_r, edge_f = (np.linspace(low[k] - margin, high[k] + margin, cells + 1) for k in (0, 2))
@@ -167,8 +168,12 @@ def _pair_probabilities(
 ) -> _PairTable:
     trace = outcome.trace
     scorer = baseline.scorer(edits.scorer)
-    if not isinstance(scorer, RuleScorer | OnnxScorer):
-        raise InputError("this relation scorer has no decision map", got=scorer.name, expected="a network, or the rule")
+    require(
+        isinstance(scorer, RuleScorer | OnnxScorer),
+        "this relation scorer has no decision map",
+        got=scorer.name,
+        expected="a network, or the rule",
+    )
     profile = replace(Profile(), **edits.profile)
     relations = {r for reading in trace.query.readings for r in _asked(reading.root)}
     lo, hi = stacked_extents([o.lifted for o in trace.objects])

@@ -87,8 +87,11 @@ def checked_profile(values: Mapping[str, Any]) -> dict[str, Any]:
         ("in_share", "in_share_doubtful"),
         ("near_diagonals_doubtful", "near_diagonals"),
     ):
-        if getattr(whole, wider) < getattr(whole, narrower):
-            raise InputError(f"{wider} must be at least {narrower}", got=f"{getattr(whole, wider)}")
+        require(
+            getattr(whole, wider) >= getattr(whole, narrower),
+            f"{wider} must be at least {narrower}",
+            got=f"{getattr(whole, wider)}",
+        )
     require(
         whole.gap_switch_band[0] <= whole.gap_switch_band[1],
         "gap_switch_band must be from low to high",
@@ -137,6 +140,10 @@ def _checked(
 @cache
 def adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
+
+
+CHECKS = {"rank": checked_rank, "profile": checked_profile, "lift": checked_lift}
+"""Of each group of settings."""
 
 
 @dataclass(frozen=True)
@@ -308,25 +315,16 @@ class Edits:
 
     def with_k(self, k: int | None) -> Edits:
         """So many proposals of each name go on; None for the setting's own number."""
-        if k is not None and k < 1:
-            raise InputError("at least one proposal must go on for each name", got=f"k={k}")
+        require(k is None or k >= 1, "at least one proposal must go on for each name", got=f"k={k}")
         return replace(self, k=k)
 
     def with_min_score(self, score: float | None) -> Edits:
         """Detections below are dropped; None for the detector's own threshold."""
         return replace(self, min_score=None if score is None else probability(score))
 
-    def with_rank(self, **values: Any) -> Edits:
-        """Fields of RankConfig."""
-        return replace(self, rank=checked_rank({**self.rank, **values}))
-
-    def with_profile(self, **values: Any) -> Edits:
-        """Fields of `relations.Profile`."""
-        return replace(self, profile=checked_profile({**self.profile, **values}))
-
-    def with_lift(self, **values: Any) -> Edits:
-        """Fields of LiftConfig."""
-        return replace(self, lift=checked_lift({**self.lift, **values}))
+    def with_settings(self, group: Literal["rank", "profile", "lift"], **values: Any) -> Edits:
+        """Fields of RankConfig, of `relations.Profile` or of LiftConfig."""
+        return replace(self, **{group: CHECKS[group]({**getattr(self, group), **values})})
 
     def with_scorer(self, scorer: str | None) -> Edits:
         """What scores relations: "rule", "trained", or the path of a network."""

@@ -7,24 +7,22 @@ numbers that scoring the whole list gives.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject, appearance_of
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.base import Proposals
-from pipeline.relations.contact import Measured, enclosed_share, points_decide, surface_heights
 from pipeline.relations.model import OnnxScorer
+from pipeline.relations.pair_measures import Measured, enclosed_share, points_decide, surface_heights
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, measure_pairs, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
-from pipeline.system.errors import InputError, require
 
 _WHOLE = 0.5
 """From this share of new pairs on everything is scored anew, as one scene."""
@@ -196,7 +194,7 @@ def of_pairs(
     Parameters
     ----------
     pair : (P, 2) int
-        Places in the lists.
+        Indices in the lists.
     extents : ((N, 3), (N, 3)) float64
         Along (right, up, forward), metres.
     clouds : sequence of (M, 3)
@@ -226,7 +224,7 @@ def of_pairs(
 
 
 def _grouped(indices: np.ndarray, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Each object ((P,) places) with those of the wanted pairs ((P,) bool) in which it stands."""
+    """Each object ((P,) indices) with those of the wanted pairs ((P,) bool) in which it stands."""
     order = np.flatnonzero(wanted)
     order = order[np.argsort(indices[order], kind="stable")]
     if not len(order):
@@ -275,34 +273,3 @@ def detection_keys(name: str, found: Proposals) -> tuple[str, ...]:
     return tuple(
         f"#{number}" if number >= 0 else f"{name}/{at}" for number, at in zip(found.ids.tolist(), index, strict=True)
     )
-
-
-def object_keys(trace: Trace, found: Mapping[str, Proposals]) -> tuple[str, ...]:
-    """The key of each object of a trace that was answered without edits, in the order of `trace.objects`.
-
-    Parameters
-    ----------
-    found : mapping of str to Proposals
-        The detector's whole run for each name of the expression.
-
-    Raises
-    ------
-    InputError
-        The trace is of other detections.
-    """
-    keys: list[str | None] = [f"#{o.id}" if o.id >= 0 else None for o in trace.objects]
-    for name, candidates in trace.candidates.items():
-        names, proposals = detection_keys(name, found[name]), found[name]
-        taken: set[int] = set()
-        for at in candidates.index.tolist():
-            if keys[at] is not None:
-                continue
-            entry = trace.objects[at]
-            alike = (proposals.boxes == entry.bbox).all(axis=1) & (proposals.scores == np.float32(entry.score))
-            indices = [k for k in np.flatnonzero(alike).tolist() if k not in taken]
-            require(indices, f"the trace has an object {name!r} that is not among these detections")
-            taken.add(indices[0])
-            keys[at] = names[indices[0]]
-    if any(key is None for key in keys):
-        raise InputError("the trace has an object that is no candidate of any name")
-    return tuple(key for key in keys if key is not None)

@@ -1,15 +1,20 @@
-"""Where a target falls in a relation's region: the measures of the rule, and in one sentence why it is T, U or F."""
+"""An object that a person changes: its box in numbers, its pixels, and where it falls in a relation's region."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
+from pipeline.diagnosis.whatif.edits import Three
+from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.viewer import ViewerAxes
+from pipeline.labels.cases import FrameCases
 from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
-from pipeline.relations.contact import Measured, in_measures, near_measures, on_measures
+from pipeline.relations.pair_measures import Measured, in_measures, near_measures, on_measures
 from pipeline.relations.predicates import pair_margins, pair_states
 from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
 from pipeline.relations.scorer import stacked_extents
@@ -37,11 +42,6 @@ class Placement:
     state: int
     why: str
     measures: Measures
-
-    @property
-    def letter(self) -> str:
-        """ "T", "U" or "F"."""
-        return letter(self.state)
 
 
 def place_in_region(
@@ -89,7 +89,7 @@ def _horizontal(measured: Measured, relation: str, state: int) -> tuple[Measures
     farther = float(np.abs(pairs.center[:, 2]).max())
     deep = max(profile.dead_zone_depth, profile.dead_zone_depth_relative * farther)
     dead, along = (profile.dead_zone, "right") if axis == 0 else (deep, "forward")
-    cone, doubtful = profile.cone, profile.doubtful_cone
+    cone, undecided = profile.cone, profile.doubtful_cone
     measures = {
         "alpha_deg": alpha,
         "alpha_by_gaps_deg": by_gap,
@@ -100,17 +100,17 @@ def _horizontal(measured: Measured, relation: str, state: int) -> tuple[Measures
         "dead_zone_m": dead,
         "rho": rho,
         "cone_deg": cone,
-        "doubtful_cone_deg": doubtful,
+        "doubtful_cone_deg": undecided,
     }
     off, overlap = f"{alpha:.0f}° off the axis by {read}", f"The two overlap by {rho:.0%} along {along}"
     return measures, _first(
         (offset <= 0, f"It lies on the other side, by {-offset:.2f} m"),
         (rho >= profile.overlap_excludes, f"{overlap}, {profile.overlap_excludes:.0%} or more"),
-        (state < 0, f"{off}, beyond {doubtful:g}°"),
+        (state < 0, f"{off}, beyond {undecided:g}°"),
         (state > 0, f"{off}, within {cone:g}°"),
         (offset < dead, f"Only {offset:.2f} m to that side, within the dead zone of {dead:.2f} m"),
         (rho >= profile.overlap_doubts, f"{overlap}, {profile.overlap_doubts:.0%} or more"),
-        (cone < alpha <= doubtful, f"{off}, between {cone:g}° and {doubtful:g}°"),
+        (cone < alpha <= undecided, f"{off}, between {cone:g}° and {undecided:g}°"),
         (True, f"At a gap of {widest:.2f} m gaps ({by_gap:.0f}°) and centres ({by_center:.0f}°) disagree"),
     )
 
@@ -162,7 +162,7 @@ def _on(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
     covered, ratio, gap = (float(m[0, 1]) for m in on_measures(measured))
     touching = max(profile.on_gap, profile.on_gap_relative * float(measured.pairs.extent[0, 1]))
     measures = {"covered": covered, "area_ratio": ratio, "gap_m": gap, "touching_m": touching}
-    above, doubtful = f"{gap:.2f} m between its bottom and the surface below", profile.on_gap_doubtful
+    above, undecided = f"{gap:.2f} m between its bottom and the surface below", profile.on_gap_doubtful
     return measures, _first(
         (
             covered < profile.on_overlap,
@@ -173,9 +173,9 @@ def _on(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
             f"Its footprint is {ratio:.1f} times the reference's, too large to stand on it",
         ),
         (state > 0, f"{above}, within {touching:.2f} m"),
-        (state == 0, f"{above}, up to {doubtful:.2f} m"),
-        (gap <= max(touching, doubtful), "Each could be on the other, and its middle is not the higher one"),
-        (True, f"{above}, more than {doubtful:.2f} m"),
+        (state == 0, f"{above}, up to {undecided:.2f} m"),
+        (gap <= max(touching, undecided), "Each could be on the other, and its middle is not the higher one"),
+        (True, f"{above}, more than {undecided:.2f} m"),
     )
 
 
@@ -196,12 +196,12 @@ def _in(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
 def _near(measured: Measured, _relation: str, state: int) -> tuple[Measures, str]:
     profile = measured.profile
     gap, mean = (float(m[0, 1]) for m in near_measures(measured.pairs))
-    close, doubtful = profile.near_diagonals * mean, profile.near_diagonals_doubtful * mean
+    close, undecided = profile.near_diagonals * mean, profile.near_diagonals_doubtful * mean
     between = f"{gap:.2f} m between the two"
-    return {"gap_m": gap, "mean_diagonal_m": mean, "near_m": close, "doubtful_m": doubtful}, _first(
+    return {"gap_m": gap, "mean_diagonal_m": mean, "near_m": close, "doubtful_m": undecided}, _first(
         (state > 0, f"{between}, within {close:.2f} m"),
-        (state == 0, f"{between}, between {close:.2f} m and {doubtful:.2f} m"),
-        (True, f"{between}, more than {doubtful:.2f} m"),
+        (state == 0, f"{between}, between {close:.2f} m and {undecided:.2f} m"),
+        (True, f"{between}, more than {undecided:.2f} m"),
     )
 
 
@@ -214,3 +214,137 @@ def _by_margin(measured: Measured, relation: str, state: int) -> tuple[Measures,
 
 
 _REASONS = {"above": _vertical, "below": _vertical, "on": _on, "in": _in, "near": _near}
+
+
+SMALLEST_SIDE = 0.01
+"""Metres; a flatter box could not be taken hold of again."""
+
+
+@dataclass(frozen=True)
+class BoxNumbers:
+    """A box in the viewer's level axes.
+
+    Attributes
+    ----------
+    center : three floats
+        Along (right, forward, up), metres.
+    size : three floats
+        Along the box's own axes, for an upright box (width, height, depth), metres.
+    yaw : float
+        Of the box's first axis in plan, degrees from right towards forward, in (-180, 180].
+    """
+
+    center: Three
+    size: Three
+    yaw: float
+
+
+def box_numbers(box: Box3D, viewer: ViewerAxes) -> BoxNumbers:
+    """The numbers of a box (camera frame)."""
+    x, y, z = (_axes(viewer) @ box.center).tolist()
+    width, height, depth = box.size.tolist()
+    return BoxNumbers((x, y, z), (width, height, depth), float(np.rad2deg(_yaw(box, viewer))))
+
+
+def with_numbers(
+    box: Box3D,
+    viewer: ViewerAxes,
+    *,
+    center: Three | None = None,
+    size: Three | None = None,
+    yaw: float | None = None,
+) -> Box3D:
+    """The box with some of its numbers changed; None leaves one as it is.
+
+    Raises
+    ------
+    InputError
+        For numbers that are no box. Sides below SMALLEST_SIDE become that.
+    """
+    axes = _axes(viewer)
+    moved = box.center if center is None else axes.T @ np.array(center, np.float64)
+    sides = box.size if size is None else np.maximum(np.array(size, np.float64), SMALLEST_SIDE)
+    R = box.R
+    if yaw is not None:
+        angle = np.deg2rad(yaw) - _yaw(box, viewer)
+        cos, sin = np.cos(angle), np.sin(angle)
+        R = axes.T @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ axes @ R
+    return Box3D(moved, R, sides)
+
+
+def _axes(viewer: ViewerAxes) -> np.ndarray:
+    """(3, 3): rotation of the camera frame into (right, forward, up)."""
+    return np.stack([viewer.right, viewer.forward, viewer.up])
+
+
+def _yaw(box: Box3D, viewer: ViewerAxes) -> float:
+    x, y, _ = _axes(viewer) @ box.R[:, 0]
+    return float(np.arctan2(y, x))
+
+
+MOST_PIXELS = 200
+"""A mask is grown or shrunk by no more at once."""
+SAME = 0.1
+"""The labelled object that overlaps most is meant where its 2D box overlaps by as much (IoU): badly placed boxes are
+what another mask is for."""
+
+
+def grown(mask: np.ndarray, pixels: int) -> np.ndarray:
+    """A mask grown by a disc of a radius, or shrunk where it is negative.
+
+    Parameters
+    ----------
+    mask : (H, W) bool
+    pixels : int
+        -200..200.
+
+    Raises
+    ------
+    InputError
+        A radius out of range.
+    """
+    require(
+        abs(pixels) <= MOST_PIXELS,
+        "a mask grows by so many pixels at most",
+        got=pixels,
+        expected=f"at most {MOST_PIXELS}",
+    )
+    if pixels == 0:
+        return mask
+    step = np.arange(-abs(pixels), abs(pixels) + 1)
+    disc = (step[:, None] ** 2 + step[None] ** 2 <= pixels**2).astype(np.uint8)
+    change, beyond = (cv2.dilate, 0) if pixels > 0 else (cv2.erode, 1)
+    # What lies beyond the picture's edge neither adds to a mask nor takes from it.
+    changed = change(mask.view(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=beyond)
+    return changed.astype(np.bool_)
+
+
+def rectangle(height: int, width: int, corners: tuple[float, float, float, float]) -> np.ndarray:
+    """(H, W) bool: the pixels between two corners, x0, y0, x1, y1 as fractions of width and height in any order.
+
+    Raises
+    ------
+    InputError
+        The rectangle holds no pixel.
+    """
+    x0, y0, x1, y1 = corners
+    require(np.isfinite([x0, y0, x1, y1]).all(), "the corners of a rectangle must be finite", got=corners)
+    xs, ys = sorted((x0, x1)), sorted((y0, y1))
+    left, right = (int(np.clip(round(x * width), 0, width)) for x in xs)
+    top, bottom = (int(np.clip(round(y * height), 0, height)) for y in ys)
+    mask = np.zeros((height, width), np.bool_)
+    mask[top:bottom, left:right] = True
+    require(mask.any(), "the rectangle holds no pixel", got=corners)
+    return mask
+
+
+def labelled_mask(truth: FrameCases, bbox: np.ndarray, height: int, width: int) -> np.ndarray | None:
+    """(H, W) bool: the labelled pixels of the object that a 2D box is of; None where no such object has any."""
+    if not len(truth.boxes):
+        return None
+    overlap = iou_2d(bbox, truth.boxes)[0]
+    k = int(overlap.argmax())
+    code = truth.masks[k]
+    if overlap[k] < SAME or code is None:
+        return None
+    return decode_run_length((height, width), code, f"labelled object {truth.numbers[k]} of frame {truth.frame}")

@@ -19,12 +19,11 @@ import numpy as np
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import HORIZONTAL, PAIRWISE, RELATIONS
-from pipeline.relations.contact import Measured
+from pipeline.relations.pair_measures import Measured
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import require
 
-_Line = tuple[float, float]
 _Level = Callable[[np.ndarray, np.ndarray], np.ndarray]
 _CORNER_STEPS = 8
 SOLIDS = ("above", "below", "on", "in", "near")
@@ -111,8 +110,11 @@ def region_of(
         relation in PAIRWISE, "there is no region of this relation", got=repr(relation), expected=", ".join(PAIRWISE)
     )
     size = np.asarray(size, np.float64)
-    if size.shape != (3,) or not np.isfinite(size).all() or (size < 0).any():
-        raise InputError("the target's size must be three lengths", got=size.tolist())
+    require(
+        size.shape == (3,) and np.isfinite(size).all() and not (size < 0).any(),
+        "the target's size must be three lengths",
+        got=size.tolist(),
+    )
     require(
         (np.isfinite(reach) and 0 < reach <= 100),
         "the reach of a region is out of range",
@@ -120,8 +122,10 @@ def region_of(
         expected="above 0, up to 100 m",
     )
     lo, hi = reference.lo, reference.hi
-    if not known_extents(lo[None], hi[None]).all():
-        raise InputError("the reference has no place in space, and so there is no region around it")
+    require(
+        known_extents(lo[None], hi[None]).all(),
+        "the reference has no place in space, and so there is no region around it",
+    )
     middle = (lo + hi) / 2
     if relation in SOLIDS:
         found = solids(lo, hi, size, relation, profile, reach)
@@ -197,7 +201,7 @@ def _exact_cuts(
     upright = _uprights(axis, side, float(half[axis]), float(shorter[axis]), depth, profile)
     band = [profile.gap_switch, *profile.gap_switch_band, 0.0]
     # A line t = c + m s, and its mirror image.
-    sloped: list[_Line] = [(float(half[across]) + g, 0.0) for g in band]
+    sloped: list[tuple[float, float]] = [(float(half[across]) + g, 0.0) for g in band]
     for angle in (profile.cone, profile.doubtful_cone):
         if angle < 90:
             slope = float(np.tan(np.deg2rad(angle)))
@@ -414,9 +418,7 @@ def _loft(middle: np.ndarray, rings: Sequence[np.ndarray], heights: Sequence[flo
         points = np.empty((len(ring), 3))
         points[:, [0, 2]], points[:, 1] = middle[[0, 2]] + ring, middle[1] + height
         levels.append(points)
-    triangles, lines = [], []
-    for points in levels:
-        lines.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
+    triangles, lines = [], [np.stack([points, np.roll(points, -1, axis=0)], axis=1) for points in levels]
     for low, high in pairwise(levels):
         next_low, next_high = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
         triangles += [np.stack([low, next_low, high], axis=1), np.stack([next_low, next_high, high], axis=1)]

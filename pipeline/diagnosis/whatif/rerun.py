@@ -29,13 +29,12 @@ from pipeline.geometry.masks import MaskCrop
 from pipeline.language.expression import parse
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
-from pipeline.proposals.selection import top_k_places
+from pipeline.proposals.base import top_k_places
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
-_NO_EDITS = Edits()
 _T = TypeVar("_T")
 _MOST_KEPT = {"context": 3, "scorer": 3, "tables": 6, "selected": 64, "same": 4}
 """What a dragged slider would make without end; of objects so many contexts full are kept."""
@@ -102,12 +101,7 @@ class Baseline:
         self._lock = RLock()
         self._shelves: defaultdict[str, OrderedDict[Hashable, Any]] = defaultdict(OrderedDict)
         self._most_objects = _MOST_KEPT["context"] * max(1, sum(len(keys) for keys in self.keys.values()))
-        self.outcome = rerun(self, _NO_EDITS)
-
-    @property
-    def trace(self) -> Trace:
-        """The answer without edits."""
-        return self.outcome.trace
+        self.outcome = rerun(self, Edits())
 
     @property
     def all_keys(self) -> frozenset[str]:
@@ -148,11 +142,6 @@ class Baseline:
         # The masks are kept too, so that their numbers stay their own.
         kept = marks, tuple(o.mask for o in objects), same_object(objects, self.detector.exact)
         return self.keep("same", len(objects), kept)[2]
-
-
-def apply(baseline: Baseline, edits: Edits) -> Trace:
-    """The trace that the whole pipeline gives with these edits; see `rerun`."""
-    return rerun(baseline, edits).trace
 
 
 def foreign_keys(baseline: Baseline, edits: Edits) -> tuple[str, ...]:
@@ -219,8 +208,6 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
 
 def _context(baseline: Baseline, edits: Edits) -> PreparedFrame:
     """The frame under the edited cleaning; the viewer and the pixels are the same."""
-    if not edits.lift:
-        return baseline.context
     config = replace(baseline.context.config, **edits.lift)
     if config == baseline.context.config:
         return baseline.context
@@ -228,7 +215,7 @@ def _context(baseline: Baseline, edits: Edits) -> PreparedFrame:
 
 
 def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
-    """Places in the whole run of what goes on for a name."""
+    """Indices in the whole run of what goes on for a name."""
     found, keys = baseline.found[name], baseline.keys[name]
     hidden = frozenset(key for key in edits.hidden if key in keys)
     k = edits.k or baseline.source.config.k
@@ -294,8 +281,6 @@ def _repainted(
 
 
 def _with_confidences(candidates: dict[str, Candidates], keys: tuple[str, ...], edits: Edits) -> dict[str, Candidates]:
-    if not edits.confidences:
-        return candidates
     result = dict(candidates)
     for name, own in candidates.items():
         given = [edits.confidences.get((name, keys[at])) for at in own.index.tolist()]
@@ -328,12 +313,12 @@ def _tables(
 
 def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits) -> RelationScores:
     for relation, _, _ in edits.relations:
-        if relation not in (*PAIRWISE, "closest", "farthest"):
-            raise InputError(
-                "there is no probability of this relation for two objects",
-                got=repr(relation),
-                expected=", ".join((*PAIRWISE, "closest", "farthest")),
-            )
+        require(
+            relation in (*PAIRWISE, "closest", "farthest"),
+            "there is no probability of this relation for two objects",
+            got=repr(relation),
+            expected=", ".join((*PAIRWISE, "closest", "farthest")),
+        )
     known = {r: k for k, r in enumerate(scores.relations)}
     index = {key: at for at, key in enumerate(keys)}
     given = [
@@ -341,8 +326,6 @@ def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits)
         for (r, a, b), p in edits.relations.items()
         if r in known and a in index and b in index
     ]
-    if not given:
-        return scores
     probabilities = scores.probabilities.copy()
     for a, b, r, p in given:
         probabilities[a, b, r] = p
@@ -352,8 +335,6 @@ def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits)
 def with_superlatives(lookup: RelationLookup, keys: tuple[str, ...], edits: Edits) -> RelationLookup:
     """The lookup with the edited probabilities of closest and farthest, which stand in no table."""
     given = {k: p for k, p in edits.relations.items() if k[0] in ("closest", "farthest")}
-    if not given:
-        return lookup
     index = {key: at for at, key in enumerate(keys)}
 
     def edited(attachment: Attachment, heads: np.ndarray, ends: Any) -> np.ndarray:

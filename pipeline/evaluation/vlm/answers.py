@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pipeline.evaluation.vlm.protocol import Alternatives
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 _YES = frozenset({"yes", "yeah", "yep", "yup"})
 _NO = frozenset({"nope", "nah"})
@@ -117,10 +117,13 @@ def parse_box(text: str, size: tuple[int, int] | None = None, scale: BoxScale = 
     InputError
         The scale cannot be used; never for what the model wrote.
     """
-    if not (scale in ("auto", "pixels") or (isinstance(scale, int | float) and 0 < scale < math.inf)):
-        raise InputError("the scale of boxes", got=repr(scale), expected="auto, pixels, or a number above 0")
-    if scale == "pixels" and size is None:
-        raise InputError("boxes in pixels need the picture's size")
+    require(
+        scale in ("auto", "pixels") or (isinstance(scale, int | float) and 0 < scale < math.inf),
+        "the scale of boxes",
+        got=repr(scale),
+        expected="auto, pixels, or a number above 0",
+    )
+    require(scale != "pixels" or size is not None, "boxes in pixels need the picture's size")
     text, reason = spoken_part(text)
     if reason:
         return BoxAnswer(None, reason=reason)

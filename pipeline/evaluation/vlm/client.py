@@ -375,8 +375,11 @@ class Pace:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        if per_minute is not None and not 0 < per_minute < float("inf"):
-            raise InputError("a limit of requests a minute must be above 0", got=per_minute)
+        require(
+            per_minute is None or 0 < per_minute < float("inf"),
+            "a limit of requests a minute must be above 0",
+            got=per_minute,
+        )
         self.interval = 60.0 / per_minute if per_minute else 0.0
         self._clock, self._sleep = clock, sleep
         self._lock = threading.Lock()

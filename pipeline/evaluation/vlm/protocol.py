@@ -7,7 +7,6 @@ import http
 import json
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,8 +14,7 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter
 
 from pipeline.evaluation.vlm.transport import Failure, Reply, wait_asked
-from pipeline.system.errors import InputError, require
-from pipeline.system.whole_files import write_whole
+from pipeline.system.whole_files import keep_whole
 
 _VERSION = "1"
 """Part of every key: a change of what is made of a reply must change it."""
@@ -277,31 +275,6 @@ class Usage:
     estimated: int = 0
 
 
-@dataclass(frozen=True)
-class Prices:
-    """Money for a million tokens, in any currency."""
-
-    per_million_in: float
-    per_million_out: float
-
-    def __post_init__(self) -> None:
-        require(
-            all(0 <= price < math.inf for price in (self.per_million_in, self.per_million_out)),
-            "a price of a million tokens must be 0 or more",
-            got=f"{self.per_million_in}, {self.per_million_out}",
-        )
-
-
-def money(usage: Usage, prices: Prices, *, with_cached: bool = False) -> float:
-    """What the answers cost; with `with_cached`, what they would cost without a cache.
-
-    Tries that brought no answer are not counted: servers differ in whether they charge for them.
-    """
-    tokens_in = usage.prompt_tokens + (usage.cached_prompt_tokens if with_cached else 0)
-    tokens_out = usage.completion_tokens + (usage.cached_completion_tokens if with_cached else 0)
-    return (tokens_in * prices.per_million_in + tokens_out * prices.per_million_out) / 1e6
-
-
 def estimated_tokens(text: str) -> int:
     """Tokens of a text, about."""
     return math.ceil(len(text) / CHARACTERS_A_TOKEN)
@@ -353,5 +326,4 @@ class AnswerCache:
             "answer": asdict(answer),
             "seconds": seconds,
         }
-        with suppress(InputError):
-            write_whole(self._path(key), json.dumps(table).encode("ascii"), "the answer")
+        keep_whole(self._path(key), lambda file: file.write(json.dumps(table).encode("ascii")))

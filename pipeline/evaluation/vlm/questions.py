@@ -127,7 +127,7 @@ def score_pairs(
     objects : sequence
         Things with a label and a bbox, such as the frame's annotations.
     pairs : (N, 2) int
-        Places of a and b in `objects`.
+        Indices of a and b in `objects`.
     relations : sequence of str
         Out of `relations.PAIRWISE`.
     progress : callable
@@ -251,9 +251,10 @@ def _checked(pairs: np.ndarray | Sequence[tuple[int, int]], count: int, relation
     if indices.size and (indices.min() < 0 or indices.max() >= count):
         raise InputError("a pair names an object that is not there", got=f"{indices.min()} to {indices.max()}",
                          expected=f"0 to {count - 1}")  # fmt: skip
-    unknown = [r for r in relations if r not in PAIRWISE]
-    if unknown:
-        raise InputError("no such relation of two things", got=repr(unknown[0]), expected=" | ".join(PAIRWISE))
+    for relation in relations:
+        require(
+            relation in PAIRWISE, "no such relation of two things", got=repr(relation), expected=" | ".join(PAIRWISE)
+        )
     return indices
 
 
@@ -294,24 +295,6 @@ class Grounding:
     notes: tuple[str, ...] = ()
 
 
-def ground(client: ChatClient, frame: Frame, text: str, *, config: GroundingConfig | None = None) -> Grounding:
-    """Ask for the box of one expression.
-
-    Parameters
-    ----------
-    text : str
-        "the mug left of the laptop".
-
-    Raises
-    ------
-    InputError
-        For an expression that cannot be asked.
-    ServerError
-        The server gives no answer.
-    """
-    return ground_many(client, frame, [text], config=config)[0]
-
-
 def ground_many(
     client: ChatClient,
     frame: Frame,
@@ -320,7 +303,20 @@ def ground_many(
     config: GroundingConfig | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Grounding]:
-    """Ask for the boxes of many expressions about one frame; in their order. See `ground`."""
+    """Ask for the boxes of expressions about one frame; in their order.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        Such as "the mug left of the laptop".
+
+    Raises
+    ------
+    InputError
+        For an expression that cannot be asked.
+    ServerError
+        The server gives no answer.
+    """
     config = config or GroundingConfig()
     # An unusable scale is told before the server is asked.
     parse_box("", (1, 1), config.box_scale)

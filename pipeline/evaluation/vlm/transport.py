@@ -97,11 +97,19 @@ def checked_base(url: str) -> str:
         host, _ = parts.hostname, parts.port
     except ValueError as error:
         raise InputError("the address of the server cannot be read", got=error, expected=expected) from None
-    if parts.scheme not in ("http", "https") or not host or re.search(r"[\s\x00-\x1f\x7f]", url.strip()):
-        raise InputError("the address of the server cannot be used", got=repr(url)[:120], expected=expected)
+    require(
+        parts.scheme in ("http", "https") and host and not re.search(r"[\s\x00-\x1f\x7f]", url.strip()),
+        "the address of the server cannot be used",
+        got=repr(url)[:120],
+        expected=expected,
+    )
     require("@" not in parts.netloc, "a key does not belong into the address of the server", expected=expected)
-    if parts.query or parts.fragment:
-        raise InputError("the address of the server ends too late", got=repr(url)[:120], expected=expected)
+    require(
+        not parts.query and not parts.fragment,
+        "the address of the server ends too late",
+        got=repr(url)[:120],
+        expected=expected,
+    )
     path = parts.path.rstrip("/").removesuffix("/chat/completions").rstrip("/")
     return f"{parts.scheme}://{parts.netloc}{path}"
 

@@ -109,8 +109,7 @@ def view_of(rgb: np.ndarray, *, square: bool = True, max_side: int | None = None
         Longest side in pixels; a larger picture is scaled down. LLaVA-1.5 sees no more than 336.
     """
     height, width = Picture(rgb).rgb.shape[:2]
-    if max_side is not None and max_side < 1:
-        raise InputError("the longest side of a picture must be at least 1 pixel", got=max_side)
+    require(max_side is None or max_side >= 1, "the longest side of a picture must be at least 1 pixel", got=max_side)
     image, longest = rgb, max(height, width)
     if max_side is not None and longest > max_side:
         size = [max(1, round(side * max_side / longest)) for side in (width, height)]

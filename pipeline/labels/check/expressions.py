@@ -2,60 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.labels.check.findings import Finding
-from pipeline.labels.check.view import FrameView, state_letter
+from pipeline.labels.check.view import Finding, FrameView, state_letter
 from pipeline.labels.labelling import row_hash
 from pipeline.language.expression import parse
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
 from pipeline.language.tokens import words_of
-from pipeline.relations.pair_measures import NOT_JUDGED
-from pipeline.relations.relations import T, U
+from pipeline.relations.pair_measures import NOT_JUDGED, T, U
 from pipeline.system.errors import InputError
 
 MANY_ALIKE = 3
 MARGIN_TOLERANCE = 1e-5
 
 
-@dataclass
-class Reader:
-    """Reads texts with the dataset's class names, each text once.
+TEXTS_KEPT = 200_000
+"""So many texts that were read are remembered, so that memory is bounded."""
+Said = tuple[str, str, str]
+"""Normal form of target, relation, normal form of reference."""
 
-    Attributes
-    ----------
-    class_names : tuple of str
-    capacity : int
-        So many texts are remembered, so that memory is bounded.
-    """
 
-    class_names: tuple[str, ...]
-    capacity: int = 200_000
-    _read: dict[str, tuple[str, str, str] | str] = field(default_factory=dict)
-
-    def read(self, text: str) -> tuple[str, str, str] | str:
-        """Normal form of target, relation, normal form of reference; or why the text says no such thing."""
-        if text not in self._read:
-            if len(self._read) >= self.capacity:
-                self._read.clear()
-            self._read[text] = self._parsed(text)
-        return self._read[text]
-
-    def _parsed(self, text: str) -> tuple[str, str, str] | str:
-        try:
-            query = parse(text, class_names=self.class_names)
-        except InputError as error:
-            return str(error)
-        found = query.expression
-        if found is None or query.default.root.triple is None:
-            return "it is not one relation of two things"
-        if found.inverse:
-            return "its relation is the other way round"
-        return normal_form(found.target), found.relation, normal_form(found.reference)
+def said_by(class_names: tuple[str, ...], text: str) -> Said | str:
+    """What a text says to one who knows the dataset's class names; or why it says no such thing."""
+    try:
+        query = parse(text, class_names=class_names)
+    except InputError as error:
+        return str(error)
+    found = query.expression
+    if found is None or query.default.root.triple is None:
+        return "it is not one relation of two things"
+    if found.inverse:
+        return "its relation is the other way round"
+    return normal_form(found.target), found.relation, normal_form(found.reference)
 
 
 @dataclass(frozen=True)
@@ -64,13 +46,14 @@ class ExpressionRules:
 
     Attributes
     ----------
-    reader : Reader
+    read : function of a text
+        `said_by` with the class names of the labels, each text once.
     seed : int
         Of the ids.
     profile : str
     """
 
-    reader: Reader
+    read: Callable[[str], Said | str]
     seed: int
     profile: str
 
@@ -130,7 +113,7 @@ def _on_its_own(view: FrameView, row: int, rules: ExpressionRules) -> Iterator[F
     if rows["id"][row] != f"{row_hash(rules.seed, str(rows['frame'][row]), a, relation, b):016x}":
         yield "expression/id", "its id is not the hash of frame, objects and relation", {}
     wanted = normal_form(str(rows["target"][row])), relation, normal_form(str(rows["reference"][row]))
-    read = rules.reader.read(str(rows["text"][row]))
+    read = rules.read(str(rows["text"][row]))
     if isinstance(read, str):
         yield "expression/unreadable", f"it cannot be read: {read}", {}
     elif read != wanted:
@@ -210,8 +193,11 @@ def _against_relations(view: FrameView, row: int) -> Iterator[Found]:
             )
     total = int(alike.sum())
     if total >= MANY_ALIKE and len(np.unique(rows["acceptable"][row])) == total:
-        message = f"all {total} of its class are acceptable: it tells nothing apart"
-        yield "expression/everything", message, {"objects": total}
+        yield (
+            "expression/everything",
+            f"all {total} of its class are acceptable: it tells nothing apart",
+            {"objects": total},
+        )
 
 
 def _list(numbers: np.ndarray) -> str:

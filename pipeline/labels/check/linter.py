@@ -1,28 +1,27 @@
 """Checking labels: every rule on every frame, one frame in memory at a time.
 
-The rules on whole files are here (readable, of the schema, as they were written, made by rules that are still the
-same), and those on the up vector: something must say where up is, and the posed frames of a scene agree.
+The rules on rows as such are here (values, keys, references, and the frame's own camera), those on whole files
+(readable, of the schema, as they were written, made by rules that are still the same), and those on the up vector:
+something must say where up is, and the posed frames of a scene agree.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from functools import lru_cache, partial
 
 import numpy as np
 
 from pipeline.datasets.settings import ASSUMED
-from pipeline.labels.check.expressions import ExpressionRules, Reader, check_expressions
-from pipeline.labels.check.findings import RULES, Figure, Finding, Severity, chosen_rules
-from pipeline.labels.check.objects import SizeSurvey, check_duplicates, check_objects, check_sizes
+from pipeline.labels.check.expressions import TEXTS_KEPT, ExpressionRules, check_expressions, said_by
+from pipeline.labels.check.objects import SizeSurvey, check_duplicates, check_objects, check_sizes, rotation_fault
 from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
-from pipeline.labels.check.rows import check_rows
-from pipeline.labels.check.stream import BATCH_ROWS, TableStream, frames_of, open_streams
-from pipeline.labels.check.view import FrameView
+from pipeline.labels.check.stream import BATCH_ROWS, Rows, TableStream, frames_of
+from pipeline.labels.check.view import RULES, Figure, Finding, FrameView, Severity, chosen_rules
 from pipeline.labels.profiles import PROFILES
-from pipeline.labels.reading import Corrections, Labels, read_corrections
-from pipeline.labels.schema import Manifest
-from pipeline.labels.tables import RowHash
+from pipeline.labels.reading import Corrections, Labels, RowHash, read_corrections
+from pipeline.labels.schema import KEYS, TABLES, Manifest
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq
@@ -67,14 +66,16 @@ def _settled(finding: Finding, by_people: Corrections) -> bool:
     """Whether a finding only tells that a person set something else than the rules say."""
     if finding.frame is None or len(finding.objects) != 2:
         return False
-    if finding.rule == "relation/geometry":
-        return (finding.frame, *finding.objects, finding.figures.get("relation")) in by_people.relations
-    return finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in by_people.expressions
+    return (
+        (finding.frame, *finding.objects, finding.figures.get("relation")) in by_people.relations
+        if finding.rule == "relation/geometry"
+        else finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in by_people.expressions
+    )
 
 
 def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:
     manifest = labels.manifest
-    streams = open_streams(labels.root)
+    streams = {name: TableStream(labels.root / f"{name}.parquet", name) for name in TABLES}
     if "file" in groups:
         yield from check_files(labels, streams)
     if "profile" in groups:
@@ -84,7 +85,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
     background = frozenset(normal_form(str(b)) for b in manifest.config.get("background", ()))
     relations = tuple(r for r in manifest.config.get("relations", ()) if r in PAIRWISE)
     class_names, survey = _surveyed(TableStream(labels.root / "objects.parquet", "objects"))
-    expression_rules = ExpressionRules(Reader(class_names), manifest.seed, profile)
+    expression_rules = ExpressionRules(lru_cache(TEXTS_KEPT)(partial(said_by, class_names)), manifest.seed, profile)
     # What rests on a table that cannot be read, or lacks columns, would be one error a row.
     lost = {name for name, stream in streams.items() if stream.problem is not None or stream.lacking}
     if lost & {"frames", "objects"}:
@@ -117,8 +118,11 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
         for name, stream in streams.items():
             # Damage that showed only while the table was read.
             if stream.problem is not None and stream.opened:
-                message = f"{stream.path.name} could not be read to its end: {stream.problem}"
-                yield _finding("file/unreadable", message, {"table": name})
+                yield _finding(
+                    "file/unreadable",
+                    f"{stream.path.name} could not be read to its end: {stream.problem}",
+                    {"table": name},
+                )
 
 
 def _surveyed(objects: TableStream) -> tuple[tuple[str, ...], SizeSurvey]:
@@ -262,3 +266,167 @@ def check_profile(manifest: Manifest) -> Iterator[Finding]:
         release = PROFILES[name].hash if name in PROFILES else ""
         figures: dict[str, Figure] = {"profile": name, "labels": manifest.profile_hash, "release": release}
         yield _finding("profile/changed", f"{problem}: states are not compared with geometry", figures)
+
+
+ROTATION_TOLERANCE = 1e-3
+"""Greatest entry of R R^T - I: what datasets write with four decimals stays below it."""
+NAMED_OBJECTS = {
+    "frames": (),
+    "objects": ("object",),
+    "relations": ("a", "b"),
+    "expressions": ("target_object", "reference_object"),
+}
+"""The columns of a table that name objects."""
+
+
+def check_rows(view: FrameView) -> Iterator[Finding]:
+    """Everything that can be said of rows without knowing what they mean."""
+    for table, rows in view.tables.items():
+        for violation in rows.violations:
+            yield view.finding(
+                violation.rule,
+                _objects_of(table, rows, violation.row),
+                f"{table}: {violation.message}",
+                {"table": table, "column": violation.column},
+            )
+        yield from _keys(view, table, rows)
+        yield from _order(view, table, rows)
+        yield from _references(view, table, rows)
+    yield from _object_count(view)
+    yield from _camera(view)
+    yield from _rotations(view)
+
+
+def _objects_of(table: str, rows: Rows, row: int) -> tuple[int, ...]:
+    return tuple(int(rows[name][row]) for name in NAMED_OBJECTS[table])
+
+
+def _keys(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
+    """Rows that share their key with an earlier row."""
+    if len(rows) < 2:
+        return
+    columns = [rows[name] for name in KEYS[table][1:]]
+    seen: set[tuple[object, ...]] = set()
+    codes = [np.unique(c.astype(str), return_inverse=True)[1] if c.dtype == object else c for c in columns]
+    if codes and len(np.unique(np.stack(codes, axis=1), axis=0)) == len(rows):
+        return
+    for row, key in enumerate(zip(*columns, strict=True) if columns else [()] * len(rows)):
+        if key in seen:
+            yield view.finding(
+                "row/duplicate-key",
+                _objects_of(table, rows, row),
+                f"{table}: a second row has this key",
+                {"table": table},
+            )
+        seen.add(key)
+
+
+def _order(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
+    """Rows of a frame that leave the canonical order, told once."""
+    columns = [rows[name] for name in KEYS[table][1:]] if len(rows) > 1 else []
+    if not columns:
+        return
+    rank = {relation: k for k, relation in enumerate(PAIRWISE)}
+    keys = [np.array([rank.get(v, -1) for v in c]) if c.dtype == object else c for c in columns]
+    if not np.array_equal(np.lexsort(keys[::-1]), np.arange(len(rows))):
+        yield view.finding("file/order", (), f"{table}: the rows of the frame are out of order", {"table": table})
+
+
+def _references(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
+    """Frames and objects that a row names and that are not there."""
+    if table == "frames" or not len(rows):
+        return
+    frames = view.tables["frames"]
+    if not len(frames):
+        yield view.finding(
+            "row/dangling",
+            (),
+            f"{table}: {len(rows)} rows are of frame number {view.index}, which does not exist",
+            {"table": table, "rows": len(rows), "frame_index": view.index},
+        )
+    else:
+        for row in np.flatnonzero(rows["frame"] != frames["frame"][0]):
+            yield view.finding(
+                "row/dangling",
+                _objects_of(table, rows, int(row)),
+                f"{table}: the row names frame {rows['frame'][row]!r}, its number is that of {frames['frame'][0]!r}",
+                {"table": table},
+            )
+    if table == "objects":
+        return
+    named = np.stack([rows[name] for name in NAMED_OBJECTS[table]], axis=1)
+    for row in np.flatnonzero(~np.isin(named, view.ids).all(axis=1)):
+        missing = [int(n) for n in named[row] if n not in view.row_of]
+        yield view.finding(
+            "row/dangling",
+            tuple(int(n) for n in named[row]),
+            f"{table}: there is no object {' nor '.join(map(str, missing))} in this frame",
+            {"table": table},
+        )
+    if table == "expressions":
+        for row in range(len(rows)):
+            listed = np.union1d(rows["targets"][row], rows["acceptable"][row])
+            absent = listed[~np.isin(listed, view.ids)]
+            if len(absent):
+                yield view.finding(
+                    "row/dangling",
+                    _objects_of(table, rows, row),
+                    f"expressions: the answers name object {absent[0]}, which is not in this frame",
+                    {"table": table, "object": int(absent[0])},
+                )
+
+
+def _object_count(view: FrameView) -> Iterator[Finding]:
+    frames = view.tables["frames"]
+    if len(frames) and int(frames["objects"][0]) != len(view.objects):
+        yield view.finding(
+            "frame/objects",
+            (),
+            f"the frame is said to have {frames['objects'][0]} objects, and {len(view.objects)} are listed",
+            {"stated": int(frames["objects"][0]), "listed": len(view.objects)},
+        )
+
+
+def _camera(view: FrameView) -> Iterator[Finding]:
+    """Intrinsics, pose and up vector of a frame that could be used."""
+    if not view.usable:
+        return
+    frames = view.tables["frames"]
+    K = view.K
+    if K is None:
+        yield view.finding("frame/camera", (), "the frame has no intrinsics")
+    elif not (K[0, 0] > 0 and K[1, 1] > 0 and np.array_equal(K[2], [0, 0, 1]) and K[1, 0] == 0):
+        yield view.finding("frame/camera", (), "K is not that of a pinhole camera", {"fx": K[0, 0], "fy": K[1, 1]})
+    elif not (0 <= K[0, 2] <= view.size[1] and 0 <= K[1, 2] <= view.size[0]):
+        yield view.finding(
+            "frame/camera", (), "the principal point is outside the picture", {"cx": K[0, 2], "cy": K[1, 2]}, "warning"
+        )
+    up = frames["up"][0]
+    length = float(np.linalg.norm(up))
+    if view.viewer is None or abs(length - 1) > ROTATION_TOLERANCE:
+        yield view.finding("frame/camera", (), "up is not a unit vector", {"length": length})
+    pose = frames["T_world_camera"][0].reshape(4, 4)
+    if np.isfinite(pose).all():
+        fault = rotation_fault(pose[None, :3, :3])[0]
+        if fault > ROTATION_TOLERANCE or not np.array_equal(pose[3], [0, 0, 0, 1]):
+            yield view.finding("frame/camera", (), "the pose is not rigid", {"fault": float(fault)})
+
+
+def _rotations(view: FrameView) -> Iterator[Finding]:
+    for prefix in ("", "exact_"):
+        rotation, size = view.objects[f"{prefix}R"].reshape(-1, 3, 3), view.objects[f"{prefix}size"]
+        fault = rotation_fault(rotation)
+        for row in np.flatnonzero(fault > ROTATION_TOLERANCE):
+            yield view.finding(
+                "object/rotation",
+                (view.ids[row],),
+                f"{prefix}R is not a rotation",
+                {"fault": float(fault[row])},
+            )
+        for row in np.flatnonzero((size < 0).any(axis=1)):
+            yield view.finding(
+                "object/rotation",
+                (view.ids[row],),
+                f"{prefix}size has a negative edge",
+                {"shortest": float(size[row].min())},
+            )

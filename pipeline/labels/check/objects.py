@@ -15,10 +15,8 @@ import numpy as np
 
 from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d, paired_iou_2d
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.labels.check.findings import Finding
-from pipeline.labels.check.rows import rotation_fault
 from pipeline.labels.check.stream import Rows
-from pipeline.labels.check.view import FrameView, MaskRuns, indices_where, pairs_where, runs_object
+from pipeline.labels.check.view import Finding, FrameView, MaskRuns, indices_where, pairs_where, runs_object
 from pipeline.language.naming import normal_form, same_class
 from pipeline.system.errors import InputError
 
@@ -77,8 +75,6 @@ FEW_POINTS, MOST_MISSING = 100, 0.5
 
 def check_objects(view: FrameView) -> Iterator[Finding]:
     """All rules on single objects but those that compare it with its class."""
-    if not len(view.objects):
-        return
     yield from _masks(view)
     sound = np.array([isinstance(r, MaskRuns) and r.area > 0 for r in view.runs], np.bool_)
     mask_box = np.array([r.bbox if isinstance(r, MaskRuns) else np.zeros(4) for r in view.runs]).reshape(-1, 4)
@@ -152,8 +148,11 @@ def _projection(
     K = view.K
     if K is None:
         return
-    slack = np.full((len(corners), 1), SLACK_PIXELS * view.size[1] / 640)
-    box = moved_towards(clipped(projected(corners, K), view.size), mask_box, slack)
+    box = moved_towards(
+        clipped(projected(corners, K), view.size),
+        mask_box,
+        np.full((len(corners), 1), SLACK_PIXELS * view.size[1] / 640),
+    )
     on_mask, in_box = shared_share(box, mask_box), shared_share(mask_box, box)
     relative = in_box / np.maximum(view.objects["kept"], 1e-6)
     # The raw mask of an object too small to clean holds pixels of what is behind it.
@@ -363,8 +362,6 @@ def size_range(label: str) -> tuple[float, float] | None:
 def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
     """Objects that are too large or too small."""
     rows = view.objects
-    if not len(rows):
-        return
     lifted, exact = lengths(rows)
     whole = seen_whole(rows)
     own_pixels = np.isin(rows["mask_source"].astype(str), ["annotation", "detector"]) & ~rows["fallback"]
@@ -415,3 +412,10 @@ def _against_kind(label: str, lifted: float, whole: bool, survey: SizeSurvey) ->
         "examples": n,
     }
     return f"is {lifted:.2f} m long; the median of {n} is {np.exp(median):.2f} m", figures, False
+
+
+def rotation_fault(rotation: np.ndarray) -> np.ndarray:
+    """(N,) how far (N, 3, 3) matrices are from rotations: the greatest entry of R R^T - I, at least 2 for a mirror."""
+    fault = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    with np.errstate(invalid="ignore"):
+        return np.where(np.linalg.det(np.nan_to_num(rotation)) < 0, np.maximum(fault, 2.0), fault)

@@ -34,12 +34,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.labels.check.findings import Finding, Severity
-from pipeline.labels.check.view import FrameView, pairs_where, state_letter
+from pipeline.labels.check.view import Finding, FrameView, Severity, pairs_where, state_letter
 from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
 from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
-from pipeline.relations.contact import Measured
-from pipeline.relations.pair_measures import NOT_JUDGED
+from pipeline.relations.pair_measures import NOT_JUDGED, Measured
 from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
 from pipeline.relations.relations import F, PairMeasures, Profile, T, U, known_extents, letter, measure_pairs
 
@@ -99,9 +97,8 @@ def _unexpected(view: FrameView) -> Iterator[Finding]:
             f"{view.named(a)} to {view.named(b)}: background takes part in no relation",
         )
     rows = view.relations
-    if len(rows):
-        for number in rows["a"][rows["a"] == rows["b"]]:
-            yield view.finding("relation/unexpected", (number, number), "a relation of an object with itself")
+    for number in rows["a"][rows["a"] == rows["b"]]:
+        yield view.finding("relation/unexpected", (number, number), "a relation of an object with itself")
 
 
 def _inverse(view: FrameView) -> Iterator[Finding]:
@@ -158,8 +155,11 @@ def _cycles(view: FrameView, relations: Sequence[str], expected: Expected | None
 
     # All relations as one graph without edges between them.
     size = len(relations) * n
-    graph = csr_matrix((np.ones(len(which), np.int8), (which * n + a, which * n + b)), (size, size))
-    _, knot = connected_components(graph, directed=True, connection="strong")
+    _, knot = connected_components(
+        csr_matrix((np.ones(len(which), np.int8), (which * n + a, which * n + b)), (size, size)),
+        directed=True,
+        connection="strong",
+    )
     for number in np.flatnonzero(np.bincount(knot) > 1):
         nodes = np.flatnonzero(knot == number)
         k, members = int(nodes[0] // n), nodes % n
@@ -255,8 +255,11 @@ def _measured(view: FrameView) -> tuple[np.ndarray, PairMeasures, Expected]:
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), Profile())
     both = known[:, None] & known[None, :]
-    distance = np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan)
-    return known, pairs, Expected(*_contact(view, pairs, Profile(), both), distance)
+    return (
+        known,
+        pairs,
+        Expected(*_contact(view, pairs, Profile(), both), np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan)),
+    )
 
 
 def expected_semantic_abstraction(view: FrameView) -> Expected:

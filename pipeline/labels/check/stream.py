@@ -13,14 +13,15 @@ from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
+from pipeline.labels.reading import arrow_schema, check_version
 from pipeline.labels.schema import ADDED_COLUMNS, TABLES
-from pipeline.labels.tables import arrow_schema, check_version
 from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, require
@@ -114,7 +115,7 @@ class TableStream:
     def take(self, index: int) -> Rows:
         """All rows of a frame, where it is the next one; else none."""
         if self.peek() != index:
-            return Rows({}, (), 0)
+            return no_rows(self.table)
         start, stop = self._at, int(np.searchsorted(self._index, index, "right"))
         first, last = (bisect_left(self._violations, at, key=lambda v: v.row) for at in (start, stop))
         found = Rows(
@@ -157,8 +158,7 @@ class TableStream:
         wanted = [n for n in arrow_schema(self.table).names if n not in self.lacking | self._added]
         if not self.ordered:
             whole = self._typed(file.read(columns=wanted))
-            index = whole.column("frame_index").fill_null(-1).to_numpy()
-            yield whole.take(pa.array(np.argsort(index, kind="stable")))
+            yield whole.take(pa.array(np.argsort(whole.column("frame_index").fill_null(-1).to_numpy(), kind="stable")))
             return
         tail: pa.Table | None = None
         for batch in file.iter_batches(BATCH_ROWS, columns=wanted):
@@ -225,8 +225,8 @@ def _arrays(block: pa.Table, table: str) -> dict[str, np.ndarray]:
         if pa.types.is_list(kind):
             if pa.types.is_string(kind.value_type):
                 continue
-            fixed = constraint.shortest if constraint.shortest == constraint.longest else None
-            found[name] = _lists(column) if fixed is None else _vectors(column, fixed)
+            fixed = constraint.shortest == constraint.longest
+            found[name] = _vectors(column, constraint.shortest) if fixed else _lists(column)
         elif pa.types.is_string(kind):
             words = column.dictionary_encode()
             known = np.array([*words.dictionary.to_pylist(), None], object)
@@ -258,9 +258,10 @@ def _lists(column: Any) -> np.ndarray:
     return found
 
 
-def open_streams(root: Path) -> dict[str, TableStream]:
-    """The four tables of a labels folder."""
-    return {name: TableStream(root / f"{name}.parquet", name) for name in TABLES}
+@lru_cache
+def no_rows(table: str) -> Rows:
+    """None of a table's rows, with all of its columns."""
+    return Rows(_arrays(arrow_schema(table).empty_table(), table), (), 0)
 
 
 def frames_of(streams: dict[str, TableStream]) -> Iterator[tuple[int, dict[str, Rows]]]:
@@ -279,10 +280,10 @@ class Constraint:
 
     nullable: bool
     values: tuple[Any, ...] | None
-    least: float | None
-    most: float | None
-    shortest: int | None
-    longest: int | None
+    least: float
+    most: float
+    shortest: int
+    longest: float
 
 
 @dataclass(frozen=True)
@@ -311,10 +312,10 @@ def constraints(table: str) -> dict[str, Constraint]:
         found[name] = Constraint(
             len(kinds) < len(options),
             None if values is None else tuple(values),
-            kind.get("minimum"),
-            kind.get("maximum"),
-            kind.get("minItems"),
-            kind.get("maxItems"),
+            kind.get("minimum", -inf),
+            kind.get("maximum", inf),
+            kind.get("minItems", 0),
+            kind.get("maxItems", inf),
         )
     return found
 
@@ -382,20 +383,14 @@ def _broken(column: Any, constraint: Constraint) -> tuple[np.ndarray, np.ndarray
         if constraint.values is not None:
             bad |= ~null & ~np.isin(values, constraint.values)
         with np.errstate(invalid="ignore"):
-            if constraint.least is not None:
-                bad |= ~null & (values < constraint.least)
-            if constraint.most is not None:
-                bad |= ~null & (values > constraint.most)
+            bad |= ~null & ((values < constraint.least) | (values > constraint.most))
     return bad, wild
 
 
 def _check_lists(column: Any, constraint: Constraint, null: np.ndarray, bad: np.ndarray, wild: np.ndarray) -> None:
     """Lengths and elements of a list column, into `bad` and `wild`."""
     length = np.diff(column.offsets.to_numpy())
-    if constraint.shortest is not None:
-        bad |= ~null & (length < constraint.shortest)
-    if constraint.longest is not None:
-        bad |= ~null & (length > constraint.longest)
+    bad |= ~null & ((length < constraint.shortest) | (length > constraint.longest))
     inner = column.flatten()
     owner = np.repeat(np.flatnonzero(~null), length[~null])
     if inner.null_count:

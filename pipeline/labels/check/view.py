@@ -1,4 +1,6 @@
-"""One frame of labels, laid out for the rules: objects in a row, relations as matrices over them.
+"""What a check of labels finds, the rules by name, and one frame of labels laid out for them.
+
+Objects are in a row, relations as matrices over them.
 
 Masks are read without trust: `pycocotools` writes where a code says, whatever its size; so every code is read here
 first, and only a sound one is handed on.
@@ -6,27 +8,22 @@ first, and only a sound one is handed on.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property, partial
+from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.geometry.masks import decode_crop, run_lengths
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
 from pipeline.labels.check.stream import Rows
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import alone, same_names
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.relations.relations import F, T, U, letter
-
-
-def plain_figures(figures: dict[str, Figure]) -> dict[str, Figure]:
-    """Figures as Python's own numbers; those that are not finite are left out, for JSON has none."""
-    plain = ((k, v.item() if isinstance(v, np.generic) else v) for k, v in figures.items())
-    return {k: v for k, v in plain if not isinstance(v, float) or np.isfinite(v)}
+from pipeline.system.errors import InputError
 
 
 def pairs_where(chosen: np.ndarray) -> list[tuple[int, int]]:
@@ -80,14 +77,18 @@ class FrameView:
         figures: dict[str, Figure] | None = None,
         severity: Severity | None = None,
     ) -> Finding:
-        """A finding of this frame, as severe as the rule says unless told otherwise."""
+        """A finding of this frame, as severe as the rule says unless told otherwise.
+
+        Figures become Python's own numbers; those that are not finite are left out, for JSON has none.
+        """
+        plain = ((k, v.item() if isinstance(v, np.generic) else v) for k, v in (figures or {}).items())
         return Finding(
             rule,
             severity or RULES[rule].severity,
             self.id,
             tuple(int(o) for o in objects),
             message,
-            plain_figures(figures or {}),
+            {k: v for k, v in plain if not isinstance(v, float) or np.isfinite(v)},
         )
 
     def named(self, k: int) -> str:
@@ -135,18 +136,16 @@ class FrameView:
 
     def _of_frame(self, name: str, shape: tuple[int, ...]) -> np.ndarray | None:
         frames = self.tables["frames"]
-        if not len(frames) or not np.isfinite(frames[name][0]).all():
-            return None
-        return frames[name][0].reshape(shape)
+        return None if not len(frames) or not np.isfinite(frames[name][0]).all() else frames[name][0].reshape(shape)
 
     @cached_property
     def ids(self) -> np.ndarray:
         """(N,) int64: the objects' numbers."""
-        return self.objects["object"] if len(self.objects) else np.zeros(0, np.int64)
+        return self.objects["object"]
 
     @cached_property
     def labels(self) -> list[str]:
-        return ["" if x is None else str(x) for x in self.objects["label"]] if len(self.objects) else []
+        return ["" if x is None else str(x) for x in self.objects["label"]]
 
     @cached_property
     def row_of(self) -> dict[int, int]:
@@ -171,15 +170,17 @@ class FrameView:
     @cached_property
     def runs(self) -> list[MaskRuns | str | None]:
         """Each object's mask as its code says, or why it cannot be read; None without a mask or a frame's size."""
-        if not len(self.objects) or not all(self.size):
-            return [None] * len(self.ids)
-        return [None if code is None else read_runs(code, *self.size) for code in self.objects["mask"]]
+        return (
+            [None if code is None else read_runs(code, *self.size) for code in self.objects["mask"]]
+            if all(self.size)
+            else [None] * len(self.ids)
+        )
 
     @cached_property
     def pair_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows of relations between two different known objects, and the indices of a and b; three (P,) int64."""
         none = np.zeros(0, np.int64)
-        if not len(self.relations) or not len(self.ids):
+        if not len(self.ids):
             return none, none, none
         order = np.argsort(self.ids, kind="stable")
         ids, numbers = self.ids[order], np.stack([self.relations["a"], self.relations["b"]])
@@ -219,15 +220,12 @@ class FrameView:
     def _matrix(self, column: str, kind: type, empty: float) -> np.ndarray:
         found = np.full((len(self.ids), len(self.ids)), empty, kind)
         rows, a, b = self.pair_rows
-        if len(rows):
-            found[a, b] = self.relations[column][rows]
+        found[a, b] = self.relations[column][rows]
         return found
 
     @cached_property
     def extents(self) -> tuple[np.ndarray, np.ndarray]:
         """lo and hi, (N, 3) float64 metres along (right, up, forward); NaN where unknown."""
-        if not len(self.objects):
-            return np.zeros((0, 3)), np.zeros((0, 3))
         return self.objects["lo"], self.objects["hi"]
 
 
@@ -262,3 +260,126 @@ def read_runs(code: str, height: int, width: int) -> MaskRuns | str:
 def runs_object(code: str, height: int, width: int) -> Any:
     """A code that `read_runs` accepts, as pycocotools takes it."""
     return {"size": [height, width], "counts": code.encode("ascii")}
+
+
+Severity = Literal["error", "warning"]
+Figure = float | int | str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong, or questionable, in labels.
+
+    Attributes
+    ----------
+    rule : str
+        One of RULES.
+    severity : str
+        "error" or "warning".
+    frame : str or None
+        The frame's id; None where the finding is of a whole file.
+    objects : tuple of int
+        The objects it is about, by number; of a pair the first is the one that is said to be somewhere.
+    message : str
+        One sentence.
+    figures : dict
+        The numbers behind it.
+    """
+
+    rule: str
+    severity: Severity
+    frame: str | None
+    objects: tuple[int, ...]
+    message: str
+    figures: dict[str, Figure] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a rule looks for.
+
+    Attributes
+    ----------
+    about : str
+        One line.
+    severity : str
+        The worst it reports; `about` says where it is milder.
+    """
+
+    about: str
+    severity: Severity
+
+
+_error, _warning = partial(Rule, severity="error"), partial(Rule, severity="warning")
+RULES: dict[str, Rule] = {
+    "file/unreadable": _error("a table cannot be read as Parquet, or is of another table or schema"),
+    "file/schema": _error("a column is missing, unknown, or of another type (of another width: warning)"),
+    "file/changed": _warning("a table or the manifest is not as it was written: edited by hand"),
+    "file/order": _warning("rows are not in canonical order"),
+    "profile/changed": _warning("this release has other rules under the profile's name: geometry is not compared"),
+    "row/model": _error("a value is outside what the schema allows"),
+    "row/non-finite": _error("a number is NaN or infinite"),
+    "row/duplicate-key": _error("two rows have one key"),
+    "row/dangling": _error("a row names a frame or an object that does not exist"),
+    "frame/camera": _error("intrinsics, pose or up vector are not those of a camera"),
+    "frame/up-assumed": _warning("nothing says where up is: image-up was taken, and every direction rests on it"),
+    "frame/up-disagrees": _warning("in the world of its scene, the up vector of a frame is not that of most others"),
+    "frame/objects": _error("the frame's number of objects is not that of its rows"),
+    "object/mask": _error("a mask cannot be decoded, or is not of the frame's size or stated area"),
+    "object/rotation": _error("the rotation of a 3D box is not a rotation, or an edge is negative"),
+    "object/bbox-mask": _error("the 2D box lies elsewhere than the mask (off by a part: warning)"),
+    "object/box-mask": _error("the 3D box lies elsewhere in the picture than the mask (off by a part: warning)"),
+    "object/extent-box": _error("the extents are not those of the 3D box (off by a part: warning)"),
+    "object/duplicate": _error("two objects are one thing (under different names: warning)"),
+    "object/few-points": _warning("an object that may be asked for has fewer than 100 points"),
+    "object/no-depth": _warning("most pixels of an object that may be asked for have no depth"),
+    "object/border": _warning("the image border cuts an object that may be asked for"),
+    "object/implausible-size": _error("it is larger than its class can be (smaller or unlike its kind: warning)"),
+    "relation/inverse": _error("a is left of b, and b is not right of a; so for above and below, front and behind"),
+    "relation/antisymmetry": _error("a relation holds both ways (on and in, where geometry allows it: warning)"),
+    "relation/exclusive": _error("two opposite relations hold of one pair"),
+    "relation/pair-missing": _error("a pair of objects, or the state of a labelled relation, is missing"),
+    "relation/unexpected": _error("a relation of an object with itself or with a background class"),
+    "relation/cycle": _error("a relation leads back to its start (on and in, where geometry allows it: warning)"),
+    "relation/geometry": _error("a state contradicts the extents (where one of the two is U, and margins: warning)"),
+    "expression/empty": _error("an expression without targets, or whose own target is not among them"),
+    "expression/everything": _warning("all objects of the target's class are acceptable: it tells nothing apart"),
+    "expression/state": _error("the relation that the expression states does not hold"),
+    "expression/margin": _warning("the expression's margin is not that of its relation"),
+    "expression/sets": _error("targets or acceptable objects are not those that the relations give"),
+    "expression/class": _error("target or reference is not called what the object is called"),
+    "expression/unreadable": _error("the text does not read back as target, relation and reference"),
+    "expression/article": _warning("the text says `the` of a name that several objects of the frame have"),
+    "expression/duplicate-id": _error("two expressions of a frame have one id"),
+    "expression/id": _warning("the id is not the hash of what the row says: edited, or copied from another row"),
+    "expression/ambiguous": _error("the flag `ambiguous` does not fit the acceptable objects"),
+    "expression/unusable": _error("an expression names an object that may not be asked for"),
+    "expression/source": _warning("profile or source of the up vector are not those of the labels and the frame"),
+}  # fmt: skip
+"""All rules by name, in the order in which they are described."""
+
+
+def chosen_rules(names: Sequence[str] | None) -> frozenset[str]:
+    """The rules of the names given: of a rule or of a whole group, such as "relation"; all for None.
+
+    Raises
+    ------
+    InputError
+        A name is neither.
+    """
+    if names is None:
+        return frozenset(RULES)
+    found: set[str] = set()
+    for name in names:
+        group = name.removesuffix("/*").removesuffix("/")
+        members = {r for r in RULES if r == name or r.split("/")[0] == group}
+        if not members:
+            known = (*(r.split("/")[0] for r in RULES), *RULES)
+            raise InputError("no such rule", got=repr(name), expected=" | ".join(dict.fromkeys(known)))
+        found |= members
+    return frozenset(found)
+
+
+def finding_record(finding: Finding) -> dict[str, Any]:
+    """A finding as JSON: plain values only."""
+    return {**asdict(finding), "objects": list(finding.objects)}

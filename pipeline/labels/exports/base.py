@@ -13,11 +13,10 @@ import numpy as np
 
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.provenance import Provenance
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, arrow_schema, check_version, with_added
 from pipeline.labels.schema import ADDED_COLUMNS
-from pipeline.labels.tables import arrow_schema, check_version, with_added
 from pipeline.system.arrow import pa, pq
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, first_line, require
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames in all)."""
@@ -32,8 +31,8 @@ class Job:
     labels : Labels
     folder : Path
         Where files are written; it appears under its final name when all are.
-    images : ImageCopy or None
-        Given where the pictures are to be copied too.
+    images : Dataset or None
+        Given where its pictures are to be copied too.
     tell : callable
         Progress.
     options : object
@@ -46,11 +45,36 @@ class Job:
 
     labels: Labels
     folder: Path
-    images: ImageCopy | None
+    images: Dataset | None
     tell: Progress
     options: Any
     provenance: Provenance
     dataset: Callable[[], Dataset] | None = None
+
+    def copy_picture(self, rows: FrameRows, folder: str = "images", suffix: str = "jpg") -> None:
+        """Write a usable frame's colour image, as JPEG of quality 95 or as PNG, where pictures are copied.
+
+        Raises
+        ------
+        InputError
+            The dataset lacks the frame, or has another picture under its name.
+        """
+        frame = rows.frame
+        if self.images is None or not frame["ok"]:
+            return
+        loaded = self.images.load(frame["frame"])
+        require(
+            frame["rgb_hash"] is None or loaded.content_hash == frame["rgb_hash"],
+            f"frame {frame['frame']}: another picture than the one that was labelled",
+            cause="has the dataset changed, or is it another one?",
+            path=self.images.root,
+        )
+        path = self.folder / image_name(rows.index, folder, suffix)
+        path.parent.mkdir(exist_ok=True)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if suffix == "jpg" else []
+        done, data = cv2.imencode(path.suffix, cv2.cvtColor(loaded.rgb, cv2.COLOR_RGB2BGR), quality)
+        require(done, f"frame {frame['frame']}: the picture cannot be encoded as {path.suffix}")
+        path.write_bytes(data.tobytes())
 
 
 @dataclass(frozen=True)
@@ -118,35 +142,6 @@ def image_name(frame_index: int, folder: str = "images", suffix: str = "jpg") ->
     return f"{folder}/{frame_index:06d}.{suffix}"
 
 
-@dataclass(frozen=True)
-class ImageCopy:
-    """Copies pictures of the dataset that was labelled."""
-
-    dataset: Dataset
-
-    def write(self, frame: Mapping[str, Any], path: Path) -> None:
-        """Write one frame's colour image, as JPEG of quality 95 or, by the suffix of `path`, as PNG.
-
-        Raises
-        ------
-        InputError
-            The dataset lacks the frame, or has another picture under its name.
-        """
-        loaded = self.dataset.load(frame["frame"])
-        if frame["rgb_hash"] is not None and loaded.content_hash != frame["rgb_hash"]:
-            raise InputError(
-                f"frame {frame['frame']}: another picture than the one that was labelled",
-                cause="has the dataset changed, or is it another one?",
-                path=self.dataset.root,
-            )
-        path.parent.mkdir(exist_ok=True)
-        quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
-        done, data = cv2.imencode(path.suffix, cv2.cvtColor(loaded.rgb, cv2.COLOR_RGB2BGR), quality)
-        if not done:
-            raise InputError(f"frame {frame['frame']}: the picture cannot be encoded as {path.suffix}")
-        path.write_bytes(data.tobytes())
-
-
 BATCH = 16_384
 
 
@@ -181,15 +176,17 @@ def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = Non
         The file is damaged or of another schema.
     """
     path = labels.root / f"{name}.parquet"
-    try:
+    with (
+        as_input_error(
+            "not a readable Parquet file", pa.ArrowInvalid, pa.ArrowTypeError, OSError, got=first_line, path=path
+        ),
         # Pre-buffering keeps what was read of every row group until the last is done.
-        with pq.ParquetFile(path, pre_buffer=False) as file:
-            check_version(file.schema_arrow.metadata or {}, name, path)
-            absent = ADDED_COLUMNS.keys() - set(file.schema_arrow.names)
-            for batch in file.iter_batches(BATCH, columns=columns and [n for n in columns if n not in absent]):
-                yield with_added(pa.Table.from_batches([batch]), name, columns)
-    except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
-        raise InputError("not a readable Parquet file", got=str(error).split("\n")[0], path=path) from error
+        pq.ParquetFile(path, pre_buffer=False) as file,
+    ):
+        check_version(file.schema_arrow.metadata or {}, name, path)
+        absent = ADDED_COLUMNS.keys() - set(file.schema_arrow.names)
+        for batch in file.iter_batches(BATCH, columns=columns and [n for n in columns if n not in absent]):
+            yield with_added(pa.Table.from_batches([batch]), name, columns)
 
 
 def label_names(labels: Labels) -> list[str]:

@@ -41,10 +41,10 @@ from pipeline.labels.exports.base import (
     table_batches,
 )
 from pipeline.labels.exports.provenance import JsonList, Provenance, json_line, load_json
-from pipeline.labels.tables import arrow_schema, build_table
+from pipeline.labels.reading import arrow_schema, build_table, table_of_rows
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
-from pipeline.system.staging import text_file
+from pipeline.system.errors import InputError, as_input_error, kind_and_text, require
+from pipeline.system.whole_files import text_file
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
 
@@ -83,19 +83,20 @@ def write_coco(job: Job) -> Written:
         pairs, known = 0, job.provenance.known
         for rows in iterate_frames(job.labels, job.tell):
             ids = {row["object"]: annotations.length + 1 + k for k, row in enumerate(rows.objects)}
-            if len(ids) != len(rows.objects):
-                raise InputError(f"frame {rows.frame['frame']}: two objects of one number", path=job.labels.root)
+            require(
+                len(ids) == len(rows.objects),
+                f"frame {rows.frame['frame']}: two objects of one number",
+                path=job.labels.root,
+            )
             for row in rows.objects:
                 found = _annotation(row, ids[row["object"]], categories, rows.frame)
                 annotations.add(found | known("objects", rows.frame["frame"], str(row["object"])))
             for row in rows.expressions:
-                found = _ref(row, refs.length, ids, categories)
-                refs.add(found | known("expressions", rows.frame["frame"], row["id"]))
+                refs.add(_ref(row, refs.length, ids, categories) | known("expressions", rows.frame["frame"], row["id"]))
             if rows.relations.num_rows:
                 related.add(_relations(rows, ids) | _known_relations(job.provenance, rows, ids))
                 pairs += rows.relations.num_rows
-            if job.images is not None and rows.frame["ok"]:
-                job.images.write(rows.frame, job.folder / image_name(rows.index))
+            job.copy_picture(rows)
         for items, file, end in (
             (annotations, instances, "}\n"),
             (refs, refs_file, "\n"),
@@ -245,24 +246,28 @@ def read_coco(root: Path) -> dict[str, pa.Table]:
     """
     instances = load_json(root / "instances.json")
     refs, relations = load_json(root / "refs.json"), load_json(root / "relations.json")
-    try:
+    with as_input_error(
+        "not a COCO export of labels",
+        KeyError,
+        TypeError,
+        IndexError,
+        ValueError,
+        AttributeError,
+        got=kind_and_text,
+        cause="was it edited?",
+        path=root,
+    ):
         images = sorted(instances["images"] + instances["unusable_frames"], key=lambda image: image["id"])
         names = {image["id"]: image["frame"] for image in images}
         categories = {c["id"]: c["name"] for c in instances["categories"]}
         annotations = sorted(instances["annotations"], key=lambda a: a["id"])
         numbers = {a["id"]: a["object"] for a in annotations}
         return {
-            "frames": _table("frames", [_frame(image) for image in images]),
-            "objects": _table("objects", [_object(a, names[a["image_id"]], categories) for a in annotations]),
+            "frames": table_of_rows("frames", [_frame(image) for image in images]),
+            "objects": table_of_rows("objects", [_object(a, names[a["image_id"]], categories) for a in annotations]),
             "relations": _pairs(relations["images"], names, numbers),
-            "expressions": _table("expressions", [_expression(r, names[r["image_id"]], numbers) for r in refs]),
+            "expressions": table_of_rows("expressions", [_expression(r, names[r["image_id"]], numbers) for r in refs]),
         }
-    except (KeyError, TypeError, IndexError, ValueError, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            "not a COCO export of labels", got=f"{type(error).__name__}: {error}", cause="was it edited?", path=root
-        ) from error
 
 
 def _frame(image: dict[str, Any]) -> dict[str, Any]:
@@ -315,12 +320,6 @@ def _pairs(images: Iterable[dict[str, Any]], names: dict[int, str], numbers: dic
         frames, index = [names[image["image_id"]]] * len(columns["a"]), [image["image_id"]] * len(columns["a"])
         found.append(build_table("relations", {"frame": frames, "frame_index": index, **columns}))
     return pa.concat_tables(found) if found else arrow_schema("relations").empty_table()
-
-
-def _table(name: str, rows: list[dict[str, Any]]) -> pa.Table:
-    if not rows:
-        return arrow_schema(name).empty_table()
-    return build_table(name, {column: [row[column] for row in rows] for column in arrow_schema(name).names})
 
 
 FORMAT = ExportFormat(write_coco, read_coco, "COCO instances, RefCOCO-like references, and relations; lossless")

@@ -1,4 +1,18 @@
-"""Exporting labels and reading them back, by the name of the format."""
+"""Exporting labels and reading them back, by the name of the format; and the two formats of the tables as they are.
+
+JSON lines: one file a table, one row a line.
+`frames.jsonl`, `objects.jsonl`, `relations.jsonl` and `expressions.jsonl` have
+the columns of the tables as keys, and those of `pipeline.labels.exports.provenance`;
+`schemas/` holds the JSON Schema of each.
+A float32 column is written as the double of the same value, so that reading it
+as float32 gives the same bits.
+
+The hub: Parquet files, a dataset card and Croissant metadata.
+`data/TABLE/train-00000-of-0000N.parquet`, `README.md` (the card, whose YAML
+names the four tables as configs), `croissant.json`, `schemas/`. Beside its own,
+every table has the columns of `pipeline.labels.exports.provenance`. Pictures, if
+copied, are in `images/` by frame_index.
+"""
 
 from __future__ import annotations
 
@@ -6,29 +20,45 @@ import dataclasses
 import json
 import shutil
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from types import NoneType
 from typing import Any, Literal
 
 from pipeline.datasets import Dataset
-from pipeline.labels.exports import coco, hub, jsonl, kitti, vqa
-from pipeline.labels.exports.base import ExportFormat, ExportReport, ImageCopy, Job, Progress
-from pipeline.labels.exports.provenance import load_json, open_provenance
-from pipeline.labels.reading import MANIFEST_FILE, Labels, labelled_dataset
-from pipeline.labels.tables import content_hash
-from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, require
+from pipeline.labels.card import UNKNOWN_LICENCE, DataFile, croissant, dataset_card
+from pipeline.labels.exports import coco, kitti, vqa_questions
+from pipeline.labels.exports.base import (
+    ExportFormat,
+    ExportReport,
+    Job,
+    Progress,
+    Written,
+    iterate_frames,
+    table_batches,
+)
+from pipeline.labels.exports.provenance import (
+    extended_json_schemas,
+    extended_schema,
+    json_lines,
+    load_json,
+    open_provenance,
+)
+from pipeline.labels.reading import (
+    MANIFEST_FILE,
+    ROW_GROUP,
+    Labels,
+    arrow_schema,
+    content_hash,
+    labelled_dataset,
+    read_table,
+)
+from pipeline.labels.schema import TABLES, write_schemas
+from pipeline.system.arrow import pa, pj, pq
+from pipeline.system.errors import as_input_error, first_line, needed, require
 from pipeline.system.plugins import load_plugins
-from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
-
-FORMATS: dict[str, ExportFormat] = {
-    "jsonl": jsonl.FORMAT,
-    "coco": coco.FORMAT,
-    "kitti": kitti.FORMAT,
-    "vqa": vqa.FORMAT,
-    "parquet": hub.FORMAT,
-}
-"""The formats by name. A new one is one file and one line here."""
+from pipeline.system.whole_files import sha256_of, staged_folder, text_file, write_json
 
 ENTRY_POINT_GROUP = "spatialviz.exports"
 """Entry points of this group name an ExportFormat, and so add a format."""
@@ -77,14 +107,12 @@ def export_labels(
         An unknown format, a target that is not empty, damaged labels, or pictures that are not those of the labels.
     """
     chosen = _format(format)
-    if chosen.options is None and options is not None:
-        raise InputError(f"the format {format} has no options")
-    if chosen.options is not None and options is not None and not isinstance(options, chosen.options):
-        raise InputError(
-            f"options of the format {format}", got=type(options).__name__, expected=chosen.options.__name__
-        )
-    if chosen.options is not None and options is None:
-        options = chosen.options()
+    kind = chosen.options or NoneType
+    require(kind is not NoneType or options is None, f"the format {format} has no options")
+    options = kind() if options is None else options
+    require(
+        isinstance(options, kind), f"options of the format {format}", got=type(options).__name__, expected=kind.__name__
+    )
     require(images in ("none", "copy"), "images", got=repr(images), expected="none | copy")
     out = Path(out).expanduser()
     target, root = out.resolve(), labels.root.resolve()
@@ -99,10 +127,11 @@ def export_labels(
         return dataset or labelled_dataset(labels.manifest)
 
     with staged_folder(out, overwrite=overwrite, mark=MARK) as folder:
-        copy = ImageCopy(opened()) if images == "copy" else None
+        copy = opened() if images == "copy" else None
         provenance = open_provenance(labels)
-        tell = progress or (lambda done, of: None)
-        written = chosen.write(Job(labels, folder, copy, tell, options, provenance, opened))
+        written = chosen.write(
+            Job(labels, folder, copy, progress or (lambda done, of: None), options, provenance, opened)
+        )
         shutil.copyfile(labels.root / MANIFEST_FILE, folder / MANIFEST_FILE)
         record = {
             "tool": "spatialviz",
@@ -144,13 +173,12 @@ def import_labels(path: str | Path, format: str, *, verify: bool = True) -> dict
     """
     root = Path(path).expanduser()
     chosen = _format(format)
-    if chosen.read is None:
-        raise InputError(f"the format {format} holds no labels to read back", path=root)
+    read = needed(chosen.read, f"the format {format} holds no labels to read back", path=root)
     require(root.is_dir(), "there is no such export", expected="a folder", path=root)
     mark = _read_mark(root)
-    if mark is not None and mark.get("format") != format:
-        raise InputError("an export in another format", got=mark.get("format"), expected=format, path=root)
-    tables = dict(chosen.read(root))
+    stated = format if mark is None else mark.get("format")
+    require(stated == format, "an export in another format", got=stated, expected=format, path=root)
+    tables = dict(read(root))
     if chosen.lossless and verify:
         _check_hashes(root, tables)
     return tables
@@ -159,11 +187,9 @@ def import_labels(path: str | Path, format: str, *, verify: bool = True) -> dict
 def _check_hashes(root: Path, tables: Mapping[str, pa.Table]) -> None:
     manifest = load_json(root / MANIFEST_FILE)
     for name, table in tables.items():
-        try:
+        with as_input_error("the manifest is damaged", KeyError, TypeError, got=repr, path=root / MANIFEST_FILE):
             known = manifest["tables"][name]
             rows, known_hash = known["rows"], known["content_hash"]
-        except (KeyError, TypeError) as error:
-            raise InputError("the manifest is damaged", got=repr(error), path=root / MANIFEST_FILE) from error
         require(
             rows == table.num_rows,
             f"the table {name} is not whole",
@@ -191,3 +217,193 @@ def _format(name: str) -> ExportFormat:
         formats = {**dict(load_plugins(ENTRY_POINT_GROUP, "export", ExportFormat)), **FORMATS}
     require(name in formats, "no such export format", got=repr(name), expected=" | ".join(formats))
     return formats[name]
+
+
+ROWS_A_FILE = 1_000_000
+GROUP_BYTES = 1 << 25
+"""What is held of a row group before it is written: masks make some rows long."""
+
+
+@dataclass(frozen=True)
+class HubConfig:
+    """Options of the export.
+
+    Attributes
+    ----------
+    rows_a_file : int
+    licence : str
+        Of the source dataset, as the card states it.
+    """
+
+    rows_a_file: int = ROWS_A_FILE
+    licence: str = UNKNOWN_LICENCE
+
+    def __post_init__(self) -> None:
+        require(self.rows_a_file >= 1, "a file needs at least one row", got=self.rows_a_file)
+
+
+def write_hub(job: Job) -> Written:
+    """Write data, card, metadata and schemas."""
+    options: HubConfig = job.options
+    files = {name: _write_table(job, name, options.rows_a_file) for name in TABLES}
+    rows = {name: sum(file.rows for file in found) for name, found in files.items()}
+    write_schemas(job.folder / "schemas")
+    extended_json_schemas(job.folder / "schemas")
+    with text_file(job.folder / "README.md") as card:
+        card.write(dataset_card(job.labels, licence=options.licence, files={n: f"data/{n}/*.parquet" for n in TABLES}))
+    write_json(
+        job.folder / "croissant.json",
+        croissant(job.labels, licence=options.licence, files=files, schema=extended_schema),
+    )
+    return Written(
+        (
+            "README.md",
+            "croissant.json",
+            *(file.path for found in files.values() for file in found),
+            "schemas/",
+            *copy_images(job),
+        ),
+        rows,
+    )
+
+
+def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
+    """One table, cut into files of `rows_a_file` rows; of an empty one an empty file."""
+    total = job.labels.manifest.tables[name].rows
+    count = max(1, -(-total // rows_a_file))
+    (job.folder / "data" / name).mkdir(parents=True)
+    batches = table_batches(job.labels, name)
+    waiting = arrow_schema(name).empty_table()
+    found = []
+    for number in range(count):
+        path = job.folder / "data" / name / f"train-{number:05d}-of-{count:05d}.parquet"
+        left = min(rows_a_file, total - number * rows_a_file)
+        group: list[pa.Table] = []
+        rows = size = 0
+        with pq.ParquetWriter(path, extended_schema(name), compression="zstd") as writer:
+            while left:
+                if not waiting.num_rows:
+                    what = f"the table {name} has fewer rows than its manifest says"
+                    waiting = needed(next(batches, None), what, path=job.labels.root)
+                taken = waiting.slice(0, left)
+                waiting = waiting.slice(taken.num_rows)
+                left -= taken.num_rows
+                group.append(taken)
+                rows, size = rows + taken.num_rows, size + taken.nbytes
+                if not left or rows >= ROW_GROUP or size >= GROUP_BYTES:
+                    writer.write_table(
+                        job.provenance.extend(name, pa.concat_tables(group).combine_chunks()), row_group_size=ROW_GROUP
+                    )
+                    group.clear()
+                    rows = size = 0
+        relative = path.relative_to(job.folder).as_posix()
+        found.append(DataFile(relative, min(rows_a_file, total - number * rows_a_file), sha256_of(path)))
+    require(
+        not waiting.num_rows and next(batches, None) is None,
+        f"the table {name} has more rows than its manifest says",
+        path=job.labels.root,
+    )
+    return found
+
+
+def read_hub(root: Path) -> dict[str, pa.Table]:
+    """The four tables, their files joined in order.
+
+    Raises
+    ------
+    InputError
+        Files are missing or damaged.
+    """
+    tables = {}
+    for name in TABLES:
+        paths = sorted((root / "data" / name).glob("train-*-of-*.parquet"))
+        require(
+            paths and paths[0].name.endswith(f"-of-{len(paths):05d}.parquet"),
+            f"files of the table {name} are missing",
+            path=root / "data" / name,
+        )
+        tables[name] = pa.concat_tables([read_table(path, name, arrow_schema(name).names) for path in paths])
+    return tables
+
+
+BLOCK = 1 << 24
+"""Bytes that are parsed at a time; no line may be longer."""
+
+
+def write_jsonl(job: Job) -> Written:
+    """Write the four files and their schemas."""
+    rows: dict[str, int] = {}
+    frames = job.labels.manifest.tables["frames"].rows
+    for name in TABLES:
+        rows[name] = 0
+        with text_file(job.folder / f"{name}.jsonl") as file:
+            for batch in table_batches(job.labels, name):
+                file.writelines(
+                    line[:-2] + end
+                    for line, end in zip(json_lines(batch), job.provenance.line_ends(name, batch), strict=True)
+                )
+                rows[name] += batch.num_rows
+                if name == "relations":  # By far the longest.
+                    job.tell(min(batch.column("frame_index")[-1].as_py() + 1, frames), frames)
+    write_schemas(job.folder / "schemas")
+    extended_json_schemas(job.folder / "schemas")
+    return Written((*(f"{name}.jsonl" for name in TABLES), "schemas/", *copy_images(job)), rows)
+
+
+def copy_images(job: Job) -> tuple[str, ...]:
+    """Copy the pictures of all usable frames to `images/`, where they are wanted; what was written."""
+    if job.images is None:
+        return ()
+    for rows in iterate_frames(job.labels, job.tell):
+        job.copy_picture(rows)
+    return ("images/",)
+
+
+def read_rows(path: Path, name: str) -> pa.Table:
+    """One table from its file of JSON lines.
+
+    Raises
+    ------
+    InputError
+        The file is missing, or a line of it is no row of that table.
+    """
+    schema = arrow_schema(name)
+    with (
+        as_input_error(f"not rows of {name}", pa.ArrowInvalid, pa.ArrowTypeError, OSError, got=first_line, path=path),
+        as_input_error(f"the table {name} is missing", FileNotFoundError, path=path),
+    ):
+        if path.stat().st_size == 0:
+            return schema.empty_table()
+        found = pj.read_json(
+            path,
+            read_options=pj.ReadOptions(block_size=BLOCK),
+            parse_options=pj.ParseOptions(
+                explicit_schema=extended_schema(name).remove_metadata(), unexpected_field_behavior="error"
+            ),
+        )
+    for field in schema:
+        require(
+            not (not field.nullable and found.column(field.name).null_count),
+            f"a row of {name} lacks {field.name!r}",
+            path=path,
+        )
+    return pa.Table.from_arrays([found.column(n) for n in schema.names], schema=schema)
+
+
+FORMATS: dict[str, ExportFormat] = {
+    "jsonl": ExportFormat(
+        write_jsonl,
+        lambda root: {name: read_rows(root / f"{name}.jsonl", name) for name in TABLES},
+        "JSON lines, one file a table; lossless",
+    ),
+    "coco": coco.FORMAT,
+    "kitti": kitti.FORMAT,
+    "vqa": vqa_questions.FORMAT,
+    "parquet": ExportFormat(
+        write_hub,
+        read_hub,
+        "Parquet with a dataset card and Croissant, as the Hugging Face hub wants it; lossless",
+        options=HubConfig,
+    ),
+}
+"""The formats by name. A new one is one file and one line here."""

@@ -52,6 +52,7 @@ with nine decimals, center, R, size. Relations and expressions do not.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -63,15 +64,14 @@ from pipeline.labels.exports.base import (
     ExportFormat,
     Job,
     Written,
-    image_name,
     iterate_frames,
     label_names,
 )
 from pipeline.labels.exports.provenance import json_line, load_json
-from pipeline.labels.tables import arrow_schema
+from pipeline.labels.reading import arrow_schema
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, require
-from pipeline.system.staging import text_file, write_json
+from pipeline.system.errors import InputError, Shown, as_input_error, require
+from pipeline.system.whole_files import text_file, write_json
 
 SURVIVING = {
     "frames": ("frame", "frame_index", "ok", "width", "height", "K", "up"),
@@ -90,7 +90,7 @@ def write_kitti(job: Job) -> Written:
     folders = ("label_2", "calib", "object_ids", "ImageSets")
     for name in folders:
         (job.folder / name).mkdir()
-    counts = {"frames": 0, "objects": 0, "boxes": 0}
+    counts = Counter(frames=0, objects=0, boxes=0)
     left_out = 0
     with (
         text_file(job.folder / "index.txt") as index,
@@ -114,11 +114,9 @@ def write_kitti(job: Job) -> Written:
                 known = job.provenance.row("objects", frame["frame"], str(row["object"]))
                 provenance.write(json_line({**named, **known}) + "\n")
             boxes = sum(NO_BOX not in line for line in lines)
-            for name, more in (("frames", 1), ("objects", len(lines)), ("boxes", boxes)):
-                counts[name] += more
+            counts.update(frames=1, objects=len(lines), boxes=boxes)
             left_out += sum(row["center"] is not None for row in rows.objects) - boxes
-            if job.images is not None:
-                job.images.write(frame, job.folder / image_name(rows.index, "image_2", "png"))
+            job.copy_picture(rows, "image_2", "png")
     write_json(job.folder / "classes.json", {token: name for name, token in tokens.items()})
     files = ("index.txt", "classes.json", "provenance.jsonl", *(f"{name}/" for name in folders))
     turned = (f"{left_out} boxes are not upright, and are written as unknown",) if left_out else ()
@@ -198,15 +196,13 @@ def read_kitti(root: Path) -> dict[str, pa.Table]:
     frames: list[dict[str, Any]] = []
     objects: list[dict[str, Any]] = []
     for line in _lines(root / "index.txt"):
-        try:
+        with as_input_error("not a line of index.txt", ValueError, got=Shown(line, 80), path=root / "index.txt"):
             number, width, height, written = line.split(" ", 3)
             frame = {
                 "frame": json.loads(written) if written.startswith('"') else written,
                 "frame_index": int(number), "ok": number in usable, "width": int(width), "height": int(height),
                 "K": None, "up": None,
             }  # fmt: skip
-        except ValueError as error:
-            raise InputError("not a line of index.txt", got=repr(line)[:80], path=root / "index.txt") from error
         if frame["ok"]:
             P, level = _read_calibration(root / "calib" / f"{number}.txt")
             frame |= {"K": (P[:, :3] @ level).ravel().tolist(), "up": (-level[1]).tolist()}
@@ -216,10 +212,10 @@ def read_kitti(root: Path) -> dict[str, pa.Table]:
 
 
 def _lines(path: Path) -> list[str]:
-    try:
+    with as_input_error(
+        "a file of the export is missing or damaged", OSError, UnicodeDecodeError, got=lambda e: str(e)[:120], path=path
+    ):
         return [line for line in path.read_text(encoding="utf-8").split("\n") if line]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("a file of the export is missing or damaged", got=str(error)[:120], path=path) from error
 
 
 def _read_calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -244,7 +240,7 @@ def _read_objects(
         path=ids_path,
     )
     for k, (line, own) in enumerate(zip(lines, ids, strict=True), start=1):
-        try:
+        with as_input_error(f"line {k} is no label", ValueError, KeyError, got=lambda e: str(e)[:80], path=path):
             token, *rest = line.split(" ")
             values = [float(x) for x in rest]
             if len(values) != FIELDS - 1:
@@ -254,8 +250,6 @@ def _read_objects(
                 "label": names[token], "score": values[14], "bbox": values[3:7], "touches_border": values[0] > 0,
                 "center": None, "R": None, "size": None,
             }  # fmt: skip
-        except (ValueError, KeyError) as error:
-            raise InputError(f"line {k} is no label", got=str(error)[:80], path=path) from error
         if values[7] >= 0:
             box = from_kitti(np.array(values[7:10]), np.array(values[10:13]), values[13], level)
             row |= {key: part.ravel().tolist() for key, part in zip(("center", "R", "size"), box, strict=True)}
@@ -300,8 +294,11 @@ def to_kitti(
     own = R_level_camera @ R
     if own[1, 1] <= 0 or max(abs(own[0, 1]), abs(own[2, 1])) > UPRIGHT:
         return None
-    location = R_level_camera @ center + np.array([0.0, size[1] / 2, 0.0])
-    return size[[1, 2, 0]], location, float(np.arctan2(-own[2, 0], own[0, 0]))
+    return (
+        size[[1, 2, 0]],
+        R_level_camera @ center + np.array([0.0, size[1] / 2, 0.0]),
+        float(np.arctan2(-own[2, 0], own[0, 0])),
+    )
 
 
 def from_kitti(

@@ -22,11 +22,10 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any, TextIO
 
-from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
+from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels, arrow_schema
 from pipeline.labels.schema import Manifest, labels_version
-from pipeline.labels.tables import arrow_schema
 from pipeline.system.arrow import pa, pc, pq
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, Shown, as_input_error, first_line, require
 
 ENTRY = ("column", "source", "author", "time", "event", "reason", "was")
 REVIEWED: dict[str, tuple[str, ...]] = {
@@ -66,8 +65,11 @@ class ExportedFrom:
     def parse(cls, text: Any) -> ExportedFrom:
         """From its text; InputError where it is none."""
         parts = text.split(".") if isinstance(text, str) and len(text) <= 100 and text.isascii() else []
-        if len(parts) != 3 or len(parts[0]) != 16 or not parts[1].isalnum() or parts[2] not in ("0", "1"):
-            raise InputError("not the state of labels that an export names", got=repr(text)[:60])
+        require(
+            len(parts) == 3 and len(parts[0]) == 16 and parts[1].isalnum() and parts[2] in ("0", "1"),
+            "not the state of labels that an export names",
+            got=Shown(text),
+        )
         return cls(parts[0], None if parts[1] == NO_EVENT else parts[1], parts[2] == "1")
 
 
@@ -164,7 +166,9 @@ def open_provenance(labels: Labels) -> Provenance:
         entry = {**row, "source": row["origin"], "time": None if when is None else when.isoformat()}
         named = found.entries.setdefault((row["table"], row["frame"], row["key"]), [])
         named.append({key: entry[key] for key in ENTRY})
-    try:
+    with as_input_error(
+        "what reviewers said of the labels is damaged", KeyError, TypeError, AttributeError, got=repr, path=labels.root
+    ):
         for mark in _listed(labels.root / MARKS_FILE):
             found.reviewed.setdefault(("expressions", mark["frame"], mark["id"]), {})["mark"] = mark["mark"]
         for status in _listed(labels.root / STATUSES_FILE):
@@ -173,8 +177,6 @@ def open_provenance(labels: Labels) -> Provenance:
                 continue
             name = _TABLE[status["kind"]], status["frame"], status["key"]
             found.reviewed.setdefault(name, {})[status["field"]] = status["value"]
-    except (KeyError, TypeError, AttributeError) as error:
-        raise InputError("what reviewers said of the labels is damaged", got=repr(error), path=labels.root) from error
     for table, frame, _ in (*found.entries, *found.reviewed):
         found.frames.setdefault(table, set()).add(frame)
     return found
@@ -188,10 +190,10 @@ def _provenance_rows(path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     columns = ["table", "frame", "key", "column", "origin", "author", "time", "event", "reason", "was"]
-    try:
+    with as_input_error(
+        "the provenance of the labels is damaged", pa.ArrowException, OSError, ValueError, got=first_line, path=path
+    ):
         return pq.read_table(path, columns=columns).to_pylist()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError("the provenance of the labels is damaged", got=str(error).split("\n")[0], path=path) from error
 
 
 def _fields(table: str) -> list[pa.Field]:
@@ -266,8 +268,8 @@ def _texts(column: Any) -> Any:
         coded = column.dictionary_encode()
         texts = pa.array([json_line(text) for text in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
     elif pa.types.is_floating(column.type):
-        if not pc.all(pc.is_finite(column)).as_py() and column.null_count < len(column):  # pyright: ignore[reportAttributeAccessIssue]
-            raise InputError("the labels hold a number that JSON cannot carry", got="an infinity or NaN")
+        finite = pc.all(pc.is_finite(column)).as_py() or column.null_count == len(column)  # pyright: ignore[reportAttributeAccessIssue]
+        require(finite, "the labels hold a number that JSON cannot carry", got="an infinity or NaN")
         texts = column.cast(pa.float64()).cast(pa.string())
     else:
         texts = column.cast(pa.string())
@@ -304,9 +306,10 @@ def load_json(path: Path) -> Any:
     InputError
         Missing or damaged.
     """
-    try:
+    with (
+        as_input_error(
+            "not a readable JSON file", ValueError, RecursionError, OSError, got=lambda e: str(e)[:120], path=path
+        ),
+        as_input_error("a file of the export is missing", FileNotFoundError, path=path),
+    ):
         return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise InputError("a file of the export is missing", path=path) from error
-    except (ValueError, RecursionError, OSError) as error:
-        raise InputError("not a readable JSON file", got=str(error)[:120], path=path) from error

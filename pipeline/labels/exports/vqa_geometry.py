@@ -1,4 +1,4 @@
-"""What questions say of an object's geometry, and what it rests on.
+"""A question as a record, what questions say of an object's geometry, and what it rests on.
 
 Sizes and centres come from a box that a person or the dataset gives, else from the raw points of the mask: the
 cleaning that relations are judged by takes an eighth off a width, since it erodes the mask. It is undone twice,
@@ -10,8 +10,8 @@ boxes around them, exact ones too, would close or widen them by centimetres.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 import xxhash
@@ -24,8 +24,7 @@ from pipeline.geometry.lifting import LiftConfig, Pixel, clean, depth_edges, fly
 from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.exports.base import FrameRows
-from pipeline.labels.exports.vqa_records import VqaConfig
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, needed, require
 
 EXACT, HUMAN, POINTS = "the dataset's box", "a person's box", "points of the mask"
 AGREE = 0.1
@@ -83,12 +82,13 @@ class Depths:
         """(H, W) float32 metres, exactly as it was labelled; None where it cannot be had."""
         try:
             if self._dataset is None:
-                if self._open is None:
-                    raise InputError("no dataset is given")
-                self._dataset = self._open()
+                self._dataset = needed(self._open, "no dataset is given")()
             depth = load_picture(self._dataset, frame["frame"]).depth
-            if xxhash.xxh3_128_hexdigest(np.ascontiguousarray(depth).data) != frame["depth_hash"]:
-                raise InputError(f"frame {frame['frame']}: another depth than was labelled", path=self._dataset.root)
+            require(
+                xxhash.xxh3_128_hexdigest(np.ascontiguousarray(depth).data) == frame["depth_hash"],
+                f"frame {frame['frame']}: another depth than was labelled",
+                path=self._dataset.root,
+            )
         except InputError as error:
             self.missing, self.problem = self.missing + 1, str(error)
             return None
@@ -125,8 +125,12 @@ def _figures(row: Mapping[str, Any], viewer: ViewerAxes, seen: Figures, human: b
     box = Box3D(
         np.array(row[f"{prefix}center"]), np.array(row[f"{prefix}R"]).reshape(3, 3), np.array(row[f"{prefix}size"])
     )
-    extents = np.ptp(box.corners @ viewer.matrix.T, axis=0)
-    return Figures(HUMAN if human else EXACT, viewer.matrix @ box.center, extents, seen.points)
+    return Figures(
+        HUMAN if human else EXACT,
+        viewer.matrix @ box.center,
+        np.ptp(box.corners @ viewer.matrix.T, axis=0),
+        seen.points,
+    )
 
 
 def seen_whole(row: Mapping[str, Any], config: VqaConfig) -> bool:
@@ -147,9 +151,7 @@ def gap_between(a: Figures, b: Figures) -> float | None:
     """Metres between the nearest raw points of two objects; None where one of them is not seen whole."""
     from scipy.spatial import KDTree
 
-    if not len(a.points) or not len(b.points):
-        return None
-    return float(KDTree(a.points).query(b.points)[0].min())
+    return None if not len(a.points) or not len(b.points) else float(KDTree(a.points).query(b.points)[0].min())
 
 
 class _Raw:
@@ -197,3 +199,120 @@ class _Raw:
         away, (row, column) = distance_transform_edt(~kept, return_indices=True)  # pyright: ignore[reportGeneralTypeIssues]
         of = z[row, column]
         return np.abs(z - of) <= surface_step(of) + away * of / self.camera.fx
+
+
+Kind = Literal["relation", "which", "grounding", "distance", "size"]
+KINDS: tuple[Kind, ...] = ("relation", "which", "grounding", "distance", "size")
+IMAGE_TOKEN = "<image>"
+CONVERSATIONS_FILE = "conversations.json"
+
+
+@dataclass(frozen=True)
+class VqaConfig:
+    """What is asked.
+
+    Attributes
+    ----------
+    per_frame : int
+        At most so many questions of a frame.
+    kinds : tuple of str
+        Out of KINDS; they take turns.
+    min_margin : float
+        Metres that a relation must stand from its thresholds to be asked for.
+    max_occluded : float
+        Gaps, and distances and sizes without a given 3D box, are asked only of
+        objects with at most this share of their border covered, that do not touch
+        the picture's border.
+    min_visible : float
+        And of which the dataset, where it says so, sees at least this share.
+    max_depth_missing : float
+        And with at most this share of their pixels without depth.
+    min_kept : float
+        And of whose mask cleaning kept at least this share.
+    min_distance : float
+        Distances below it, metres, are not asked for.
+    box_decimals : int
+        2 or 3: digits of the normalised box in an answer.
+    seed : int
+        Of the row hashes that choose questions and wordings.
+    """
+
+    per_frame: int = 24
+    kinds: tuple[Kind, ...] = KINDS
+    min_margin: float = 0.05
+    max_occluded: float = 0.05
+    min_visible: float = 0.9
+    max_depth_missing: float = 0.5
+    min_kept: float = 0.6
+    min_distance: float = 0.1
+    box_decimals: int = 3
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        require(self.per_frame >= 1, "per_frame must be at least 1", got=self.per_frame)
+        require(
+            self.kinds and not (set(self.kinds) - set(KINDS)),
+            "kinds of questions",
+            got=", ".join(self.kinds) or "none",
+            expected=" | ".join(KINDS),
+        )
+        require(self.box_decimals in (2, 3), "box_decimals", got=self.box_decimals, expected="2 or 3")
+        require(self.min_margin >= 0 and self.min_distance >= 0, "a least margin or distance cannot be negative")
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question about one frame.
+
+    Attributes
+    ----------
+    id : str
+    image : str
+        File name of the picture, relative to the export.
+    kind : str
+    frame : str
+    frame_index : int
+    objects : tuple of int
+        relation: (target, reference). which: (answer, reference). grounding:
+        (target, reference). distance: the two. size: the one.
+    about : str
+        The relation; or what is measured: "center", "gap", "height", "width".
+    question, answer : str
+        What the human says without the image token, and what the model is to say.
+    source : str or None
+        Of a grounding question the id of its expression.
+    rests_on : str or None
+        Of a distance or a size what its figure was measured on: see `vqa_geometry`.
+    """
+
+    id: str
+    image: str
+    kind: Kind
+    frame: str
+    frame_index: int
+    objects: tuple[int, ...]
+    about: str
+    question: str
+    answer: str
+    source: str | None = field(default=None)
+    rests_on: str | None = field(default=None)
+
+    def record(self) -> dict[str, Any]:
+        """As LLaVA's training data has it, with `metadata` beside."""
+        return {
+            "id": self.id,
+            "image": self.image,
+            "conversations": [
+                {"from": "human", "value": f"{IMAGE_TOKEN}\n{self.question}"},
+                {"from": "gpt", "value": self.answer},
+            ],
+            "metadata": {
+                "kind": self.kind,
+                "frame": self.frame,
+                "frame_index": self.frame_index,
+                "objects": list(self.objects),
+                "about": self.about,
+                "source": self.source,
+                "rests_on": self.rests_on,
+            },
+        }

@@ -1,6 +1,27 @@
-"""The questions that can be asked of a frame with a sure answer, their sentences, and the choice among them.
+"""Questions and answers for fine-tuning a vision-language model, as LLaVA's conversations.
 
-The words for objects and relations are those of the expressions.
+`conversations.json` is a list of {"id", "image", "conversations": [human, gpt],
+"metadata"}, one record a line. Kinds of questions:
+
+* relation: answered Yes or No, from states T and F that stand `min_margin` from
+  every threshold, never from U; as many Yes as No of each relation.
+* which: answered by a class name, where one object has the relation and every
+  other judged object has it not.
+* grounding: answered by [x0, y0, x1, y1] as shares of the whole picture's width
+  and height, for expressions that only one object satisfies.
+* distance: between the centres of two objects, or the gap between their nearest points.
+* size: extent along the viewer's up ("height") and right ("width").
+
+An object is named only where its name means no other object of the frame.
+Distances and sizes are asked where a 3D box is given or the object is seen whole,
+and `metadata.rests_on` says which: see `pipeline.labels.exports.vqa_geometry`.
+Without the dataset's depth only given boxes are measured, which a note says. Which questions are
+asked, and how, depends on the rows and the seed alone. The words for objects and
+relations are those of the expressions.
+
+`provenance` of a record lists, of the objects, the pair and the expression that a
+question is made from, every value that is not the labeller's: `table`, `key` and
+the keys of `pipeline.labels.exports.provenance`. Whatever it does not list is "auto".
 """
 
 from __future__ import annotations
@@ -14,15 +35,26 @@ from operator import attrgetter
 
 import numpy as np
 
-from pipeline.labels.exports.base import FrameRows, image_name
-from pipeline.labels.exports.vqa_geometry import POINTS, Figures, gap_between
-from pipeline.labels.exports.vqa_records import Kind, Question, VqaConfig
+from pipeline.labels.exports.base import ExportFormat, FrameRows, Job, Written, image_name, iterate_frames
+from pipeline.labels.exports.provenance import JsonList, Provenance
+from pipeline.labels.exports.vqa_geometry import (
+    CONVERSATIONS_FILE,
+    POINTS,
+    Depths,
+    Figures,
+    Kind,
+    Question,
+    VqaConfig,
+    figures_of,
+    gap_between,
+)
 from pipeline.labels.labelling import row_hash
 from pipeline.labels.wording import can_be_worded, question_text
 from pipeline.language.noun_phrase import alone, noun_phrase, readable
 from pipeline.language.relation_names import RELATIONS
 from pipeline.relations.relations import F, T
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, Shown, require
+from pipeline.system.whole_files import text_file
 
 SIZE_AXES = {"height": 1, "width": 0}
 """What sizes are asked for, and along which of (right, up, forward)."""
@@ -295,8 +327,7 @@ def _the(name: str) -> str:
 
 def _sentence(templates: Sequence[str], key: int, end: str = "", **words: str) -> str:
     text = templates[key % len(templates)].format(**words) + end
-    if _TOKEN.search(text):
-        raise InputError("a sentence that a tokenizer would misread", got=repr(text)[:80])
+    require(not _TOKEN.search(text), "a sentence that a tokenizer would misread", got=Shown(text, 80))
     return text
 
 
@@ -324,3 +355,62 @@ def box_text(bbox: Sequence[float], width: int, height: int, decimals: int) -> s
     """[x0, y0, x1, y1] as shares of the picture's width and height."""
     shares = [min(max(x / of, 0.0), 1.0) for x, of in zip(bbox, (width, height, width, height), strict=True)]
     return "[" + ", ".join(f"{x:.{decimals}f}" for x in shares) + "]"
+
+
+def write_vqa(job: Job) -> Written:
+    """Write the conversations of all frames, as a stream."""
+    counts = {"questions": 0, **dict.fromkeys(job.options.kinds, 0)}
+    relations, depths = job.labels.relation_names, Depths(job.dataset)
+    measured = bool({"distance", "size"} & set(job.options.kinds))
+    with text_file(job.folder / CONVERSATIONS_FILE) as file:
+        records = JsonList(file)
+        for rows in iterate_frames(job.labels, job.tell):
+            figures = figures_of(rows, job.options, depths, boxed_by_people(job.provenance, rows)) if measured else []
+            asked = frame_questions(rows, relations, job.options, figures)
+            for question in asked:
+                records.add(
+                    {
+                        **question.record(),
+                        "base": job.provenance.base,
+                        "made_by": job.provenance.made_by,
+                        "provenance": _provenance(job, question),
+                    }
+                )
+                counts[question.kind] += 1
+            if asked:
+                job.copy_picture(rows)
+        records.close()
+        file.write("\n")
+    counts["questions"] = records.length
+    files = (CONVERSATIONS_FILE, *(("images/",) if job.images is not None else ()))
+    note = (
+        f"{depths.missing} frames without depth, where gaps are not asked, and sizes and distances of given 3D boxes "
+        f"only: {depths.problem}"
+    )
+    return Written(files, counts, (note,) if depths.missing else ())
+
+
+def boxed_by_people(provenance: Provenance, rows: FrameRows) -> frozenset[int]:
+    """Numbers of the objects of a frame whose 3D box a person set."""
+    return frozenset(
+        row["object"]
+        for row in rows.objects
+        for entry in provenance.of("objects", rows.frame["frame"], str(row["object"]))
+        if entry["column"] == "size" and entry["source"] == "human"
+    )
+
+
+def _provenance(job: Job, question: Question) -> list[dict[str, object]]:
+    """Of the rows that a question and its answer were made from: their values that are not the labeller's."""
+    known, frame = job.provenance, question.frame
+    rows = [("objects", str(n)) for n in question.objects]
+    if len(question.objects) == 2 and question.kind in ("relation", "which", "grounding"):
+        rows.append(("relations", f"{question.objects[0]},{question.objects[1]}"))
+    if question.source is not None:
+        rows.append(("expressions", question.source))
+    return [{"table": table, "key": key, **entry} for table, key in rows for entry in known.of(table, frame, key)]
+
+
+FORMAT = ExportFormat(
+    write_vqa, None, "questions and answers as LLaVA conversations, for fine-tuning", lossless=False, options=VqaConfig
+)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.labels.statistics import Database, margin_counts, quantiles, quoted
-from pipeline.language.relation_names import DIRECTIONAL, RELATIONS
+from pipeline.language.relation_names import RELATIONS
 
 SAMPLED_FRAMES = 5_000
 """Displacements are counted over about so many frames; of fewer, over all."""
@@ -180,8 +180,3 @@ def _sizes(database: Database, classes: Sequence[str]) -> list[SizeRange]:
 def in_plan(relation: str) -> bool:
     """Whether a relation shows from above rather than from the viewer's place."""
     return RELATIONS[relation].seen_from == "plan"
-
-
-def has_cone(relation: str) -> bool:
-    """Whether the relation is a cone around an axis."""
-    return relation in DIRECTIONAL

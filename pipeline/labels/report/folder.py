@@ -13,16 +13,18 @@ from typing import Any
 
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
-from pipeline.labels.report.counts import (
+from pipeline.labels.report.distributions import Distributions, distributions
+from pipeline.labels.report.pictures import (
     CLASSES_SHOWN,
     draw_ambiguity,
     draw_classes,
     draw_distance,
     draw_heat_map,
+    draw_margins,
+    draw_sizes,
     draw_states,
+    draw_targets,
 )
-from pipeline.labels.report.distributions import Distributions, distributions
-from pipeline.labels.report.geometry import draw_margins, draw_sizes, draw_targets
 from pipeline.labels.report.style import (
     DPI,
     FULL,
@@ -35,8 +37,8 @@ from pipeline.labels.report.style import (
 )
 from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import open_database
-from pipeline.system.errors import InputError, MissingExtra, require
-from pipeline.system.staging import staged_folder, write_json
+from pipeline.system.errors import MissingExtra, require
+from pipeline.system.whole_files import staged_folder, write_json
 
 PAGE = "index.html"
 NUMBERS = "statistics.json"
@@ -112,14 +114,21 @@ def check_report_folder(out: Path) -> None:
         It is a file, or a folder with anything that is not of a report.
     """
     out = Path(out).expanduser()
-    if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise InputError("a report goes into a folder", got="a link" if out.is_symlink() else "a file", path=out)
+    require(
+        not out.is_symlink() and (not out.exists() or out.is_dir()),
+        "a report goes into a folder",
+        got="a link" if out.is_symlink() else "a file",
+        path=out,
+    )
     there = sorted(p.name for p in out.iterdir()) if out.exists() else []
-    foreign = [name for name in there if name not in FILES]
-    if foreign:
-        raise InputError(
-            "the folder for the report holds other files", got=foreign[0], expected="a new or empty folder", path=out
-        )
+    foreign = next((name for name in there if name not in FILES), None)
+    require(
+        foreign is None,
+        "the folder for the report holds other files",
+        got=foreign,
+        expected="a new or empty folder",
+        path=out,
+    )
     require(
         not (
             there

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.geometry.palette import hex_color
 from pipeline.language.relation_names import RELATIONS
-from pipeline.system.errors import MissingExtra
+from pipeline.system.errors import extra_module
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,10 +34,7 @@ OTHER_SCRIPTS = (
 
 def need_matplotlib() -> None:
     """Raise MissingExtra where the pictures cannot be drawn."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise MissingExtra("a report with pictures", "report") from error
+    extra_module("matplotlib", "a report with pictures", "report")
 
 
 @contextmanager
@@ -147,7 +144,8 @@ def bare(axes: Axes, *spines: str) -> None:
     axes.spines[list(spines or ("left",))].set_visible(False)
 
 
-def say_nothing_there(axes: Axes, text: str) -> None:
-    """An empty plot says why."""
+def without_data(figure: Figure, axes: Axes, text: str) -> Figure:
+    """The picture, whose empty plot says why it is empty."""
     axes.set_axis_off()
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=QUIET)
+    return figure

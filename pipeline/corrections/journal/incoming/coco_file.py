@@ -24,13 +24,13 @@ import cv2
 import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame, Row
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.masks import MaskCrop, decode_run_length, encode_run_length, fill_polygons
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.proposals.segmenter import share_inside
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
 
 LARGEST = 1 << 31
 """Bytes of a file that is read as a whole."""
@@ -51,14 +51,18 @@ def load_coco(path: Path) -> Any:
     InputError
         Missing, too large, or no JSON.
     """
-    try:
+    with as_input_error(
+        "not a readable JSON file",
+        OSError,
+        ValueError,
+        RecursionError,
+        MemoryError,
+        got=lambda e: str(e)[:100],
+        path=path,
+    ):
         size = path.stat().st_size
         require(size <= LARGEST, "the file is too large", got=f"{size} bytes", expected=LARGEST, path=path)
         return json.loads(path.read_text(encoding="utf-8"), parse_constant=no_number)
-    except InputError:
-        raise
-    except (OSError, ValueError, RecursionError, MemoryError) as error:
-        raise InputError("not a readable JSON file", got=str(error)[:100], path=path) from error
 
 
 def no_number(word: str) -> float:
@@ -68,9 +72,8 @@ def no_number(word: str) -> float:
 
 def listed(content: Any, key: str, name: str) -> list[Any]:
     """A list in a file; InputError where it is none."""
-    found = content.get(key) if isinstance(content, dict) else None
-    if not isinstance(found, list):
-        raise InputError(f"{name} lacks the list {key!r}", cause="is it COCO?")
+    found: Any = content.get(key) if isinstance(content, dict) else None
+    require(isinstance(found, list), f"{name} lacks the list {key!r}", cause="is it COCO?")
     return found
 
 
@@ -151,8 +154,10 @@ def images_of(images: list[Any], name: str, claims: Claims) -> dict[int, str]:
     taken: set[str] = set()
     for where, image in entries(images, f"{name} image"):
         with claims.reading(where):
-            sound = isinstance(image, dict) and type(image.get("id")) is int and image["id"] not in found
-            require(sound, "an image has a whole number of its own as id")
+            require(
+                isinstance(image, dict) and type(image.get("id")) is int and image["id"] not in found,
+                "an image has a whole number of its own as id",
+            )
             frame = _frame_of(image, claims)
             require(frame not in taken, f"the second image of frame {frame}")
             taken.add(frame)
@@ -165,8 +170,7 @@ def _frame_of(image: Row, claims: Claims) -> str:
     if frame is None and isinstance(file_name, str):
         named = _NAMED.fullmatch(file_name)
         frame = claims.states.index.name_of.get(int(named[1])) if named else None
-        shown = repr(file_name)[:60]
-        require(frame is not None, "no file name of an export", got=shown, expected="such as 000012.jpg")
+        require(frame is not None, "no file name of an export", got=Shown(file_name), expected="such as 000012.jpg")
     if not isinstance(frame, str) or frame not in claims.states.index.of_frame:
         raise InputError("the labels have no such frame", got=repr(frame)[:60])
     row = claims.states.frame(frame, claims.states.now).auto.row
@@ -179,8 +183,10 @@ def _categories(categories: list[Any], name: str, claims: Claims) -> dict[int, s
     found: dict[int, str] = {}
     for where, category in entries(categories, f"{name} category"):
         with claims.reading(where):
-            sound = isinstance(category, dict) and type(category.get("id")) is int and category["id"] not in found
-            require(sound, "a category has a whole number of its own as id")
+            require(
+                isinstance(category, dict) and type(category.get("id")) is int and category["id"] not in found,
+                "a category has a whole number of its own as id",
+            )
             require(isinstance(category.get("name"), str), "a category has a name")
             found[category["id"]] = category["name"]
     return found
@@ -192,16 +198,15 @@ def _stated(row: Row) -> Any:
     if row.get("object") is not None or not isinstance(attributes, dict):
         return row.get("object")
     value = attributes.get("object")
-    if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 10:
-        return int(value)
-    return value
+    return int(value) if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 10 else value
 
 
 def number_of(row: Row) -> int | None:
     """The object that an annotation is of; None for a new one; InputError where it is no number."""
     value = _stated(row)
-    if value is not None and (type(value) is not int or not 0 <= value < 2**31):
-        raise InputError("object must be a number", got=repr(value)[:40])
+    require(
+        value is None or (type(value) is int and 0 <= value < 2**31), "object must be a number", got=Shown(value, 40)
+    )
     return value
 
 
@@ -209,8 +214,11 @@ def rectangle_of(value: Any) -> list[float]:
     """x0, y0, x1, y1 of COCO's x, y, width, height; InputError where it is none."""
     sound = isinstance(value, list) and len(value) == 4 and all(type(x) in (int, float) for x in value)
     # Beyond 1e9 is no picture; NaN is not below it either.
-    if not sound or not all(abs(x) < 1e9 for x in value) or value[2] <= 0 or value[3] <= 0:
-        raise InputError("bbox is x, y, width, height above 0", got=repr(value)[:60])
+    require(
+        sound and all(abs(x) < 1e9 for x in value) and value[2] > 0 and value[3] > 0,
+        "bbox is x, y, width, height above 0",
+        got=Shown(value),
+    )
     x, y, w, h = map(float, value)
     return [x, y, x + w, y + h]
 
@@ -251,18 +259,17 @@ class _Reader:
         return matched
 
     def annotation(self, where: str, row: Row, number: int | None) -> None:
-        category = row.get("category_id")
-        if type(category) is not int or category not in self.categories:
-            raise InputError("no such category", got=repr(category)[:40])
+        category: Any = row.get("category_id")
+        require(type(category) is int and category in self.categories, "no such category", got=Shown(category, 40))
         label = self.categories[category]
         pixels = mask_of(row.get("segmentation"), self.base.size)
         box = _box3d(row["box3d"]) if "box3d" in row else None
         if number is None:
             self._new(where, row, label, pixels, box)
             return
-        was = self.base.object(number)
-        if was is None:
-            raise InputError(f"frame {self.base.frame} had no object {number}", cause="a new one has no number")
+        was = needed(
+            self.base.object(number), f"frame {self.base.frame} had no object {number}", cause="a new one has no number"
+        )
         self._say(where, number, "label", label)
         if "status" in row:
             self._say(where, number, "status", row["status"])
@@ -337,13 +344,12 @@ def _box3d(value: Any) -> Any:
     flat = [x for line in R for x in line] if isinstance(R, list) and all(isinstance(x, list) for x in R) else R
     found = {"center": value.get("center"), "R": flat, "size": value.get("size")}
     for name, numbers in found.items():
-        if not isinstance(numbers, list) or not all(type(x) in (int, float) and abs(x) < 1e9 for x in numbers):
-            raise InputError(f"{name} of box3d is a list of numbers", got=repr(numbers)[:40])
+        require(
+            isinstance(numbers, list) and all(type(x) in (int, float) and abs(x) < 1e9 for x in numbers),
+            f"{name} of box3d is a list of numbers",
+            got=Shown(numbers, 40),
+        )
     return found
-
-
-def expression_ref(frame: str, name: str, field: str) -> FieldRef:
-    return FieldRef("expression", frame, name, field)
 
 
 def mask_of(segmentation: Any, size: tuple[int, int]) -> np.ndarray | None:
@@ -367,13 +373,19 @@ def mask_of(segmentation: Any, size: tuple[int, int]) -> np.ndarray | None:
 
 def polygons_of(segmentation: Any) -> list[np.ndarray]:
     """(N, 2) float64 corners of each polygon, N >= 3; InputError where it is none."""
-    if not isinstance(segmentation, list):
-        raise InputError("a segmentation is a run-length code or a list of polygons", got=repr(segmentation)[:40])
+    require(
+        isinstance(segmentation, list),
+        "a segmentation is a run-length code or a list of polygons",
+        got=Shown(segmentation, 40),
+    )
     found = []
     for polygon in segmentation:
         numbers = isinstance(polygon, list) and all(type(x) in (int, float) and abs(x) < 1e9 for x in polygon)
-        if not numbers or len(polygon) < 6 or len(polygon) % 2 or not all(map(math.isfinite, polygon)):
-            raise InputError("a polygon is x, y of three corners or more", got=repr(polygon)[:40])
+        require(
+            numbers and len(polygon) >= 6 and len(polygon) % 2 == 0 and all(map(math.isfinite, polygon)),
+            "a polygon is x, y of three corners or more",
+            got=Shown(polygon, 40),
+        )
         found.append(np.array(polygon, np.float64).reshape(-1, 2))
     return found
 

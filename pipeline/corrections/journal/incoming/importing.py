@@ -155,8 +155,15 @@ def import_corrections(
     notes = [f"{text}: {n}" for text, n in claims.notes.items()]
     notes += [f"{n} values of {column!r} differ, which cannot be corrected" for column, n in claims.ignored.items()]
     told = (*conflicts, *map(str, done.rivals if isinstance(done, Conflict) else ()))
-    saved = done if isinstance(done, Saved) else None
-    return ImportReport(claims.compared, tuple(edits), saved, agreed, told, tuple(claims.problems), tuple(notes))
+    return ImportReport(
+        claims.compared,
+        tuple(edits),
+        done if isinstance(done, Saved) else None,
+        agreed,
+        told,
+        tuple(claims.problems),
+        tuple(notes),
+    )
 
 
 def _format(given: Path) -> Literal["coco", "jsonl"]:
@@ -346,9 +353,11 @@ def _edits(group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, re
             reason=reason,
         )  # fmt: skip
     pixels = {"mask": actions.set_mask, "bbox": actions.set_bbox}
-    if ref.field in pixels:
-        return pixels[ref.field](now, ref.numbers[0], value, reason)
-    return actions.set_value(now, ref, value, reason)
+    return (
+        pixels[ref.field](now, ref.numbers[0], value, reason)
+        if ref.field in pixels
+        else actions.set_value(now, ref, value, reason)
+    )
 
 
 def _answers(claimed: dict[str, Any], name: str, now: EffectiveFrame, reason: str) -> tuple[Edit, ...]:

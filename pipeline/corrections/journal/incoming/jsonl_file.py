@@ -23,7 +23,6 @@ from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relati
 from pipeline.corrections.journal.incoming.coco_file import (
     base_of,
     entries,
-    expression_ref,
     images_of,
     listed,
     no_number,
@@ -31,11 +30,11 @@ from pipeline.corrections.journal.incoming.coco_file import (
 )
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.masks import decode_run_length
-from pipeline.labels.exports.jsonl import BLOCK
+from pipeline.labels.exports.exporting import BLOCK
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
 
 StateOf = Callable[[Any], ExportedFrom]
 """The state that a row's `base` names; InputError where it is not to be used."""
@@ -87,40 +86,39 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
 
 
 def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
-    try:
-        with open(path, encoding="utf-8", newline="\n") as file:
-            number = 0
-            while line := file.readline(BLOCK):
-                number += 1
-                where = f"{path.name} line {number}"
-                require(
-                    len(line) != BLOCK, f"line {number} is too long", expected=f"at most {BLOCK} characters", path=path
-                )
-                try:
-                    row = json.loads(line, parse_constant=no_number) if line.strip() else None
-                except (ValueError, RecursionError) as error:
-                    claims.problem(where, f"not JSON: {str(error)[:80]}")
-                    continue
-                if isinstance(row, dict):
-                    yield where, row
-                elif line.strip():
-                    claims.problem(where, f"a row is an object of JSON, got {type(row).__name__}")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("the file cannot be read", got=str(error)[:100], path=path) from error
+    with (
+        as_input_error("the file cannot be read", OSError, UnicodeDecodeError, got=lambda e: str(e)[:100], path=path),
+        open(path, encoding="utf-8", newline="\n") as file,
+    ):
+        number = 0
+        while line := file.readline(BLOCK):
+            number += 1
+            where = f"{path.name} line {number}"
+            require(len(line) != BLOCK, f"line {number} is too long", expected=f"at most {BLOCK} characters", path=path)
+            try:
+                row = json.loads(line, parse_constant=no_number) if line.strip() else None
+            except (ValueError, RecursionError) as error:
+                claims.problem(where, f"not JSON: {str(error)[:80]}")
+                continue
+            if isinstance(row, dict):
+                yield where, row
+            elif line.strip():
+                claims.problem(where, f"a row is an object of JSON, got {type(row).__name__}")
 
 
 def _table(row: Row) -> str:
     if "a" in row and "b" in row:
         return "relations"
-    if "id" in row:
-        return "expressions"
-    return "objects" if "object" in row or "label" in row else "frames"
+    return "expressions" if "id" in row else "objects" if "object" in row or "label" in row else "frames"
 
 
 def _frame(row: Row, claims: Claims) -> str:
-    frame = row.get("frame")
-    if not isinstance(frame, str) or frame not in claims.states.index.of_frame:
-        raise InputError("the labels have no such frame", got=repr(frame)[:60])
+    frame: Any = row.get("frame")
+    require(
+        isinstance(frame, str) and frame in claims.states.index.of_frame,
+        "the labels have no such frame",
+        got=Shown(frame),
+    )
     known = claims.states.index.of_frame[frame]
     stated = row.get("frame_index", known)
     require(stated == known, "frame_index is of another frame", got=repr(stated)[:20], expected=known)
@@ -128,9 +126,8 @@ def _frame(row: Row, claims: Claims) -> str:
 
 
 def _number(row: Row, key: str) -> int:
-    value = row.get(key)
-    if type(value) is not int or not 0 <= value < 2**31:
-        raise InputError(f"{key} must be the number of an object", got=repr(value)[:40])
+    value: Any = row.get(key)
+    require(type(value) is int and 0 <= value < 2**31, f"{key} must be the number of an object", got=Shown(value, 40))
     return value
 
 
@@ -139,17 +136,14 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
     box = {key: row[key] for key in BOX_COLUMNS if key in row}
     require(len(box) in (0, len(BOX_COLUMNS)), "a 3D box is center, R and size", got=", ".join(box))
     if None in box.values():
-        whole = all(v is None for v in box.values())
-        require(whole, "a 3D box is center, R and size", cause="some of them are null")
+        require(all(v is None for v in box.values()), "a 3D box is center, R and size", cause="some of them are null")
         box = None
     if row.get("object") is None:
         seed = {key: row[key] for key in ("label", "mask", "bbox") if row.get(key) is not None}
         claims.say_new(where, frame, seed | ({"box": box} if box else {}), state)
         return
     number = _number(row, "object")
-    was = base.object(number)
-    if was is None:
-        raise InputError(f"frame {frame} had no object {number}", cause="a new one has no number")
+    was = needed(base.object(number), f"frame {frame} had no object {number}", cause="a new one has no number")
     seen.add(number)
     claims.say_fields(where, row, object_ref(frame, number, "label"), ("label", "status"), state)
     if "mask" in row and not same_mask(row["mask"], was["mask"], base.size):
@@ -173,8 +167,10 @@ def check_pair(base: EffectiveFrame, a: int, b: int) -> None:
     """Refuse a pair that the export cannot have had."""
     require(a != b, "an object has no relation to itself", got=a)
     for number in (a, b):
-        known = base.pairs.index_of(number) is not None
-        require(known, f"frame {base.frame} had no object {number} that takes part in relations")
+        require(
+            base.pairs.index_of(number) is not None,
+            f"frame {base.frame} had no object {number} that takes part in relations",
+        )
 
 
 def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
@@ -199,19 +195,30 @@ def _state(where: str, base: EffectiveFrame, ref: FieldRef, value: Any, state: E
     claims.say(where, ref, value, state)
 
 
+def _entries(listed: Any) -> list[Any]:
+    return listed if isinstance(listed, list) else [None]
+
+
 def _statuses(listed: Any, relations: tuple[str, ...]) -> dict[str, Any]:
     found = {}
-    for entry in listed if isinstance(listed, list) else [None]:
-        if not isinstance(entry, dict) or entry.get("relation") not in relations:
-            raise InputError('statuses is a list of {"relation": ..., "status": ...}', got=repr(listed)[:60])
+    for entry in _entries(listed):
+        require(
+            isinstance(entry, dict) and entry.get("relation") in relations,
+            'statuses is a list of {"relation": ..., "status": ...}',
+            got=Shown(listed),
+        )
         found[entry["relation"]] = entry.get("status")
     return found
 
 
 def _expression(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
-    name, base = row.get("id"), claims.states.frame(frame, state)
-    if not isinstance(name, str) or name not in base.auto.expressions:
-        raise InputError(f"frame {frame} has no such expression", got=repr(name)[:60])
+    name: Any = row.get("id")
+    base = claims.states.frame(frame, state)
+    require(
+        isinstance(name, str) and name in base.auto.expressions,
+        f"frame {frame} has no such expression",
+        got=Shown(name),
+    )
     claims.say_fields(where, row, FieldRef("expression", frame, name, "text"), _TEXTS, state)
     _ignore(row, base.expressions.get(name, base.auto.expressions[name]), set(_TEXTS), claims)
 
@@ -248,37 +255,52 @@ def read_refs(
     seen: set[tuple[str, str]] = set()
     for where, ref in entries(refs, f"{name} ref", "ref_id"):
         with claims.reading(where):
-            sound = isinstance(ref, dict) and type(ref.get("image_id")) is int and ref["image_id"] in frames
-            require(sound, "it is of no image that instances.json lists")
-            frame, own = frames[ref["image_id"]], ref.get("id")
-            if not isinstance(own, str) or own not in claims.states.frame(frame, state).auto.expressions:
-                raise InputError(f"frame {frame} has no such expression", got=repr(own)[:60])
+            require(
+                isinstance(ref, dict) and type(ref.get("image_id")) is int and ref["image_id"] in frames,
+                "it is of no image that instances.json lists",
+            )
+            frame = frames[ref["image_id"]]
+            own: Any = ref.get("id")
+            require(
+                isinstance(own, str) and own in claims.states.frame(frame, state).auto.expressions,
+                f"frame {frame} has no such expression",
+                got=Shown(own),
+            )
             require((frame, own) not in seen, "the second one of its expression")
             seen.add((frame, own))
             claims.compared += 1
             if "sentences" in ref:
-                claims.say(where, expression_ref(frame, own, "text"), _raw(ref["sentences"]), state)
+                claims.say(where, FieldRef("expression", frame, own, "text"), _raw(ref["sentences"]), state)
             for key, field in (("target_ann_ids", "targets"), ("acceptable_ann_ids", "acceptable")):
                 if key in ref:
                     claims.say(
-                        where, expression_ref(frame, own, field), _objects(ref[key], frame, annotations, key), state
+                        where,
+                        FieldRef("expression", frame, own, field),
+                        _objects(ref[key], frame, annotations, key),
+                        state,
                     )
-            claims.say_fields(where, ref, expression_ref(frame, own, "mark"), ("ambiguous", "mark", "status"), state)
+            claims.say_fields(
+                where, ref, FieldRef("expression", frame, own, "mark"), ("ambiguous", "mark", "status"), state
+            )
 
 
 def _raw(sentences: Any) -> Any:
-    first = sentences[0] if isinstance(sentences, list) and sentences else None
-    if not isinstance(first, dict):
-        raise InputError("sentences is a list of sentences", got=repr(sentences)[:40])
+    first: Any = sentences[0] if isinstance(sentences, list) and sentences else None
+    require(isinstance(first, dict), "sentences is a list of sentences", got=Shown(sentences, 40))
     return first.get("raw")
 
 
 def _objects(ids: Any, frame: str, annotations: Annotations, what: str) -> list[int]:
-    if not isinstance(ids, list) or not all(type(n) is int for n in ids):
-        raise InputError(f"{what} is a list of annotations", got=repr(ids)[:40])
+    require(
+        isinstance(ids, list) and all(type(n) is int for n in ids),
+        f"{what} is a list of annotations",
+        got=Shown(ids, 40),
+    )
     for n in ids:
-        known = annotations.get(n, ("", 0))[0] == frame
-        require(known, f"{what} names annotation {n}, which instances.json does not give an object of this image")
+        require(
+            annotations.get(n, ("", 0))[0] == frame,
+            f"{what} names annotation {n}, which instances.json does not give an object of this image",
+        )
     return [annotations[n][1] for n in ids]
 
 
@@ -290,8 +312,10 @@ def read_relations(
     for where, image in entries(listed(content, "images", name), f"{name} image", "image_id"):
         with claims.reading(where):
             require(isinstance(image, dict) and type(image.get("image_id")) is int, "it has no image_id")
-            new = image["image_id"] in frames and image["image_id"] not in seen
-            require(new, "it is of no image that instances.json lists, or of one a second time")
+            require(
+                image["image_id"] in frames and image["image_id"] not in seen,
+                "it is of no image that instances.json lists, or of one a second time",
+            )
             seen.add(image["image_id"])
             _columns(image, where, frames[image["image_id"]], annotations, state, claims)
 
@@ -322,9 +346,12 @@ def _pair_statuses(
 ) -> None:
     base = claims.states.frame(frame, state)
     found: dict[Any, Any] = {}
-    for entry in statuses if isinstance(statuses, list) else [None]:
-        if not isinstance(entry, dict) or entry.get("relation") not in base.setting.relations:
-            raise InputError("statuses is a list of {a, b, relation, status}", got=repr(entry)[:60])
+    for entry in _entries(statuses):
+        require(
+            isinstance(entry, dict) and entry.get("relation") in base.setting.relations,
+            "statuses is a list of {a, b, relation, status}",
+            got=Shown(entry),
+        )
         m, n = _objects([entry.get("a"), entry.get("b")], frame, annotations, "statuses")
         found[relation_ref(frame, m, n, f"{entry['relation']}.status")] = entry.get("status")
     # One that was exported and is not listed any more was taken off.

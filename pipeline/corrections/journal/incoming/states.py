@@ -96,8 +96,9 @@ class States:
         return next((e for e in reversed(self._events.get(frame, ())) if e.ref == ref), None)
 
     def _at(self, frame: str, last: int, relifted: bool) -> EffectiveFrame:
-        ids = [e.id for e in self._events.get(frame, [])]
-        return self._frame_after(frame, bisect_right(ids, last), relifted and self._pixels)
+        return self._frame_after(
+            frame, bisect_right([e.id for e in self._events.get(frame, [])], last), relifted and self._pixels
+        )
 
     def _computed(self, frame: str, count: int, full: bool) -> EffectiveFrame:
         corrector = self._corrector(full)
