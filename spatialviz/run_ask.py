@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.asked_names import unused_words
+from pipeline.answering.asked_names import taken_as, unused_words
 from pipeline.answering.json_records import frame_record, probability, relation_records, told, why_no_answer
 from pipeline.answering.opening import FrameRelations, open_pipeline, relate_frames
 from pipeline.answering.pair_table import ScoredPair
@@ -154,6 +154,8 @@ def print_ranking(trace: Trace) -> None:
     for failing in answer.fails:
         say(f"does not hold: {failing}", style="yellow")
     say(answer.below, style="dim")
+    for text, meant in taken_as(trace.query, {label: c.labels for label, c in trace.candidates.items()}):
+        say(f"'{text}' taken as {meant.name} ({meant.how})", style="dim")
     for words, why in unused_words(trace.query):
         say(f"not used: '{words}': {why}", style="yellow")
     if len(trace.query.readings) > 1 or trace.query.default.root.triple is None:

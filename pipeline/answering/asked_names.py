@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from pipeline.geometry.frame import Frame
-from pipeline.language.naming import Synonyms, is_named, match
-from pipeline.language.tree import Node, Query, Reading, described
+from pipeline.language.naming import Meaning, Synonyms, is_named, match, meanings
+from pipeline.language.tree import Attachment, Node, Query, Reading, described
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.system.errors import UnknownClass
 
@@ -58,7 +58,8 @@ def detections(
     root = told.default.root
     if not (root.attachments or root.choices or root.attributes) and len(found[query.target]) > 1:
         raise next(iter(unknown.values()))
-    return {label: found[label] for label in told.labels}, told
+    asked = {n.label for reading in told.readings for n in reading.root.walk()}
+    return {label: run for label, run in found.items() if label in asked}, told
 
 
 def whole_names(query: Query, detector: Detector, synonyms: Synonyms | None = None) -> Query:
@@ -96,14 +97,36 @@ def without(query: Query, reasons: dict[str, str]) -> Query:
 
 
 def _pruned(node: Node, gone: Collection[str]) -> Node:
-    attachments = tuple(
-        replace(a, nodes=tuple(_pruned(n, gone) for n in a.nodes))
-        for a in node.attachments
-        if not any(n.label in gone and not n.viewer for n in a.nodes)
-    )
-    return replace(node, attachments=attachments, excluded=tuple(n for n in node.excluded if n.label not in gone))
+    """A node without what is not known; what is said of that is said of the node: `on the wall above the bed`."""
+    kept: list[Attachment] = []
+    for attachment in node.attachments:
+        nodes = tuple(_pruned(n, gone) for n in attachment.nodes)
+        if any(n.label in gone and not n.viewer for n in nodes):
+            kept += [a for n in nodes if n.label in gone and not attachment.negated for a in n.attachments]
+        else:
+            kept.append(replace(attachment, nodes=nodes))
+    return replace(node, attachments=tuple(kept), excluded=tuple(n for n in node.excluded if n.label not in gone))
 
 
 def unused_words(query: Query) -> tuple[tuple[str, str], ...]:
     """The words of a question that were not used, each with the reason."""
-    return tuple((query.text[s.start : s.end], s.note) for s in query.unused)
+    told = [(query.text[s.start : s.end], s.note) for s in query.unused]
+    attributes = dict.fromkeys(a for n in query.nodes for a in n.attributes if not a.judged)
+    return (*told, *((str(a), "is not judged here, and left to the detector") for a in attributes))
+
+
+def taken_as(query: Query, found: Mapping[str, Sequence[str]]) -> tuple[tuple[str, Meaning], ...]:
+    """The names of a question that stand for things which the detector calls something else.
+
+    Parameters
+    ----------
+    query : Query
+    found : mapping of str to sequence of str
+        What the detector calls what it found, by label of the question.
+    """
+    told = []
+    for node in query.nodes:
+        if not node.anything:
+            names = tuple(dict.fromkeys(found.get(node.label, ())))
+            told += [(node.name, m) for m in meanings(node.name, names) if m.how != "exact"]
+    return tuple(dict.fromkeys(told))

@@ -21,6 +21,10 @@ from pipeline.language.tree import Choice
 from pipeline.relations.attributes import SIZES, attribute_probabilities, size_keys
 
 Kind = Literal["attribute", "choice", "negation", "viewer"]
+HOLDS = 0.5
+"""A thing stands in a relation, or is chosen, where the probability is at least this."""
+ATTRIBUTE_HOLDS = 0.2
+"""A thing has an attribute from here on: of eleven colours the right one often has no more than .3."""
 SOFT_EDGE = 0.08
 """How wide the middle of the picture is, as a share of its side, in which neither half is sure."""
 SIDE_AT_MOST = 0.9
@@ -52,6 +56,11 @@ class Factor:
     mention: int
     object: int
     probability: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the object is what was said, as far as can be seen."""
+        return self.probability >= (ATTRIBUTE_HOLDS if self.kind == "attribute" else HOLDS)
 
 
 class SceneEvidence:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.asked_names import unused_words
+from pipeline.answering.asked_names import taken_as, unused_words
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import FrameRelations
 from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
@@ -17,6 +17,7 @@ from pipeline.answering.ranking import Ranking
 from pipeline.datasets.survey import FrameReport
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.lexicon import wording
+from pipeline.language.naming import Meaning
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Node, Query
 from pipeline.relations.relations import letter
@@ -149,8 +150,9 @@ def trace_record(trace: Trace) -> Record:
     """
     ranking, calibration = trace.ranking, trace.score_calibration
     pairs = () if ranking is None else ranking.pairs
+    names = taken_as(trace.query, {label: c.labels for label, c in trace.candidates.items()})
     record: Record = {
-        "expression": expression_record(trace.query),
+        "expression": expression_record(trace.query) | present(names=[_name_record(*name) for name in names] or None),
         "frame": trace.frame.id,
         "answer": _best_record(trace),
         "pairs": [pair_record(p) for p in pairs],
@@ -173,6 +175,11 @@ def trace_record(trace: Trace) -> Record:
         reason=why_no_answer(trace),
         ranking=ranked,
     )
+
+
+def _name_record(text: str, meant: Meaning) -> Record:
+    """A name of the question that stands for what the detector calls something else."""
+    return {"said": text, "taken_as": meant.name, "how": meant.how, "score": meant.score}
 
 
 def _best_record(trace: Trace) -> Record | None:
@@ -350,7 +357,7 @@ def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = Non
     pair = pair or ranking.pairs[0]
     several = len(pair.links) > 1
     fails = [f"{link_words(link, name)} {probability(link.probability)}" for link in failing_links(pair) if several]
-    fails += [f"{name(f.object)} {f.text} {probability(f.probability)}" for f in pair.factors if f.probability < HOLDS]
+    fails += [f"{name(f.object)} {f.text} {probability(f.probability)}" for f in pair.factors if not f.holds]
     factors = {what: probability(p) for what, p in headline(pair)}
     return ToldAnswer(
         holds=pair.holds,

@@ -14,14 +14,12 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.answering.evidence import Factor
+from pipeline.answering.evidence import HOLDS, Factor
 
 MIN_RELATION = 1e-6
 MIN_SCORE = 1e-6
 TIE = 1e-9
 """Scores, and sums of posteriors, that differ by less are a tie."""
-HOLDS = 0.5
-"""A pair stands in a relation where its probability is at least this."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ class ScoredPair:
     @property
     def holds(self) -> bool:
         """All that the expression says is so, as far as the scorers say: every relation, attribute and choice."""
-        return self.relation_probability >= HOLDS and all(f.probability >= HOLDS for f in self.factors)
+        return self.relation_probability >= HOLDS and all(f.holds for f in self.factors)
 
     @property
     def p_attributes(self) -> float:

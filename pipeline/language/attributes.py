@@ -33,6 +33,17 @@ class Attribute:
     value: str
     shade: Shade | None = None
 
+    def __str__(self) -> str:
+        return self.value if self.shade is None else f"{self.shade} {self.value}"
+
+    @property
+    def judged(self) -> bool:
+        """Whether `pipeline.relations.attributes` can say how well it fits."""
+        return self.kind in ("color", "size") or self.value in JUDGED_SHAPES
+
+
+JUDGED_SHAPES = frozenset({"flat", "round", "square", "rectangular"})
+
 
 def _words(lines: str) -> dict[str, str]:
     """Word to plain form, from lines of "plain: word word"."""

@@ -36,7 +36,10 @@ GENERIC = frozenset({"thing", "object", "item", "one", "stuff", "piece", "someth
 LEAST_SIMILAR = 0.5
 """Names whose text vectors are less similar to the query's (cosine) are not taken for it."""
 
-RELATING = frozenset({"left", "right", "behind", "above", "below", "under", "near", "between", "front", "that", "is"})
+RELATING = frozenset(
+    {"left", "right", "behind", "above", "below", "under", "over", "on", "in", "inside", "near", "next", "to", "from",
+     "between", "front", "that", "is", "than"}
+)  # fmt: skip
 LONGEST_NAME = 6
 """Words; a longer query, or one with a word that relates two things, means only what it names in full."""
 _SURE, _MENDED = 0.7, 0.85

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.asked_names import unused_words
+from pipeline.answering.asked_names import taken_as, unused_words
 from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.pair_table import HOLDS
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
@@ -95,6 +95,8 @@ def parse_html(state: State, suggestions: Sequence[str]) -> str:
                 )
         expression = state.trace.query.expression
         notes = [expression.note] if expression is not None and expression.note else []
+        labels = {label: c.labels for label, c in state.trace.candidates.items()}
+        notes += [f"“{text}” taken as {meant.name}" for text, meant in taken_as(state.trace.query, labels)]
         notes += [f"not used: “{words}”: {why}" for words, why in unused_words(state.trace.query)]
         parts += [f'<div class="dim" style="padding-top:3px">{safe(note)}</div>' for note in notes]
     if state.loaded is not None and state.labels is None and state.loaded.context.viewer.up_source == "assumed":

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pipeline.language.vectors.contract import LanguageContract
 from pipeline.language.vectors.phrases import Phrase, PhraseTable, TextVectors, VectorSource
+from pipeline.language.vectors.tables import read_json, read_npz
 from pipeline.system.errors import InputError, require
 
 __all__ = ["LanguageContract", "Phrase", "PhraseTable", "TextVectors", "VectorSource", "open_vectors"]
@@ -62,8 +63,6 @@ def _source(path: Path, name: str, kind: str | None, cache: Path | None) -> Vect
 
         return FastTextBinary.open(path, cache)
     if name.endswith((".npz", ".json")):
-        from pipeline.language.vectors.tables import read_json, read_npz
-
         return (read_npz if name.endswith(".npz") else read_json)(path, kind)
     causes = {".ftz": "a quantised model; take the .bin or .vec it was made from", ".gz": "unpack it first"}
     raise InputError(
