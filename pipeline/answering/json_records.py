@@ -187,17 +187,17 @@ def _best_record(trace: Trace) -> Record | None:
     if best is None:
         return None
     second = best.second_reference
-    nodes: tuple[Node, ...] = () if trace.asked is None else trace.asked.nodes
+    names = [] if trace.asked is None else [n.label for n in trace.asked.nodes]
     return {
         "target": _role_record(trace, trace.root.label, best.target),
-        "reference": None if best.reference is None else _role_record(trace, nodes[0].label, best.reference),
+        "reference": None if best.reference is None else _role_record(trace, names[0], best.reference),
         "holds": best.holds,
         "relation_probability": _probability(best.relation_probability),
         "probability": _probability(best.probability),
         "p_relation": _probability(best.p_relation),
         "product": _probability(best.product),
     } | present(
-        second_reference=None if second is None else _role_record(trace, nodes[1].label, second),
+        second_reference=None if second is None else _role_record(trace, names[1], second),
         fails=None if best.holds else [_link_record(link) for link in failing_links(best)],
     )
 

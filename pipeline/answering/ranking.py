@@ -232,6 +232,9 @@ class _Scene:
                 branch = self._branch(attachment, index)
                 found.append(("negation", f"not {attachment.phrase}", 1 - branch.belief))
         for other in node.excluded:
+            if not all(a.judged for a in other.attributes):
+                # `not the striped one` would exclude them all.
+                continue
             solved = self.solve(other, self.config.reference_weight)
             alike = self.same[np.ix_(index, solved.side.index)] * solved.belief
             found.append(("negation", f"not {other.label}", 1 - alike.max(axis=1, initial=0.0)))

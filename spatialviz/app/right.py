@@ -76,7 +76,8 @@ def _alone(state: State) -> str:
 def _sentence(state: State, pair: ScoredPair) -> str:
     assert state.trace is not None
     colors = palette(state.dark)
-    target, *references = state.at(pair)
+    target, *ends = state.at(pair)
+    references = () if pair.reference is None else ends
     ends = ' <span class="dim">and</span> '.join(_name(colors["reference"], state.shown.names[i]) for i in references)
     relation = f' <span class="dim">{safe(state.trace.phrase)}</span> {ends}' if references else ""
     return (
@@ -119,7 +120,7 @@ def answer_in_words(state: State) -> str:
     total = sum(trace.timings.values()) * 1000
     if reason is not None or state.pair is None:
         return f"“{state.text}”: {reason} ({total:.0f} ms)"
-    names = ", ".join(state.shown.names[i] for i in state.pair)
+    names = ", ".join(state.shown.names[i] for i in dict.fromkeys(state.pair))
     answer = told(trace, lambda place: state.shown.names[state.shown.place[place]])
     return f"“{state.text}”: {answer.sentence(names)} ({total:.0f} ms)"
 
@@ -133,7 +134,8 @@ def pairs_html(state: State) -> str:
     attributes = any(p.factors for p in state.ranked)
     fit = '<th class="n" title="P(attributes and choices)">fit</th>' if attributes else ""
     for i, pair in enumerate(state.ranked[:SHOWN_PAIRS]):
-        target, *references = state.at(pair)
+        target, *others = state.at(pair)
+        references = () if pair.reference is None else others
         factors = [pair.p_target, pair.p_reference, pair.p_relation, *([pair.p_attributes] if attributes else [])]
         weakest = min(factors)
         was = None if state.edited is None else state.edited.pair_before(pair)
@@ -143,16 +145,19 @@ def pairs_html(state: State) -> str:
             told = [was.p_attributes] if attributes else []
             old = [was.p_target, was.p_reference, was.p_relation, *told, was.probability]
         marks = [changed(f, o) for f, o in zip((*factors, pair.probability), old, strict=False)]
+        texts = [f"{f:.2f}" for f in factors]
+        if pair.reference is None:
+            texts[1] = texts[2] = "–"
         cells = "".join(
-            f'<td class="n{" low" if f == weakest and f < 0.5 else ""}{mark}"{hint}>{f:.2f}</td>'
-            for f, (mark, hint) in zip(factors, marks, strict=False)
+            f'<td class="n{" low" if f == weakest and f < 0.5 else ""}{mark}"{hint}>{text}</td>'
+            for f, text, (mark, hint) in zip(factors, texts, marks, strict=False)
         )
         moved = "" if rank in (None, i + 1) else f' chg" title="was rank {rank}'
         rows.append(
             f'<tr class="r{" sel" if state.at(pair) == state.pair else ""}" onclick="sv(\'pair:{i}\')">'
             f'<td class="n dim{moved}">{i + 1}</td>'
             f"{_cell(colors['target'], state.shown.names[target])}"
-            f"{_cell(colors['reference'], ', '.join(state.shown.names[i] for i in references))}"
+            f"{_cell(colors['reference'], ', '.join(state.shown.names[i] for i in references)) if references else '<td></td>'}"
             f'{cells}<td class="n{marks[-1][0]}"{marks[-1][1]}><b>{pair.probability:.2f}</b></td></tr>'
         )
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"

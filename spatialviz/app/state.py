@@ -187,14 +187,17 @@ class State:
 
     @property
     def ranked(self) -> tuple[ScoredPair, ...]:
-        """The ranked pairs that have a reference."""
+        """The ranked pairs; without a relation, things alone."""
         if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
             return ()
         return self.trace.ranking.pairs
 
     def at(self, pair: ScoredPair) -> tuple[int, ...]:
-        """A ranked pair as places in `shown.objects`: target, reference and, with "between", the other end."""
-        ends = (pair.target, pair.reference, pair.second_reference)
+        """A ranked pair as places in `shown.objects`: target, reference and, with "between", the other end.
+
+        A thing alone stands twice.
+        """
+        ends = (pair.target, pair.target if pair.reference is None else pair.reference, pair.second_reference)
         return tuple(self.shown.place[i] for i in ends if i is not None)
 
     @property
@@ -223,7 +226,7 @@ class State:
             return []
         chosen = (self.pair[0], self.pair[1])
         others = dict.fromkeys((self.at(p)[0], self.at(p)[1]) for p in self.ranked[:6])
-        return [chosen, *(pair for pair in others if pair != chosen)]
+        return [ends for ends in (chosen, *(o for o in others if o != chosen)) if ends[0] != ends[1]]
 
     @property
     def ghosts(self) -> list[Ghost]:
