@@ -135,7 +135,7 @@ def pairs_html(state: State) -> str:
     fit = '<th class="n" title="P(attributes and choices)">fit</th>' if attributes else ""
     for i, pair in enumerate(state.ranked[:SHOWN_PAIRS]):
         target, *others = state.at(pair)
-        references = () if pair.reference is None else others
+        names = "" if pair.reference is None else ", ".join(state.shown.names[i] for i in others)
         factors = [pair.p_target, pair.p_reference, pair.p_relation, *([pair.p_attributes] if attributes else [])]
         weakest = min(factors)
         was = None if state.edited is None else state.edited.pair_before(pair)
@@ -157,7 +157,7 @@ def pairs_html(state: State) -> str:
             f'<tr class="r{" sel" if state.at(pair) == state.pair else ""}" onclick="sv(\'pair:{i}\')">'
             f'<td class="n dim{moved}">{i + 1}</td>'
             f"{_cell(colors['target'], state.shown.names[target])}"
-            f"{_cell(colors['reference'], ', '.join(state.shown.names[i] for i in references)) if references else '<td></td>'}"
+            f"{_cell(colors['reference'], names) if names else '<td></td>'}"
             f'{cells}<td class="n{marks[-1][0]}"{marks[-1][1]}><b>{pair.probability:.2f}</b></td></tr>'
         )
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"
