@@ -106,12 +106,11 @@ def _sizes(value: str, keys: dict[str, np.ndarray], alike: np.ndarray) -> np.nda
     key, sign = SIZES[value]
     # A volume goes with the cube of a length, so the same step of its edges is a step three times as large.
     step = _JUST_NOTICED * (3 if key == "volume" else 1)
-    with np.errstate(divide="ignore"):
-        level = sign * np.log(keys[key]) / step
+    level = sign * np.log(np.maximum(keys[key], 1e-9)) / step
     others = np.array(alike, np.bool_) & ~np.eye(len(level), dtype=np.bool_)
     known = np.isfinite(level)
     others &= known[:, None] & known[None]
-    wins = np.where(others, _logistic(np.where(others, level[:, None] - level[None], 0)), 0)
+    wins = np.where(others, _logistic(np.clip(np.where(others, level[:, None] - level[None], 0), -50, 50)), 0)
     count = others.sum(axis=1)
     return np.where(count > 0, wins.sum(axis=1) / np.maximum(count, 1), 0.5)
 
