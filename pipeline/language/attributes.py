@@ -104,7 +104,7 @@ _SIZES = _words(
 _SHAPES = _words(
     """
     flat:
-    round: rounded circular roundish spherical oval elliptical ball-shaped
+    round: rounded circular roundish spherical oval elliptical
     square: squarish cubic cubical boxy
     rectangular: oblong rectangle
     triangular: triangle
@@ -192,7 +192,7 @@ def attribute(words: str) -> Attribute | None:
     "red", "dark blue", "light-grey", "reddish brown", "cream-coloured", "very big", "round", "wooden".
     Whether a word stands as an adjective at all ("an orange", "glass") is for the reader of the sentence to say.
     """
-    tokens = [_SUFFIX.sub("", token) for token in re.split(r"[\s\-_]+", words.strip().lower())]
+    tokens = [t if t in _TABLE else _SUFFIX.sub("", t) for t in re.split(r"[\s\-_]+", words.strip().lower())]
     tokens = [token for token in tokens if token]
     while len(tokens) > 1 and tokens[0] in _INTENSIFIERS:
         tokens = tokens[1:]

@@ -97,7 +97,7 @@ def attribute_probabilities(
     if attribute.kind == "size":
         return _sizes(attribute.value, size_keys(boxes, viewer), alike)
     if attribute.kind == "shape":
-        return _shapes(attribute.value, masks, boxes)
+        return _shapes(attribute.value, masks, boxes, viewer or viewer_axes(IMAGE_UP))
     return None
 
 
@@ -106,30 +106,38 @@ def _sizes(value: str, keys: dict[str, np.ndarray], alike: np.ndarray) -> np.nda
     key, sign = SIZES[value]
     # A volume goes with the cube of a length, so the same step of its edges is a step three times as large.
     step = _JUST_NOTICED * (3 if key == "volume" else 1)
-    with np.errstate(divide="ignore"):
-        level = sign * np.log(keys[key]) / step
+    level = sign * np.log(np.maximum(keys[key], 1e-9)) / step
     others = np.array(alike, np.bool_) & ~np.eye(len(level), dtype=np.bool_)
     known = np.isfinite(level)
     others &= known[:, None] & known[None]
-    wins = np.where(others, _logistic(np.where(others, level[:, None] - level[None], 0)), 0)
+    wins = np.where(others, _logistic(np.clip(np.where(others, level[:, None] - level[None], 0), -50, 50)), 0)
     count = others.sum(axis=1)
     return np.where(count > 0, wins.sum(axis=1) / np.maximum(count, 1), 0.5)
 
 
-def _shapes(value: str, masks: Sequence[np.ndarray], boxes: Sequence[Box3D | None]) -> np.ndarray | None:
+def _shapes(
+    value: str, masks: Sequence[np.ndarray], boxes: Sequence[Box3D | None], viewer: ViewerAxes
+) -> np.ndarray | None:
     """Shapes that do not depend on the other objects: flat, round, square, rectangular."""
-    edges = np.array([np.full(3, np.nan) if box is None else np.sort(box.size)[::-1] for box in boxes]).reshape(-1, 3)
-    edges = np.where(edges > 0, edges, 1e-3)
-    edges[[box is None for box in boxes]] = np.nan
-    log = np.log(edges)
+    edges, plan = np.full((len(boxes), 3), np.nan), np.full((len(boxes), 2), np.nan)
+    for n, box in enumerate(boxes):
+        if box is not None:
+            size = np.maximum(box.size, 1e-3)
+            edges[n] = np.log(np.sort(size))
+            plan[n] = np.log(np.sort(np.delete(size, np.abs(viewer.up @ box.R).argmax())))
     if value == "flat":
         # Even odds where the thickness is a quarter of the other two edges.
-        found = _logistic((np.log(0.25) - (log[:, 2] - log[:, :2].mean(axis=1))) / 0.3)
+        found = _logistic((np.log(0.25) - (edges[:, 0] - edges[:, 1:].mean(axis=1))) / 0.3)
     elif value in ("round", "square", "rectangular"):
         disc = np.array([_roundness(mask) for mask in masks])
-        alike = _logistic((log[:, 1] - log[:, 0] - np.log(0.8)) / 0.08)
-        angular = {"square": alike, "rectangular": 1 - alike}
-        found = disc if value == "round" else angular[value] * (1 - 0.8 * np.nan_to_num(disc, nan=0.5))
+        equal = _logistic((edges[:, 1] - edges[:, 2] - np.log(0.8)) / 0.08)
+        # As wide as deep: it may be round from above, as a stool or a mug is.
+        upright = 0.5 * _logistic((plan[:, 0] - plan[:, 1] - np.log(0.8)) / 0.08)
+        found = {
+            "round": np.fmax(disc, upright),
+            "square": equal * (1 - 0.8 * np.nan_to_num(disc, nan=0.5)),
+            "rectangular": (1 - equal) * (1 - 0.8 * np.nan_to_num(disc, nan=0.5)),
+        }[value]
     else:
         return None
     return np.where(np.isnan(found), 0.5, found)

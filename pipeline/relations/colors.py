@@ -51,8 +51,8 @@ the survey."""
 MOST_PIXELS = 400
 """Of an object; spread evenly over its mask."""
 PERCENTILE = 98.0
-EXPOSURE = 0.7
-TINT = 0.65
+EXPOSURE = 0.8
+TINT = 0.8
 """Of the frame's light, in each channel the value that all but 2 % of its pixels stay below: how much of its strength
 and of its colour is taken out. Not all, as a frame need not show anything white."""
 LIT = 75.0
@@ -64,6 +64,9 @@ CHROMA = 2.0
 """A vivid pixel counts three times as much as a gray one: a box with gray print on yellow is called yellow."""
 TEMPER = 1.5
 """Names reach further in a scene, where few things compete, than for single patches on a screen."""
+WHITE = 0.5
+"""Added to the log weight of white: on a screen only the very brightest is called so, in a room what is about as bright
+as the brightest surfaces."""
 GRADE = 0.5
 """Likewise for things: one that has a quarter as much of a colour as of its main one is called so half as readily."""
 LEAST = 0.02
@@ -105,6 +108,7 @@ def color_shares(lab: np.ndarray) -> np.ndarray:
     L, a, b = (lab / np.array((100, 60, 60), np.float32)).T
     forms = np.stack([np.ones_like(L), L, a, b, L * L, a * a, b * b, L * a, L * b, a * b], axis=1)
     logits = forms @ _WEIGHTS
+    logits[:, _NAMES.index("white")] += WHITE
     basic = logits[:, : len(BASIC_COLORS)] / TEMPER
     basic = np.exp(basic - basic.max(axis=1, keepdims=True))
     further = 1 / (1 + np.exp(-logits[:, len(BASIC_COLORS) :])) / _PEAKS
