@@ -66,7 +66,7 @@ def whole_names(query: Query, detector: Detector, synonyms: Synonyms | None = No
     """The question, in which a phrase that a detector of limited vocabulary knows whole has no attributes."""
 
     def whole(node: Node) -> bool:
-        return bool(node.attributes) and name_for(node, detector, synonyms) == node.label
+        return bool(node.attributes and node.head) and name_for(node, detector, synonyms) == node.label
 
     if detector.vocabulary is None or not any(whole(n) for n in query.nodes):
         return query
