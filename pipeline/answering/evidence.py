@@ -23,7 +23,7 @@ from pipeline.relations.attributes import SIZES, attribute_probabilities, size_k
 Kind = Literal["attribute", "choice", "negation", "viewer"]
 HOLDS = 0.5
 """A thing stands in a relation, or is chosen, where the probability is at least this."""
-ATTRIBUTE_HOLDS = 0.2
+ATTRIBUTE_HOLDS = 0.3
 """A thing has an attribute from here on: of eleven colours the right one often has no more than .3."""
 SOFT_EDGE = 0.08
 """How wide the middle of the picture is, as a share of its side, in which neither half is sure."""

@@ -100,7 +100,7 @@ def test_a_name_is_shown_as_what_it_was_taken_for(row: Frame) -> None:
 
 
 def test_nothing_that_is_all_of_it_does_not_hold(row: Frame) -> None:
-    best = best_pair(asked(row, "the green mug left of the book"))
+    best = best_pair(asked(row, "the black mug left of the book"))
     assert best is not None
     assert not best.holds
 
