@@ -140,9 +140,9 @@ class Eval(Output):
     """Labels folder."""
     sentences: Path | None = None
     """In place of labels: JSON lines {"frame", "sentence"} with what is right, one of "targets" (indices of acceptable
-    annotations), "points" ([u, v] pixels inside one) and "boxes" ([x0, y0, x1, y1] pixels), empty where nothing is; and
-    perhaps "kind", by which the table is cut, and "dataset": lines that name another one are skipped. Goes with
-    --detector and the like, --out, --overwrite and --json."""
+    annotations), "points" ([u, v] pixels inside one) and "boxes" ([x0, y0, x1, y1] pixels), empty where nothing is. The
+    table is cut by "kind"; lines that name another "dataset" are skipped. Goes with --detector and the like, --out,
+    --overwrite and --json."""
     out: Path | None = None
     """Run folder to write; with --sentences, where it is given, one with a line for each in sentences.jsonl."""
     source: OmitArgPrefixes[SourceOptions] = SourceOptions()
