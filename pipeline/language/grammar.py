@@ -533,7 +533,7 @@ class _Reader(NounReader):
         return phrase.label in lexicon.PRONOUNS - lexicon.ANYTHING and not phrase.named
 
     def _names_nothing(self, role: str, phrase: Phrase) -> InputError:
-        return InputError(
+        return Unsupported(
             f"the {role} names no object: '{phrase.label}'", got=f"'{self.text}'", expected="the name of a thing"
         )
 

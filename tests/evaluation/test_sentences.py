@@ -90,6 +90,7 @@ def test_where_nothing_is_right_a_refusal_is(source: Pipeline, tmp_path: Path, t
         ("the book facing the mug", ("PARSE", "UNSUPPORTED")),
         ("the book far from the mug", ("PARSE", "UNSUPPORTED")),
         ("put the mug on the table", ("PARSE", "UNSUPPORTED")),
+        ("the mug left of it", ("PARSE", "UNSUPPORTED")),
         ("how many mugs are there?", ("PARSE", "UNSUPPORTED")),
         ("the book", ("REFUSED", "TIED")),
         ("the bed", ("REFUSED", "MISSING")),
