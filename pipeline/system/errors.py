@@ -143,7 +143,7 @@ class UnknownClass(InputError):
 
 
 class Unsupported(InputError):
-    """Words were understood, and what they ask for is not judged: `facing`, an action, `it`, a relation not on offer."""
+    """Words that were understood ask for what is not judged: `facing`, an action, `it`, a relation not on offer."""
 
 
 class MissingExtra(ImportError):
