@@ -132,13 +132,19 @@ class Render:
 
 @dataclass(frozen=True)
 class Eval(Output):
-    """Answer every expression of labels, and write tables with intervals, plots and records."""
+    """Answer every expression of labels, and write tables with intervals, plots and records; or, with --sentences,
+    sentences that people wrote, judged without labels."""
 
     dataset: DatasetArg
-    labels: Path
+    labels: Path | None = None
     """Labels folder."""
-    out: Path
-    """Run folder to write."""
+    sentences: Path | None = None
+    """In place of labels: JSON lines {"frame", "sentence"} with what is right, one of "targets" (indices of acceptable
+    annotations), "points" ([u, v] pixels inside one) and "boxes" ([x0, y0, x1, y1] pixels), empty where nothing is. The
+    table is cut by "kind"; lines that name another "dataset" are skipped. Goes with --detector and the like, --out,
+    --overwrite and --json."""
+    out: Path | None = None
+    """Run folder to write; with --sentences, where it is given, one with a line for each in sentences.jsonl."""
     source: OmitArgPrefixes[SourceOptions] = SourceOptions()
     system: Literal["pipeline", "referring", "vlm"] = "pipeline"
     """pipeline | referring: the detector fed the whole expression | vlm: a vision-language model."""

@@ -6,11 +6,14 @@ import csv
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from itertools import islice
+from pathlib import Path
 from typing import Any, Literal
 
 from rich.text import Text
 
+from pipeline.answering.opening import open_pipeline
 from pipeline.diagnosis.verdict import VERDICTS, read_marks
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
@@ -19,6 +22,7 @@ from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.run_folder import QueryRows, labels_of, manifest_of, open_database
 from pipeline.evaluation.search import find_failures
+from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
 from pipeline.evaluation.summary import (
@@ -47,6 +51,13 @@ SHOWN = ("id", "frame", "text", "target", "relation", "reference", "verdict", "d
 
 
 def run_eval(command: Eval) -> None:
+    if command.sentences is not None:
+        run_sentences(command, command.sentences)
+        return
+    if command.labels is None or command.out is None:
+        raise InputError(
+            "nothing says what is asked and right", expected="--labels LABELS --out RUN, or --sentences FILE"
+        )
     vlm = None
     if command.vlm_url is not None and command.vlm_model is not None:
         vlm = VlmOptions(command.vlm_url, command.vlm_model, command.vlm_rate)
@@ -86,6 +97,36 @@ def run_eval(command: Eval) -> None:
     command.write(run_record(report), print_run, report, command.show)
     for warning in report.warnings:
         warn(warning)
+
+
+def run_sentences(command: Eval, path: Path) -> None:
+    """`eval --sentences`."""
+    own = {"dataset", "sentences", "out", "source", "overwrite", "json"}
+    other = [f.name for f in fields(command) if f.name not in own and getattr(command, f.name) != f.default]
+    require(
+        not other,
+        "an option is for labels, not for --sentences",
+        got=", ".join(f"--{name.replace('_', '-')}" for name in other),
+    )
+    source = open_pipeline(command.dataset, **command.source.arguments())
+    name = "demo" if command.dataset == "demo" else None
+    with rate_bar("answering", "sentences") as advance:
+        report = evaluate_sentences(
+            path, source, name=name, out=command.out, overwrite=command.overwrite, progress=advance
+        )
+    command.write(report.record(), print_sentences, report, command.out)
+
+
+def print_sentences(report: SentenceReport, out: Path | None) -> None:
+    """The tables, what was skipped, and where a line for each sentence lies."""
+    for table in report.tables:
+        if table.rows:
+            print_table(table)
+            say()
+    for other, count in report.asked.skipped.items():
+        say(f"{counted(count, 'sentence')} of dataset {other!r} skipped", style="dim")
+    if out is not None:
+        say(f"-> {out}", style="dim")
 
 
 def _tables(command: Eval) -> Literal["grounding", "relations", "both"]:

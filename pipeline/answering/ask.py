@@ -30,7 +30,7 @@ from pipeline.relations.scorer import (
     between_probabilities,
     superlative_probabilities,
 )
-from pipeline.system.errors import require
+from pipeline.system.errors import Unsupported, require
 
 
 @dataclass(frozen=True)
@@ -310,6 +310,7 @@ def relation_lookup(scores: RelationScores, objects: Sequence[SceneObject], same
             relation in scores.relations,
             f"the relation scorer has no {relation!r}",
             expected=", ".join(scores.relations),
+            error=Unsupported,
         )
         table = scores.of(relation)
         # "the table holding the lamp" asks for the lamp on the table.

@@ -90,7 +90,9 @@ def without(query: Query, reasons: dict[str, str]) -> Query:
             readings.append(Reading(root, not readings, words))
     gone = {n.mention: reasons[n.label] for n in query.nodes if n.label in reasons}
     spans = tuple(
-        replace(s, role="unused", index=0, note=gone[s.index]) if s.role == "reference" and s.index in gone else s
+        replace(s, role="unused", index=0, note=gone[s.index], unknown=True)
+        if s.role == "reference" and s.index in gone
+        else s
         for s in query.spans
     )
     return Query(query.text, tuple(readings), spans)

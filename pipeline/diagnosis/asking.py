@@ -177,7 +177,7 @@ def answer(
         if truth is not None and case is not None:
             query, unread = read_query(case, source.dataset.class_names)
             answers = FrameAnswers(source, context, (case.target, case.reference), (case.relation,))
-            found = judge_answers(answers, truth, case, query, mark=mark, problem=unread or str(error))
+            found = judge_answers(answers, truth, case, query, mark=mark, problem=unread or error)
         return Answer(text, problem=str(error), diagnosis=found)
     if edits:
         trace, rank = edited_trace(source, context, text, edits)
@@ -342,7 +342,7 @@ def judge_answers(
     *,
     mark: str | None = None,
     confidence: float | None = None,
-    problem: str | None = None,
+    problem: InputError | None = None,
 ) -> Diagnosis:
     """The verdict on one expression by what was detected; `problem` says why it could not be read or asked."""
     evidence = FrameEvidence(truth, answers, DEFAULT_CONFIDENCE if confidence is None else confidence, (case,))

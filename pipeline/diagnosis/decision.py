@@ -1,7 +1,8 @@
 """The verdict on one expression: exclusive, exhaustive, decided in a fixed order.
 
 CORRECT      the answer's target overlaps the labelled one by half (LUCKY where the pair is not an acceptable one)
-PARSE        the parsed triple is not the gold triple
+PARSE        the parsed triple is not the gold triple: WORDS, a name is not known or was read as another; GRAMMAR, it
+             cannot be read or was read as something else; UNSUPPORTED, it holds what is not judged (`facing`, actions)
 LABEL        AMBIGUOUS: the answer is another acceptable target; BAD_LABEL, BAD_BOX: a person marked the label;
              SUSPECT: the labels' own relations say of the answer that it is, or may be, right, and the expression does
              not list it
@@ -44,7 +45,7 @@ from pipeline.diagnosis.substitution import (
 from pipeline.diagnosis.verdict import Diagnosis, Missed, explain
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
-from pipeline.labels.cases import HIT, Case
+from pipeline.labels.cases import HIT, Case, misread
 from pipeline.language.tree import Query
 from pipeline.proposals.base import Detector, Proposals, suppress
 from pipeline.system.errors import InputError
@@ -61,7 +62,7 @@ def diagnose(
     parse_ok: bool,
     mark: str | None = None,
     query: Query | None = None,
-    problem: str | None = None,
+    problem: InputError | None = None,
 ) -> Diagnosis:
     """Name the module that failed on one expression, and say why.
 
@@ -75,10 +76,12 @@ def diagnose(
         What a person said of the label: BAD_LABEL or BAD_BOX.
     query : Query, optional
         What the parser read.
-    problem : str, optional
+    problem : InputError, optional
         Why it could not be read, or could not be asked.
     """
     found = _decided(evidence, case, parse_ok, mark)
+    if found.verdict == "PARSE":
+        found = replace(found, detail=misread(query, case, problem))
     return replace(found, text=explain(found, case, query=query, problem=problem, unknown=evidence.answers.unknown))
 
 

@@ -47,8 +47,8 @@ class Diagnosis:
     verdict : str
         One of VERDICTS.
     detail : str or None
-        AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK, THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; the oracles of
-        COMPOUND.
+        WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK,
+        THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; the oracles of COMPOUND.
     lucky : bool
         Right, but with a pair that is not acceptable.
     repair : tuple of str
@@ -169,7 +169,7 @@ def explain(
     case: Case,
     *,
     query: Query | None = None,
-    problem: str | None = None,
+    problem: InputError | None = None,
     unknown: Collection[str] = (),
 ) -> str:
     """Why the answer is what it is, and the smallest change that would mend it.
@@ -180,7 +180,7 @@ def explain(
     case : Case
     query : Query, optional
         What the parser read.
-    problem : str, optional
+    problem : InputError, optional
         Why it could not be read, or could not be asked.
     unknown : collection of str
         Names that the detector does not know.
@@ -205,7 +205,7 @@ def _correct(d: Diagnosis, case: Case) -> str:
     return f"The right {case.target}, but its {case.reference} matches none of which the expression is true: luck."
 
 
-def _parse(case: Case, query: Query | None, problem: str | None) -> str:
+def _parse(case: Case, query: Query | None, problem: InputError | None) -> str:
     meant = f"meant was ({case.target}, {PHRASE[case.relation]}, {case.reference})"
     if query is None:
         return f"The expression cannot be read: {problem}; {meant}."

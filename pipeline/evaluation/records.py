@@ -100,7 +100,7 @@ def record(
     case: Case,
     truth: FrameCases,
     answers: FrameAnswers,
-    parsed: tuple[Query | None, str | None],
+    parsed: tuple[Query | None, InputError | None],
     overlap: np.ndarray,
 ) -> dict[str, Any]:
     """The row of one expression; `overlap` is (D, N) float64, the IoU of each detection with each labelled object."""
@@ -108,7 +108,8 @@ def record(
     gold = query is not None and is_gold(query, case)
     row = asked_columns(case, truth)
     row["parse_ok"] = gold
-    row["problem"] = problem or answers.unknown.get(case.target) or answers.unknown.get(case.reference)
+    unread = None if problem is None else str(problem)
+    row["problem"] = unread or answers.unknown.get(case.target) or answers.unknown.get(case.reference)
     pairs = truth.acceptable_pairs(case)
     _opm(row, case, answers, overlap)
     covered = _coverage(row, case, pairs, answers, overlap >= HIT)
@@ -277,7 +278,7 @@ def raw_columns(
     truth: FrameCases,
     answers: FrameAnswers,
     raw: FrameAnswers,
-    parsed: tuple[Query | None, str | None],
+    parsed: tuple[Query | None, InputError | None],
     overlap: np.ndarray,
 ) -> dict[str, Any]:
     """What an expression's row says of the raw scores: the answer by them, and which detections are hits.

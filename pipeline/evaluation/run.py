@@ -118,7 +118,7 @@ class Evaluator:
             chosen = frames_in(self.labels, "relations", spec.relations.frames)
             self.relations = RelationPass(spec.relations, spec.options, self.labels, chosen.tolist())
         self._chosen = chosen_ids(self.labels, spec.limit)
-        self.parsed: dict[str, tuple[Query | None, str | None]] = {}
+        self.parsed: dict[str, tuple[Query | None, InputError | None]] = {}
 
     def frame(self, truth: FrameCases, context: PreparedFrame | None = None) -> list[dict[str, Any]]:
         """The records of a frame's expressions; the frame is loaded where it is not given.
@@ -169,9 +169,9 @@ class Evaluator:
             confidence = DEFAULT_CONFIDENCE if self.spec.confidence is None else self.spec.confidence
             evidence = FrameEvidence(truth, answers, confidence)
             for case, row in zip(truth.cases, rows, strict=True):
-                mark, query = self.spec.marks.get((row["frame"], case.id)), self.parsed[case.text][0]
+                mark, (query, problem) = self.spec.marks.get((row["frame"], case.id)), self.parsed[case.text]
                 row |= diagnosis_columns(
-                    diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"])
+                    diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=problem)
                 )
         return rows
 

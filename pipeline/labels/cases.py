@@ -15,6 +15,7 @@ from pipeline.language.expression import parse
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Query
+from pipeline.language.unreadable import Unread, why_unread, why_unused
 from pipeline.relations.relations import U
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, require
@@ -236,12 +237,25 @@ HIT = 0.5
 """A box is found where its overlap (IoU) is at least this."""
 
 
-def read_query(case: Case, class_names: Sequence[str]) -> tuple[Query | None, str | None]:
+def read_query(case: Case, class_names: Sequence[str]) -> tuple[Query | None, InputError | None]:
     """The parsed expression, or why it cannot be read."""
     try:
         return parse(case.text, class_names=tuple(class_names)), None
     except InputError as error:
-        return None, str(error)
+        return None, error
+
+
+def misread(query: Query | None, case: Case, problem: InputError | None = None) -> Unread:
+    """Why an expression was not read as meant; `problem` says why it could not be read or asked at all."""
+    if problem is not None:
+        return why_unread(problem)
+    if query is None:
+        return "GRAMMAR"
+    e, top = query.expression, query.default.root.triple
+    if e is not None and top is not None and len(query.readings) == 1 and not e.inverse and not query.unused:
+        # One relation between two bare names: it is the names, or the relation.
+        return "WORDS" if e.relation == case.relation and e.second_reference is None else "GRAMMAR"
+    return why_unused(query) or "GRAMMAR"
 
 
 def is_gold(query: Query, case: Case) -> bool:

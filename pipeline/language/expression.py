@@ -11,7 +11,7 @@ from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.language.relation_names import MIRRORED, RELATIONS
 from pipeline.language.tokens import check_text, vocabulary
 from pipeline.language.tree import Attachment, Node, Query, Reading, described
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Unsupported, require
 
 MAX_RELATIONS = 4
 """Of more parts than this only two readings are kept: there would be 42, 132, ... of them."""
@@ -85,7 +85,7 @@ def _attachment(clause: Clause, relations: Collection[str] | None) -> Attachment
         relation, inverse = MIRRORED[relation], False
     if relations is not None and relation not in relations:
         offered = [r for r in RELATIONS if r in relations]
-        raise InputError(
+        raise Unsupported(
             f"the relation '{relation}' is not in this vocabulary",
             got=f"'{clause.phrase}'",
             expected="one of " + ", ".join(offered) if offered else None,

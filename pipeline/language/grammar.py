@@ -22,7 +22,7 @@ from pipeline.language.nouns import NounReader, Phrase, joined_words, leading_re
 from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice, Role, Span
 from pipeline.language.unreadable import FORM, check_judged, not_known, other_view, unreadable
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, Unsupported
 
 Attach = Literal["any", "nearest", "same", "root"]
 
@@ -170,7 +170,7 @@ class _Reader(NounReader):
             self.opened.append(_Opened(side_token, self._take_negation(), self._attach()))
             return at + 1
         if word in lexicon.ACTIONS and not at and len(self.tokens) > 1 and self.tokens[1].plain in DETERMINERS:
-            raise InputError(
+            raise Unsupported(
                 f"'{word}' asks to do something, and only a thing can be asked for",
                 got=f"'{self.text}'",
                 expected=FORM,
@@ -503,7 +503,7 @@ class _Reader(NounReader):
         end = at + 1
         if self._starts_noun(end):
             end = max(self.noun(end)[1], end)
-        self.problems.append(why if isinstance(why, InputError) else InputError(why, got=f"'{self.words(at, end)}'"))
+        self.problems.append(why if isinstance(why, InputError) else Unsupported(why, got=f"'{self.words(at, end)}'"))
         self._note(at, end, self.problems[-1].what)
         self._forget()
         return end
@@ -533,7 +533,7 @@ class _Reader(NounReader):
         return phrase.label in lexicon.PRONOUNS - lexicon.ANYTHING and not phrase.named
 
     def _names_nothing(self, role: str, phrase: Phrase) -> InputError:
-        return InputError(
+        return Unsupported(
             f"the {role} names no object: '{phrase.label}'", got=f"'{self.text}'", expected="the name of a thing"
         )
 

@@ -32,6 +32,8 @@ class Span:
         that of its noun. 0 for what was not used.
     note : str
         Of what was not used: why.
+    unknown : bool
+        It was not used since it is a name that the detector does not know.
     """
 
     start: int
@@ -39,6 +41,7 @@ class Span:
     role: Role
     index: int
     note: str = ""
+    unknown: bool = False
 
 
 @dataclass(frozen=True)

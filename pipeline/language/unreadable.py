@@ -4,23 +4,49 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
+from typing import Literal
 
 from pipeline.language import lexicon
 from pipeline.language.relation_names import PHRASE
 from pipeline.language.tokens import EXAMPLE, Token
-from pipeline.system.errors import InputError, require
+from pipeline.language.tree import Query
+from pipeline.system.errors import InputError, UnknownClass, Unsupported, require
 
 FORM = "TARGET RELATION REFERENCE"
+Unread = Literal["WORDS", "GRAMMAR", "UNSUPPORTED"]
+"""Why an expression was not read as meant: a name is not known, the sentence cannot be read, or it can and what it asks
+for is not judged."""
+
+
+def why_unread(problem: InputError) -> Unread:
+    """Of which kind the error of an expression is."""
+    if isinstance(problem, UnknownClass):
+        return "WORDS"
+    return "UNSUPPORTED" if isinstance(problem, Unsupported) else "GRAMMAR"
+
+
+def why_unused(query: Query) -> Unread | None:
+    """The same of words that were left out of what was asked; None where all were used."""
+    if not query.unused:
+        return None
+    return "WORDS" if any(span.unknown for span in query.unused) else "UNSUPPORTED"
 
 
 def check_judged(tokens: Sequence[Token], text: str) -> None:
-    """Refuse a relation that has words and no rule: `far from`.
+    """Refuse a question for a number, and a relation that has words and no rule: `far from`.
 
     Raises
     ------
     InputError
     """
     words = [t.plain or "" for t in tokens]
+    require(
+        " ".join(words[:2]) not in ("how many", "how much"),
+        "a number is asked for, and only a thing can be",
+        got=f"'{text}'",
+        expected=FORM,
+        error=Unsupported,
+    )
     for phrase in lexicon.FAR:
         size = len(phrase.split())
         require(
@@ -29,12 +55,13 @@ def check_judged(tokens: Sequence[Token], text: str) -> None:
             got=f"'{text}'",
             expected="'farthest from' or 'near'",
             cause="it says only that two things are not near",
+            error=Unsupported,
         )
 
 
 def other_view(what: str, text: str) -> InputError:
     """The error for an expression judged from an object's front, or from where somebody stands."""
-    return InputError(
+    return Unsupported(
         f"'{what}' asks for another view than the camera's",
         got=f"'{text}'",
         cause="no object's own front is known; left, right, front and behind are judged from the camera",
@@ -51,7 +78,8 @@ def not_known(tokens: Sequence[Token], at: int, text: str) -> InputError:
     word = tokens[at].text
     near = _close_phrases(tokens, range(max(at - 1, 0), at + 1))
     hint = _did_you_mean(near) if near else "known relations: " + ", ".join(PHRASE.values())
-    return InputError(f"'{word}' is not a known relation", got=f"'{text}'", cause=hint)
+    error = Unsupported if tokens[at].plain in lexicon.UNKNOWN_RELATIONS | lexicon.ACTIONS else InputError
+    return error(f"'{word}' is not a known relation", got=f"'{text}'", cause=hint)
 
 
 def _close_phrases(tokens: Sequence[Token], starts: range) -> list[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -234,6 +235,23 @@ def mean_estimate(
     """Mean of (N,) values, such as hits or IoUs; with `other` (N,), the mean of `values` less that of `other`."""
     second = None if other is None else (other, np.ones(np.shape(other)))
     return ratio_estimate(values, np.ones(np.shape(values)), clusters, other=second, config=config)
+
+
+def share_estimate(flags: Any, clusters: Any, confidence: float = 0.95) -> Estimate:
+    """Share of (N,) flags that are set, with Wilson's score interval (JASA 1927).
+
+    It takes the rows as independent, and so is too narrow where those of a cluster resemble each other; unlike a
+    bootstrap it has a width where there are few rows or all are alike.
+    """
+    flags = checked_flags(flags, "flags")
+    _, held = checked_clusters(clusters, len(flags))
+    n = len(flags)
+    if not n:
+        return Estimate(math.nan, math.nan, math.nan, 0, 0, "no row counts")
+    share, z2 = float(flags.mean()), NormalDist().inv_cdf((1 + confidence) / 2) ** 2
+    middle = (share + z2 / (2 * n)) / (1 + z2 / n)
+    half = math.sqrt(z2 * (share * (1 - share) / n + z2 / (4 * n * n))) / (1 + z2 / n)
+    return Estimate(share, max(0.0, middle - half), min(1.0, middle + half), n, held)
 
 
 def _columns(columns: tuple[Any, ...]) -> np.ndarray:

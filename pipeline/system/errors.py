@@ -142,6 +142,10 @@ class UnknownClass(InputError):
     """A class name that a detector or dataset of limited vocabulary does not know."""
 
 
+class Unsupported(InputError):
+    """Words that were understood ask for what is not judged: `facing`, an action, `it`, a relation not on offer."""
+
+
 class MissingExtra(ImportError):
     """A feature needs an optional dependency that is not installed."""
 

@@ -22,6 +22,7 @@ from pipeline.metrics.intervals import (
     mean_estimate,
     ratio_estimate,
     resample_weights,
+    share_estimate,
 )
 from pipeline.metrics.relation_metrics import cell_outcomes, multi_label_metrics, relation_estimates
 from pipeline.system.errors import InputError
@@ -341,3 +342,13 @@ def test_systems_are_compared_on_the_same_expressions_only() -> None:
 
 
 BOXES = np.tile([0.0, 0.0, 2.0, 2.0], (120, 1))
+
+
+def test_wilson_intervals() -> None:
+    # Newcombe, Statistics in Medicine 1998, table I, method 3.
+    golden = {(81, 263): (0.2553, 0.3662), (15, 148): (0.0624, 0.1605), (0, 20): (0, 0.1611), (1, 29): (0.0061, 0.1718)}
+    for (hits, n), (low, high) in golden.items():
+        found = share_estimate(np.arange(n) < hits, np.arange(n) // 2)
+        assert (found.value, found.n) == (hits / n, n)
+        assert (found.low, found.high) == pytest.approx((low, high), abs=1e-4)
+    assert share_estimate(np.zeros(0, np.bool_), []).note == "no row counts"

@@ -1,0 +1,160 @@
+"""What became of sentences that people wrote: shares with intervals by kind, classes of failure, a line for each."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from pipeline.answering.opening import Pipeline
+from pipeline.evaluation.sentences import Judged, Outcome, SentenceFile, judge_sentences, read_sentence_file
+from pipeline.metrics.intervals import Estimate, share_estimate
+from pipeline.metrics.tables import Row, Table
+from pipeline.system.whole_files import check_target, staged_folder, text_file
+
+FILE = "sentences.jsonl"
+
+
+@dataclass(frozen=True)
+class Shares:
+    """How many of some sentences were read, answered and right.
+
+    Attributes
+    ----------
+    sentences : int
+    read, answered, right : Estimate
+        Of all of them.
+    refused_rightly : Estimate
+        Of those where nothing is right.
+    told : Estimate
+        Of those that are not right: refused with a reason, and not answered wrongly.
+    """
+
+    sentences: int
+    read: Estimate
+    answered: Estimate
+    right: Estimate
+    refused_rightly: Estimate
+    told: Estimate
+
+    def record(self) -> dict[str, Any]:
+        figures = {name: getattr(self, name).record() for name in SHARES}
+        return {"sentences": self.sentences, **figures}
+
+
+SHARES = {
+    "read": "read", "answered": "answered", "right": "right", "refused_rightly": "refused rightly",
+    "told": "refused of not right",
+}  # fmt: skip
+"""The shares and their columns in the table."""
+
+
+@dataclass(frozen=True)
+class SentenceReport:
+    """A judged file.
+
+    Attributes
+    ----------
+    asked : SentenceFile
+    judged : tuple of Judged
+    overall : Shares
+    kinds : dict of str to Shares
+        In the order in which the kinds first stand in the file.
+    failures : dict of (outcome, detail) to int
+        In the order of Outcome, the most frequent first.
+    """
+
+    asked: SentenceFile
+    judged: tuple[Judged, ...]
+    overall: Shares
+    kinds: dict[str, Shares]
+    failures: dict[tuple[str, str | None], int]
+
+    @property
+    def tables(self) -> tuple[Table, Table]:
+        """Shares by kind and over all, and what failed."""
+        note = (
+            "In percent, with Wilson's 95 % intervals, each sentence for itself. Read: also what was refused rightly. "
+        )
+        note += "Refused rightly: of the sentences for which nothing is right."
+        rows = [Row(name, _cells(shares)) for name, shares in (*self.kinds.items(), ("all", self.overall))]
+        total = len(self.judged)
+        failed = [Row(": ".join(filter(None, name)), (count, count / total)) for name, count in self.failures.items()]
+        return (
+            Table("sentences", "Sentences", ("sentences", *SHARES.values()), tuple(rows), note),
+            Table("failures", "Failures", ("sentences", "share"), tuple(failed)),
+        )
+
+    def record(self) -> dict[str, Any]:
+        """`eval --sentences --json`: all that the tables show."""
+        return {
+            "file": str(self.asked.path),
+            "skipped": self.asked.skipped,
+            "all": self.overall.record(),
+            "kinds": {kind: shares.record() for kind, shares in self.kinds.items()},
+            "failures": [
+                {"outcome": outcome, "detail": detail, "count": n, "share": n / len(self.judged)}
+                for (outcome, detail), n in self.failures.items()
+            ],
+        }
+
+
+def _cells(shares: Shares) -> tuple[int | Estimate, ...]:
+    return (shares.sentences, *(getattr(shares, name) for name in SHARES))
+
+
+def report_sentences(asked: SentenceFile, judged: Sequence[Judged]) -> SentenceReport:
+    """Shares by kind and over all, and what failed."""
+    kinds: dict[str, list[Judged]] = {}
+    for one in judged:
+        kinds.setdefault(one.sentence.kind, []).append(one)
+    failures = Counter((j.outcome, j.detail) for j in judged if not j.right)
+    order = sorted(failures, key=lambda f: (get_args(Outcome).index(f[0]), -failures[f], str(f[1])))
+    shares = {kind: _shares(own) for kind, own in kinds.items()}
+    return SentenceReport(asked, tuple(judged), _shares(judged), shares, {f: failures[f] for f in order})
+
+
+def _shares(judged: Sequence[Judged]) -> Shares:
+    def share(holds: Callable[[Judged], bool], of: Callable[[Judged], bool] = lambda j: True) -> Estimate:
+        counted = [j for j in judged if of(j)]
+        return share_estimate(np.array([holds(j) for j in counted], np.bool_), [j.sentence.frame for j in counted])
+
+    return Shares(
+        sentences=len(judged),
+        read=share(lambda j: j.read),
+        answered=share(lambda j: j.answered),
+        right=share(lambda j: j.right),
+        refused_rightly=share(lambda j: j.right, lambda j: j.sentence.nothing),
+        told=share(lambda j: not j.answered, lambda j: not j.right),
+    )
+
+
+def evaluate_sentences(
+    path: Path,
+    source: Pipeline,
+    *,
+    name: str | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> SentenceReport:
+    """Judge the sentences of a file; with `out`, a folder with a line for each of them in `sentences.jsonl`.
+
+    Raises
+    ------
+    InputError
+        As `read_sentence_file` and `judge_sentences`; or the folder cannot be written. Nothing is left of it then.
+    """
+    if out is not None:
+        check_target(out, overwrite=overwrite, mark=FILE)
+    asked = read_sentence_file(path, source, name)
+    report = report_sentences(asked, judge_sentences(source, asked, progress))
+    if out is not None:
+        with staged_folder(out, overwrite=overwrite, mark=FILE) as folder, text_file(folder / FILE) as file:
+            file.writelines(json.dumps(j.record(), ensure_ascii=False, allow_nan=False) + "\n" for j in report.judged)
+    return report
