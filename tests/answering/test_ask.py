@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dataset_writers import write_bop
+from expression_checks import expression_of
 from scenes import frame_of, upright
 
 from pipeline.answering.ask import AskConfig, ask
@@ -28,7 +29,6 @@ from pipeline.datasets import open_dataset
 from pipeline.datasets.demo import DEMO_EXPRESSION, demo_path
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import depth_colors, hex_color, instance_colors, palette
-from pipeline.language.expression import parse
 from pipeline.language.naming import match
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.proposals import AnnotationDetector, Proposals, make_detector
@@ -115,6 +115,7 @@ def test_an_inverse_phrase_asks_for_the_other_direction(row: Frame, truth: Annot
 def test_a_vocabulary_without_on_asks_for_above(row: Frame, truth: AnnotationDetector) -> None:
     config = AskConfig(relations=VOCABULARIES["avd"])
     trace = ask(row, "laptop on the table", truth, config=config)
+    assert trace.query.expression is not None
     assert trace.query.expression.mapped_from == "on"
     assert trace.ranking is not None
     assert trace.ranking.pairs[0].links[0].relation == "above"
@@ -346,12 +347,12 @@ def test_suggestions_are_words_even_where_class_names_are_not() -> None:
     names = tuple(dict.fromkeys(o.label for o in raw))
     assert suggest_expressions(raw, scores, context.viewer, 5) == expected
     for text in expected:
-        said = parse(text, class_names=names).expression
+        said = expression_of(text, class_names=names)
         assert len(match(said.target, names)) == len(match(said.reference or "", names)) == 1
     # A name that no words can stand for is said as it is spelled, or not at all.
     odd = [replace(o, label=f"{o.label} on the wall (3)") for o in objects]
     for text in suggest_expressions(odd, scores, context.viewer, 5):
-        assert parse(text, class_names=tuple(o.label for o in odd)).expression.target in {o.label for o in odd}
+        assert expression_of(text, class_names=tuple(o.label for o in odd)).target in {o.label for o in odd}
 
 
 @pytest.fixture

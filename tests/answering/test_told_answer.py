@@ -64,7 +64,7 @@ def test_a_false_relation_is_no_pair_whatever_the_posterior(
     record = trace_record(trace)
     assert record["answer"]["holds"] is False
     assert record["answer"]["target"] is not None
-    assert [link["relation"] for link in record["answer"]["fails"]] == [trace.query.expression.relation]
+    assert [link["relation"] for link in record["answer"]["fails"]] == [trace.relation]
     assert all(p["holds"] == (p["relation_probability"] >= HOLDS) for p in record["pairs"])
 
 

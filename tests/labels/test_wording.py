@@ -8,6 +8,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from expression_checks import expression_of
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -79,6 +80,7 @@ def check_read_back(text: str, target: str, relation: str, reference: str, names
     query = parse(text, class_names=names)
     assert len(query.readings) == 1, text
     found = query.expression
+    assert found is not None, text
     assert (found.relation, found.inverse, found.second_reference) == (relation, False, None), text
     for label, name in ((found.target, target), (found.reference, reference)):
         assert is_named(label, name), (text, label, name)
@@ -240,7 +242,7 @@ def test_the_sentences_say_no_more_than_a_vocabulary_without_on_allows() -> None
     for relation in DIRECTIONAL:
         for key in range(100):
             text = expression_text("mug", relation, "laptop", key)
-            expression = parse(text, relations=VOCABULARIES["avd"]).expression
+            expression = expression_of(text, relations=VOCABULARIES["avd"])
             assert (expression.relation, expression.mapped_from) == (relation, None)
 
 

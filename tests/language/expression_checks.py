@@ -5,12 +5,18 @@ from __future__ import annotations
 import pytest
 
 from pipeline.language.expression import parse
+from pipeline.language.tree import Expression
 from pipeline.system.errors import InputError
 
 
-def triple(text: str, **options: object) -> tuple[str, str, str]:
+def expression_of(text: str, **options: object) -> Expression:
     expression = parse(text, **options).expression  # type: ignore[arg-type]
     assert expression is not None
+    return expression
+
+
+def triple(text: str, **options: object) -> tuple[str, str, str]:
+    expression = expression_of(text, **options)
     return expression.target, expression.relation, expression.reference
 
 
