@@ -6,7 +6,8 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 from pipeline.language import lexicon
-from pipeline.language.grammar import Chain, Clause, read_chain
+from pipeline.language.chain import Chain, Clause
+from pipeline.language.grammar import read_chain
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.language.relation_names import MIRRORED, RELATIONS
 from pipeline.language.tokens import check_text, vocabulary

@@ -13,60 +13,18 @@ nothing is left that tells the thing meant is that an error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
 from pipeline.language import choices, lexicon
+from pipeline.language.chain import Attach, Chain, Clause, Opened
 from pipeline.language.naming import DETERMINERS, singular
-from pipeline.language.nouns import NounReader, Phrase, joined_words, leading_removed
+from pipeline.language.nouns import Phrase
+from pipeline.language.regions import RegionReader
 from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
-from pipeline.language.tree import Choice, Role, Span
-from pipeline.language.unreadable import FORM, check_judged, not_known, other_view, unreadable
+from pipeline.language.tree import Choice
+from pipeline.language.unreadable import FORM, not_known, unreadable
+from pipeline.language.views import leading_removed, without_view
 from pipeline.system.errors import InputError
-
-Attach = Literal["any", "nearest", "same", "root"]
-
-
-@dataclass(frozen=True)
-class Clause:
-    """One relation, side or exclusion of the chain.
-
-    Attributes
-    ----------
-    relation : str
-        Canonical name; empty for a choice and for an exclusion.
-    phrase : str
-        The words that said it.
-    references : tuple of int
-        Numbers of the nouns; two for `between`, none for a choice.
-    swapped : bool
-        Whether the relation holds from the reference to the target.
-    attach : {"any", "nearest", "same", "root"}
-        Which noun it may modify: any on the right frontier; only the one before it (`the nearest chair to`); the
-        one that the part before it modifies (`left of a and behind b`); or the target.
-    closed : bool
-        Whether nothing later may modify its references, as in `table with a lamp on top`.
-    negated : bool
-    choice : Choice or None
-    """
-
-    relation: str
-    phrase: str
-    references: tuple[int, ...]
-    swapped: bool = False
-    attach: Attach = "any"
-    closed: bool = False
-    negated: bool = False
-    choice: Choice | None = None
-
-
-@dataclass
-class Chain:
-    """What the grammar read: nouns in order of mention, parts between them, and where each stands."""
-
-    nouns: list[Phrase] = field(default_factory=list)
-    clauses: list[Clause] = field(default_factory=list)
-    spans: list[Span] = field(default_factory=list)
 
 
 def read_chain(text: str, known: Vocabulary) -> Chain:
@@ -96,28 +54,15 @@ def read_chain(text: str, known: Vocabulary) -> Chain:
     raise problem
 
 
-@dataclass(frozen=True)
-class _Opened:
-    """A relation that waits for its reference."""
-
-    token: Token
-    negated: bool
-    attach: Attach
-
-
-class _Reader(NounReader):
+class _Reader(RegionReader):
     """One pass over one expression, adding to its chain."""
 
     def __init__(self, text: str, tokens: list[Token]) -> None:
         while tokens and tokens[-1].plain in lexicon.CLOSING:
             tokens = tokens[:-1]
-        tokens = _without_view(tokens, text)
+        tokens = without_view(tokens, text)
         tokens, self.asks_what = leading_removed(tokens)
         super().__init__(text, tokens)
-        self.chain = Chain()
-        self.problems: list[InputError] = []
-        self.opened: list[_Opened] = []
-        self.negated = self.joined = self.linked = self.at_root = False
 
     def read(self) -> Chain:
         at = 0
@@ -167,7 +112,7 @@ class _Reader(NounReader):
             return self._with(at)
         if self.chain.nouns and not self.opened and word in ("left", "right") and at + 1 < len(self.tokens):
             side_token = replace(token, relation=word)
-            self.opened.append(_Opened(side_token, self._take_negation(), self._attach()))
+            self.opened.append(Opened(side_token, self._take_negation(), self._attach()))
             return at + 1
         if word in lexicon.ACTIONS and not at and len(self.tokens) > 1 and self.tokens[1].plain in DETERMINERS:
             raise InputError(
@@ -179,53 +124,6 @@ class _Reader(NounReader):
         if word in lexicon.UNKNOWN_RELATIONS or (word in lexicon.ACTIONS and self.chain.nouns):
             return self._unused(at, not_known(self.tokens, at, self.text))
         return self._noun(at)
-
-    def _side(self, at: int) -> int | None:
-        """A side that chooses: `on the left`, `furthest to the right`; None where there is none here."""
-        if (not self.chain.nouns and not self.asks_what) or " " in self.tokens[at].text:
-            return None
-        if found := self.match(choices.EXTREME_AT_SIDE, at):
-            self._choice(Choice(choices.SIDES[found[0]["side"]], 1, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
-            return found[1]
-        found = self.match(choices.AT_SIDE, at)
-        if found is None or not (found[0]["part"] or found[0]["most"] or self._ends(found[1])):
-            return self._region(at)
-        rank = 1 if found[0]["far"] or found[0]["most"] else None
-        for order in choices.orders_of(found[0]["side"]):
-            self._choice(Choice(order, rank, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
-        return found[1]
-
-    def _region(self, at: int) -> int | None:
-        """A part of a thing: it stands in a relation to that thing, and at a side."""
-        found = self.match(choices.REGION_OF, at)
-        if found is None or self.opened:
-            return None
-        if not self.chain.nouns:
-            self._add_noun(Phrase(label="thing"), "target", (at, at))
-        attach = self._attach()
-        for order in choices.orders_of(found[0]["side"] or ""):
-            choice = Choice(order, None, found[0][0].strip())  # type: ignore[arg-type]
-            self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
-            attach = "same"
-        relation = choices.REGION_RELATION.get(found[0]["preposition"], "near")
-        token = Token(found[0][0].strip(), self.tokens[at].start, self.tokens[found[1] - 1].end, relation)
-        self.opened.append(_Opened(token, self._take_negation(), attach))
-        return found[1]
-
-    def _choice(self, choice: Choice, at: int, end: int) -> None:
-        if not self.chain.nouns:
-            self._add_noun(Phrase(label="thing"), "target", (at, at))
-        attach = self._attach()
-        if self.opened:
-            self.opened.pop()
-        if self.negated:
-            self._note(at, end, "a side that is not meant is not judged")
-            self.negated = False
-            return
-        span = Span(self.tokens[at].start, self.tokens[end - 1].end, "choice", 0)
-        if not any(s.start == span.start for s in self.chain.spans):
-            self.chain.spans.append(span)
-        self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
 
     def _links(self, at: int) -> bool:
         """Whether a word only links a noun to what follows."""
@@ -272,15 +170,8 @@ class _Reader(NounReader):
             return at + 1
         if self.opened and not self.joined:
             self._missing(self.opened.pop())
-        self.opened.append(_Opened(token, self._take_negation(), self._attach()))
+        self.opened.append(Opened(token, self._take_negation(), self._attach()))
         return at + 1
-
-    def _scene(self, at: int) -> int | None:
-        """Past `the room`, where the scene itself is the reference; None where a thing is."""
-        at += at < len(self.tokens) and self.tokens[at].plain in DETERMINERS
-        if at < len(self.tokens) and self.tokens[at].plain in lexicon.SCENE and self._ends(at + 1):
-            return at + 1
-        return None
 
     def _with(self, at: int) -> int:
         """`table with a lamp on top`: the relation holds from the lamp to the table. Else it tells of a part."""
@@ -411,15 +302,6 @@ class _Reader(NounReader):
         self._forget()
         return end
 
-    def _merge(self, phrase: Phrase) -> None:
-        """Words about the target that come later: `the mug ... , the red one`, `the mug is the leftmost object`."""
-        root = self.chain.nouns[0]
-        merged = replace(
-            root, attributes=(*root.attributes, *phrase.attributes), choices=(*root.choices, *phrase.choices)
-        )
-        self.chain.nouns[0] = merged
-        self._modifier_spans(phrase, 0)
-
     def _resolved(self, phrase: Phrase, other: Phrase | None = None) -> Phrase:
         """`the yellow one` of the thing that was named last."""
         if not phrase.anything or phrase.head_word not in ("one", "ones") or not self.chain.nouns:
@@ -444,7 +326,7 @@ class _Reader(NounReader):
         link = self.tokens[end]
         self._relation_span(early)
         self.opened.append(
-            _Opened(replace(link, text=f"{early.text} {link.text}", relation=early.relation), False, "nearest")
+            Opened(replace(link, text=f"{early.text} {link.text}", relation=early.relation), False, "nearest")
         )
         viewer = self._viewer(at)
         return self._reference(at, *self._required(at)) if viewer is None else viewer
@@ -454,115 +336,3 @@ class _Reader(NounReader):
         if phrase is None:
             raise self._missing_reference(self.opened[-1].token.text)
         return phrase, end
-
-    # ---- what is added ---------------------------------------------------------------------------------------------
-
-    def _refer(self, *references: int) -> None:
-        """Close the relations that are open with their references."""
-        for opened in self.opened:
-            self._relation_span(opened.token)
-            clause = Clause(
-                str(opened.token.relation), opened.token.text, references, opened.token.swapped, opened.attach,
-                negated=opened.negated,
-            )  # fmt: skip
-            self.chain.clauses.append(clause)
-        self.opened.clear()
-        self._forget()
-
-    def _add_noun(self, phrase: Phrase, role: Role, where: tuple[int, int]) -> int:
-        number = len(self.chain.nouns)
-        self.chain.nouns.append(phrase)
-        if where[1] > where[0]:
-            self.chain.spans.append(Span(self.tokens[where[0]].start, self.tokens[where[1] - 1].end, role, number))
-        self._modifier_spans(phrase, number)
-        return number
-
-    def _modifier_spans(self, phrase: Phrase, number: int) -> None:
-        self.chain.spans += [Span(start, end, role, number) for start, end, role in phrase.modifiers]
-
-    def _relation_span(self, token: Token) -> None:
-        self.chain.spans.append(Span(token.start, token.end, "relation", len(self.chain.clauses)))
-
-    def _attach(self) -> Attach:
-        """Where the part that begins here belongs."""
-        attach: Attach = (
-            "root" if self.at_root else "same" if self.joined and (self.chain.clauses or self.opened) else "any"
-        )
-        self.joined = self.at_root = False
-        return attach
-
-    def _take_negation(self) -> bool:
-        negated, self.negated = self.negated, False
-        return negated
-
-    def _forget(self) -> None:
-        self.joined = self.linked = self.negated = False
-
-    def _unused(self, at: int, why: str | InputError) -> int:
-        """Words up to the next part that cannot be used."""
-        end = at + 1
-        if self._starts_noun(end):
-            end = max(self.noun(end)[1], end)
-        self.problems.append(why if isinstance(why, InputError) else InputError(why, got=f"'{self.words(at, end)}'"))
-        self._note(at, end, self.problems[-1].what)
-        self._forget()
-        return end
-
-    def _note(self, at: int, end: int, why: str, also: Token | None = None) -> None:
-        start = self.tokens[at].start if also is None else also.start
-        self.chain.spans.append(Span(start, self.tokens[end - 1].end, "unused", 0, why))
-
-    def _missing(self, opened: _Opened) -> None:
-        self.problems.append(self._missing_reference(opened.token.text))
-        token = opened.token
-        self.chain.spans.append(Span(token.start, token.end, "unused", 0, self.problems[-1].what))
-
-    # ---- errors ----------------------------------------------------------------------------------------------------
-
-    def _missing_reference(self, after: str) -> InputError:
-        return InputError(
-            f"the reference is missing after '{after}'", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
-        )
-
-    def _no_target(self) -> InputError:
-        return InputError(
-            "the target is missing before the relation", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
-        )
-
-    def _is_pronoun(self, phrase: Phrase) -> bool:
-        return phrase.label in lexicon.PRONOUNS - lexicon.ANYTHING and not phrase.named
-
-    def _names_nothing(self, role: str, phrase: Phrase) -> InputError:
-        return InputError(
-            f"the {role} names no object: '{phrase.label}'", got=f"'{self.text}'", expected="the name of a thing"
-        )
-
-
-def _without_view(tokens: list[Token], text: str) -> list[Token]:
-    """Drop the camera's view, which is the default; refuse views from elsewhere, and what is not judged."""
-    words = {t.text for t in tokens}
-    if not words.isdisjoint(lexicon.VIEW_WORDS):
-        joined, starts, ends = joined_words(tokens)
-        first = lexicon.VIEW_FIRST.match(joined)
-        if first and first.end() in ends:
-            tokens = tokens[ends.index(first.end()) + 1 :]
-            joined, starts, ends = joined_words(tokens)
-        last = lexicon.VIEW_LAST.search(joined)
-        if last and last.start() in starts:
-            tokens = tokens[: starts.index(last.start())]
-    singles = {w for t in tokens for w in t.text.split()}
-    if not singles.isdisjoint(lexicon.OBJECT_VIEW_WORDS):
-        found = lexicon.OBJECT_VIEW.search(joined_words(tokens)[0])
-        if found:
-            raise other_view(found[0].strip(), text)
-    if "'" in text or "’" in text:
-        joined, _, ends = joined_words(tokens)
-        for owned in lexicon.SIDE_OF_OWNER.finditer(joined):
-            following = ends.index(owned.end()) + 1 if owned.end() in ends else None
-            if following is not None and all(
-                t.relation is not None or t.plain in lexicon.LINKING or t.plain in lexicon.AND
-                for t in tokens[following : following + 1]
-            ):
-                raise other_view(owned[0], text)
-    check_judged(tokens, text)
-    return tokens

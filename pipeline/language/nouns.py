@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pipeline.language import choices, lexicon
 from pipeline.language.attributes import Attribute, attribute
+from pipeline.language.cursor import MODALS, Cursor
 from pipeline.language.naming import DETERMINERS, is_compound, known_words, singular
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token, label_of
@@ -15,7 +15,6 @@ from pipeline.language.tree import Choice, Role
 
 _QUANTIFIERS = frozenset({"all", "both", "each", "every", "same"})
 _JUST = frozenset({"just", "directly", "right", "immediately", "slightly", "exactly", "straight", "almost", "very"})
-_MODALS = frozenset({"can", "could", "may"})
 _LONGEST_CHOICE = 3
 
 
@@ -93,90 +92,8 @@ class _Draft:
         self.choices.append(Choice(order, rank, text))  # type: ignore[arg-type]
 
 
-class NounReader:
-    """A cursor over tokens that reads noun phrases.
-
-    Attributes
-    ----------
-    text : str
-    tokens : list of Token
-        Words that hyphens join are one.
-    breaks : list of bool
-        Whether punctuation stands before a token.
-    """
-
-    def __init__(self, text: str, tokens: Sequence[Token]) -> None:
-        self.text = text
-        self.tokens = _hyphens_joined(text, tokens)
-        self.breaks = [
-            k > 0 and any(c in text[self.tokens[k - 1].end : t.start] for c in ",;:.!?()")
-            for k, t in enumerate(self.tokens)
-        ]
-        self.line, self._starts, ends = joined_words(self.tokens)
-        self._after = {end: k + 1 for k, end in enumerate(ends)}
-
-    def match(self, pattern: re.Pattern[str], at: int) -> tuple[re.Match[str], int] | None:
-        """The pattern at a token, and the token after it, where it ends with a word."""
-        found = pattern.match(self.line, self._starts[at]) if at < len(self.tokens) else None
-        end = None if found is None else self._after.get(self._starts[at] + len(found[0].rstrip()))
-        if found is None or end is None or any(self.breaks[k] for k in range(at + 1, end)):
-            return None
-        return found, end
-
-    def words(self, at: int, end: int) -> str:
-        """The tokens as they were typed."""
-        return self.text[self.tokens[at].start : self.tokens[min(end, len(self.tokens)) - 1].end]
-
-    # ---- boundaries ------------------------------------------------------------------------------------------------
-
-    def _structural(self, at: int) -> bool:
-        """Whether a token is grammar, and no word of a name."""
-        if at >= len(self.tokens):
-            return True
-        token = self.tokens[at]
-        if token.relation is not None:
-            return True
-        word = token.plain
-        if word in _MODALS:
-            return at + 1 < len(self.tokens) and self.tokens[at + 1].plain in ("be", "been")
-        return word is not None and (
-            word in lexicon.AND or word in lexicon.WITH or word in lexicon.NEGATIONS or word in lexicon.LINKING
-            or word in lexicon.RELATIVE or word in lexicon.UNKNOWN_RELATIONS or word in lexicon.VERBS
-        )  # fmt: skip
-
-    def _ends(self, at: int) -> bool:
-        """Whether a noun phrase or a side may end before a token."""
-        return at >= len(self.tokens) or self.breaks[at] or self._structural(at) or (
-            self.tokens[at].plain in lexicon.POSTURES or self.tokens[at].plain in ("or", "nor", "it", "this")
-        ) or self.match(choices.AT_SIDE, at) is not None  # fmt: skip
-
-    def _goes_on(self, at: int) -> bool:
-        """Whether a relation, a side or the end follows."""
-        return at >= len(self.tokens) or self._structural(at) or self.match(choices.AT_SIDE, at) is not None
-
-    def _starts_noun(self, at: int) -> bool:
-        """Whether a noun phrase may begin at a token."""
-        if at >= len(self.tokens) or self.breaks[at]:
-            return False
-        word = self.tokens[at].plain
-        return word in DETERMINERS or not (self._structural(at) or word in lexicon.PLACE_PRONOUNS)
-
-    def is_superlative_noun(self, at: int) -> bool:
-        """Whether `nearest` stands before a noun, as in `the nearest chair`."""
-        return self.tokens[at].text in lexicon.SUPERLATIVES and self._starts_noun(at + 1) and (
-            at == 0 or self.tokens[at - 1].plain in DETERMINERS or self.tokens[at - 1].plain in choices.ORDINALS
-            or self.tokens[at - 1].relation is not None
-        )  # fmt: skip
-
-    def _superlative_reference(self, at: int) -> int | None:
-        """The token after `to` or `from`, where what `nearest` is near to follows there."""
-        if (
-            at + 1 < len(self.tokens)
-            and self.tokens[at].plain in ("to", "from")
-            and not self.match(choices.AT_SIDE, at)
-        ):
-            return at + 1
-        return None
+class NounReader(Cursor):
+    """A cursor that reads noun phrases."""
 
     # ---- one noun phrase -------------------------------------------------------------------------------------------
 
@@ -350,7 +267,7 @@ class NounReader:
             return word in lexicon.COPULAS or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
         if word in _JUST:
             return self._ends(end + 1)
-        if word in _MODALS:
+        if word in MODALS:
             return end + 1 < len(self.tokens) and self.tokens[end + 1].plain in ("be", "is", "see", "been")
         if word in lexicon.POSTURES:
             # `tv stands` are things; `the tv stands` is one that does.
@@ -426,43 +343,3 @@ def _first_word(draft: _Draft, tokens: Sequence[Token], head: int) -> int:
         elif tokens[k].plain not in lexicon.AND:
             break
     return first
-
-
-def _hyphens_joined(text: str, tokens: Sequence[Token]) -> list[Token]:
-    """The tokens with those that hyphens join as one, which no table of single words holds."""
-    found: list[Token] = []
-    for k, token in enumerate(tokens):
-        last = found[-1] if found else None
-        if token.bound and last is not None and tokens[k - 1].bound and text[last.end : token.start].strip(" ") != "":
-            found[-1] = Token(text[last.start : token.end].lower(), last.start, token.end, bound=True)
-        else:
-            found.append(token)
-    return found
-
-
-def joined_words(tokens: Sequence[Token]) -> tuple[str, list[int], list[int]]:
-    """The words as one string, with where each token starts and ends in it; names are hidden from patterns."""
-    words = ["_" if t.name is not None else t.text for t in tokens]
-    starts, at = [], 0
-    for word in words:
-        starts.append(at)
-        at += len(word) + 1
-    return " ".join(words), starts, [s + len(w) for s, w in zip(starts, words, strict=True)]
-
-
-def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
-    """Without `please find me` and the like, as long as something is left; whether they ask `what` or `which`."""
-    asks = False
-    while tokens:
-        for n in (5, 4, 3, 2, 1):
-            run = tokens[:n]
-            if len(run) == n and " ".join(t.text for t in run) in lexicon.LEADING:
-                if any(t.bound or t.name is not None for t in run):
-                    continue
-                asked = any(t.text.startswith(("what", "which")) for t in run)
-                if len(tokens) > n and (tokens[n].relation is None or tokens[n].text in lexicon.SUPERLATIVES or asked):
-                    tokens, asks = tokens[n:], asks or asked
-                    break
-        else:
-            return tokens, asks
-    return tokens, asks

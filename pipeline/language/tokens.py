@@ -297,3 +297,13 @@ def label_of(text: str, tokens: Sequence[Token]) -> str:
     if len(tokens) == 1 and tokens[0].name is not None:
         return tokens[0].name
     return _label(text, tokens[0].start, tokens[-1].end)
+
+
+def joined_words(tokens: Sequence[Token]) -> tuple[str, list[int], list[int]]:
+    """The words as one string, with where each token starts and ends in it; names are hidden from patterns."""
+    words = ["_" if t.name is not None else t.text for t in tokens]
+    starts, at = [], 0
+    for word in words:
+        starts.append(at)
+        at += len(word) + 1
+    return " ".join(words), starts, [s + len(w) for s, w in zip(starts, words, strict=True)]

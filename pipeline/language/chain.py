@@ -1,0 +1,169 @@
+"""The chain that an expression is read into, and what readers add to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from pipeline.language import lexicon
+from pipeline.language.nouns import NounReader, Phrase
+from pipeline.language.tokens import EXAMPLE, Token
+from pipeline.language.tree import Choice, Role, Span
+from pipeline.language.unreadable import FORM
+from pipeline.system.errors import InputError
+
+Attach = Literal["any", "nearest", "same", "root"]
+
+
+@dataclass(frozen=True)
+class Clause:
+    """One relation, side or exclusion of the chain.
+
+    Attributes
+    ----------
+    relation : str
+        Canonical name; empty for a choice and for an exclusion.
+    phrase : str
+        The words that said it.
+    references : tuple of int
+        Numbers of the nouns; two for `between`, none for a choice.
+    swapped : bool
+        Whether the relation holds from the reference to the target.
+    attach : {"any", "nearest", "same", "root"}
+        Which noun it may modify: any on the right frontier; only the one before it (`the nearest chair to`); the
+        one that the part before it modifies (`left of a and behind b`); or the target.
+    closed : bool
+        Whether nothing later may modify its references, as in `table with a lamp on top`.
+    negated : bool
+    choice : Choice or None
+    """
+
+    relation: str
+    phrase: str
+    references: tuple[int, ...]
+    swapped: bool = False
+    attach: Attach = "any"
+    closed: bool = False
+    negated: bool = False
+    choice: Choice | None = None
+
+
+@dataclass
+class Chain:
+    """What the grammar read: nouns in order of mention, parts between them, and where each stands."""
+
+    nouns: list[Phrase] = field(default_factory=list)
+    clauses: list[Clause] = field(default_factory=list)
+    spans: list[Span] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A relation that waits for its reference."""
+
+    token: Token
+    negated: bool
+    attach: Attach
+
+
+class ChainReader(NounReader):
+    """A reader of noun phrases that holds the chain and what is still open in it."""
+
+    def __init__(self, text: str, tokens: Sequence[Token]) -> None:
+        super().__init__(text, tokens)
+        self.chain = Chain()
+        self.problems: list[InputError] = []
+        self.opened: list[Opened] = []
+        self.negated = self.joined = self.linked = self.at_root = False
+
+    # ---- what is added ---------------------------------------------------------------------------------------------
+
+    def _refer(self, *references: int) -> None:
+        """Close the relations that are open with their references."""
+        for opened in self.opened:
+            self._relation_span(opened.token)
+            clause = Clause(
+                str(opened.token.relation), opened.token.text, references, opened.token.swapped, opened.attach,
+                negated=opened.negated,
+            )  # fmt: skip
+            self.chain.clauses.append(clause)
+        self.opened.clear()
+        self._forget()
+
+    def _add_noun(self, phrase: Phrase, role: Role, where: tuple[int, int]) -> int:
+        number = len(self.chain.nouns)
+        self.chain.nouns.append(phrase)
+        if where[1] > where[0]:
+            self.chain.spans.append(Span(self.tokens[where[0]].start, self.tokens[where[1] - 1].end, role, number))
+        self._modifier_spans(phrase, number)
+        return number
+
+    def _modifier_spans(self, phrase: Phrase, number: int) -> None:
+        self.chain.spans += [Span(start, end, role, number) for start, end, role in phrase.modifiers]
+
+    def _relation_span(self, token: Token) -> None:
+        self.chain.spans.append(Span(token.start, token.end, "relation", len(self.chain.clauses)))
+
+    def _attach(self) -> Attach:
+        """Where the part that begins here belongs."""
+        attach: Attach = (
+            "root" if self.at_root else "same" if self.joined and (self.chain.clauses or self.opened) else "any"
+        )
+        self.joined = self.at_root = False
+        return attach
+
+    def _take_negation(self) -> bool:
+        negated, self.negated = self.negated, False
+        return negated
+
+    def _forget(self) -> None:
+        self.joined = self.linked = self.negated = False
+
+    def _unused(self, at: int, why: str | InputError) -> int:
+        """Words up to the next part that cannot be used."""
+        end = at + 1
+        if self._starts_noun(end):
+            end = max(self.noun(end)[1], end)
+        self.problems.append(why if isinstance(why, InputError) else InputError(why, got=f"'{self.words(at, end)}'"))
+        self._note(at, end, self.problems[-1].what)
+        self._forget()
+        return end
+
+    def _note(self, at: int, end: int, why: str, also: Token | None = None) -> None:
+        start = self.tokens[at].start if also is None else also.start
+        self.chain.spans.append(Span(start, self.tokens[end - 1].end, "unused", 0, why))
+
+    def _missing(self, opened: Opened) -> None:
+        self.problems.append(self._missing_reference(opened.token.text))
+        token = opened.token
+        self.chain.spans.append(Span(token.start, token.end, "unused", 0, self.problems[-1].what))
+
+    def _merge(self, phrase: Phrase) -> None:
+        """Words about the target that come later: `the mug ... , the red one`, `the mug is the leftmost object`."""
+        root = self.chain.nouns[0]
+        merged = replace(
+            root, attributes=(*root.attributes, *phrase.attributes), choices=(*root.choices, *phrase.choices)
+        )
+        self.chain.nouns[0] = merged
+        self._modifier_spans(phrase, 0)
+
+    # ---- errors ----------------------------------------------------------------------------------------------------
+
+    def _missing_reference(self, after: str) -> InputError:
+        return InputError(
+            f"the reference is missing after '{after}'", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
+        )
+
+    def _no_target(self) -> InputError:
+        return InputError(
+            "the target is missing before the relation", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
+        )
+
+    def _is_pronoun(self, phrase: Phrase) -> bool:
+        return phrase.label in lexicon.PRONOUNS - lexicon.ANYTHING and not phrase.named
+
+    def _names_nothing(self, role: str, phrase: Phrase) -> InputError:
+        return InputError(
+            f"the {role} names no object: '{phrase.label}'", got=f"'{self.text}'", expected="the name of a thing"
+        )
