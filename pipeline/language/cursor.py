@@ -58,6 +58,8 @@ class Cursor:
         word = token.plain
         if word in MODALS:
             return at + 1 < len(self.tokens) and self.tokens[at + 1].plain in ("be", "been")
+        if word == "right":
+            return self._structural(at + 1) or self.breaks[at + 1]
         return word is not None and (
             word in lexicon.AND or word in lexicon.WITH or word in lexicon.NEGATIONS or word in lexicon.LINKING
             or word in lexicon.RELATIVE or word in lexicon.UNKNOWN_RELATIONS or word in lexicon.VERBS

@@ -182,14 +182,19 @@ class NounReader(Cursor):
         for size in range(_LONGEST_CHOICE, 0, -1):
             if at + size > len(self.tokens) or any(self.breaks[at + 1 : at + size]):
                 continue
-            text = " ".join(self._text(k) for k in range(at, at + size))
+            words = [self._text(k) for k in range(at, at + size)]
+            if not all(words):
+                continue
+            text = " ".join(words)
             order = choices.EXTREMES.get(text)
-            side = choices.SIDES.get(text) if size == 1 or " hand" in text else None
+            sides = choices.orders_of(text)
+            if sides and order == "low" and self._text(at + size) in choices.SIDES:
+                order = None  # `lower left chair`
             rank = choices.ORDINALS.get(text) if size == 1 else None
-            if order is None and side is None and rank is None:
+            if order is None and not sides and rank is None:
                 continue
             last = at + size
-            if self._compound(at) or (size == 1 and not self._may_choose(text, last, draft, side is not None)):
+            if self._compound(at) or (size == 1 and not self._may_choose(text, last, draft, bool(sides))):
                 return None
             if rank is not None:
                 draft.ordinal = rank, text
@@ -198,7 +203,8 @@ class NounReader(Cursor):
                 if self.tokens[at].text in lexicon.SUPERLATIVES:
                     draft.superlative = self.tokens[at]
             else:
-                draft.choose(str(side), text, None)
+                for side in sides:
+                    draft.choose(side, text, None)
             draft.modifiers.append((self.tokens[at].start, self.tokens[last - 1].end, "choice"))
             return last
         return None
@@ -268,7 +274,7 @@ class NounReader(Cursor):
         if word in _JUST:
             return self._ends(end + 1)
         if word in MODALS:
-            return end + 1 < len(self.tokens) and self.tokens[end + 1].plain in ("be", "is", "see", "been")
+            return end + 1 < len(self.tokens) and self.tokens[end + 1].plain in ("be", "see", "been")
         if word in lexicon.POSTURES:
             # `tv stands` are things; `the tv stands` is one that does.
             verb = any(self.tokens[k].plain in DETERMINERS for k in range(max(at - 3, 0), at))
