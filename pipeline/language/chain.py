@@ -7,13 +7,21 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from pipeline.language import lexicon
-from pipeline.language.nouns import NounReader, Phrase
+from pipeline.language.naming import DETERMINERS
+from pipeline.language.nouns import QUANTIFIERS, NounReader, Phrase
 from pipeline.language.tokens import EXAMPLE, Token
 from pipeline.language.tree import Choice, Role, Span
 from pipeline.language.unreadable import FORM
 from pipeline.system.errors import InputError
 
 Attach = Literal["any", "nearest", "same", "root"]
+
+OWN_WORDS = (
+    lexicon.GRAMMAR_WORDS | lexicon.AND | lexicon.WITH | lexicon.OTHER | lexicon.PRONOUNS | lexicon.CLOSING
+    | DETERMINERS | QUANTIFIERS | frozenset(w for phrase in lexicon.phrase_table() for w in phrase.split())
+    | lexicon.SMALL_WORDS
+)  # fmt: skip
+"""Words that may be left out of all spans: what they say is in how the expression was read."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +103,12 @@ class ChainReader(NounReader):
         number = len(self.chain.nouns)
         self.chain.nouns.append(phrase)
         if where[1] > where[0]:
-            self.chain.spans.append(Span(self.tokens[where[0]].start, self.tokens[where[1] - 1].end, role, number))
+            self.chain.spans.append(self._span(where, role, number))
         self._modifier_spans(phrase, number)
         return number
+
+    def _span(self, where: tuple[int, int], role: Role, number: int) -> Span:
+        return Span(self.tokens[where[0]].start, self.tokens[where[1] - 1].end, role, number)
 
     def _modifier_spans(self, phrase: Phrase, number: int) -> None:
         self.chain.spans += [Span(start, end, role, number) for start, end, role in phrase.modifiers]
@@ -131,22 +142,43 @@ class ChainReader(NounReader):
         return end
 
     def _note(self, at: int, end: int, why: str, also: Token | None = None) -> None:
-        start = self.tokens[at].start if also is None else also.start
+        start = self.tokens[at].start
+        if also is not None:
+            if any(also.end <= s.start < start for s in self.chain.spans):
+                self.chain.spans.append(Span(also.start, also.end, "unused", 0, why))
+            else:
+                start = also.start
         self.chain.spans.append(Span(start, self.tokens[end - 1].end, "unused", 0, why))
+
+    def _note_dropped(self) -> None:
+        """Note words that no part has taken and that are not the grammar's own: nothing is dropped in silence."""
+        taken = sorted((s.start, s.end) for s in self.chain.spans)
+        for at, token in enumerate(self.tokens):
+            own = token.name is None and all(w in OWN_WORDS for w in token.text.split())
+            if not own and not any(start < token.end and token.start < end for start, end in taken):
+                self._note(at, at + 1, "this word was not used")
 
     def _missing(self, opened: Opened) -> None:
         self.problems.append(self._missing_reference(opened.token.text))
         token = opened.token
         self.chain.spans.append(Span(token.start, token.end, "unused", 0, self.problems[-1].what))
 
-    def _merge(self, phrase: Phrase) -> None:
-        """Words about the target that come later: `the mug ... , the red one`, `the mug is the leftmost object`."""
-        root = self.chain.nouns[0]
-        merged = replace(
-            root, attributes=(*root.attributes, *phrase.attributes), choices=(*root.choices, *phrase.choices)
+    def _merge(self, phrase: Phrase, number: int = 0, *, named: bool = False) -> None:
+        """Words about a noun that come later: `the mug ... , the red one`, `the mug is the leftmost object`."""
+        noun = self.chain.nouns[number]
+        words, name = (*noun.words, *phrase.words), phrase.name if named else noun.name
+        self.chain.nouns[number] = replace(
+            noun,
+            label=" ".join([*words, name]),
+            head=name if words else "",
+            words=words,
+            attributes=(*noun.attributes, *phrase.attributes),
+            choices=(*noun.choices, *phrase.choices),
         )
-        self.chain.nouns[0] = merged
-        self._modifier_spans(phrase, 0)
+        self._modifier_spans(phrase, number)
+        if phrase.where[1] > phrase.where[0]:
+            role = "reference" if number else "target"
+            self.chain.spans.append(self._span(phrase.where, role, number))
 
     # ---- errors ----------------------------------------------------------------------------------------------------
 

@@ -70,6 +70,7 @@ class _Reader(RegionReader):
             at = self._step(at)
         for opened in self.opened:
             self._missing(opened)
+        self._note_dropped()
         chain = self.chain
         if not chain.nouns:
             raise self.problems[0] if self.problems else self._no_target()
@@ -196,7 +197,8 @@ class _Reader(RegionReader):
     # ---- nouns -----------------------------------------------------------------------------------------------------
 
     def _noun(self, at: int) -> int:
-        phrase, end = self.noun(at, stop_at_and=bool(self.opened) and self.opened[-1].token.relation == "between")
+        said_of = self.linked and not self.opened and self.tokens[at].plain not in DETERMINERS
+        phrase, end = self.noun(at, stop_at_and=bool(self.opened), predicate=said_of and bool(self.chain.nouns))
         if phrase is None:
             self._note(at, max(end, at + 1), "these words have no place here")
             return max(end, at + 1)
@@ -276,7 +278,8 @@ class _Reader(RegionReader):
                 # `not the ones on the stool`: what follows is negated.
                 self.at_root = True
                 return end
-            number = self._add_noun(self._resolved(phrase, root), "reference", phrase.where)
+            implied = phrase.where[0] == phrase.where[1]
+            number = self._add_noun(self._resolved(phrase, root, implied=implied), "reference", phrase.where)
             self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
             self.negated, self.at_root = False, True
             return end
@@ -288,12 +291,18 @@ class _Reader(RegionReader):
             self._forget()
             return end
         same = phrase.name == root.name or phrase.anything or phrase.name in root.name.split()
+        named = self.linked and (root.anything or phrase.name.endswith(f" {root.name}"))
         if self.joined and not clauses and not same:
             joint = "and the" if self.tokens[at].plain in DETERMINERS else "and"
             raise InputError(f"'{joint}' names a second target", got=f"'{self.text}'", expected="one target a relation")
-        if same or (self.linked and (phrase.attributes or phrase.choices)):
-            self._merge(phrase)
-            self.at_root = True
+        if same or named or (self.linked and (phrase.attributes or phrase.choices)):
+            relative = {self.tokens[at - 1].plain, self.tokens[at - 2].plain} & lexicon.RELATIVE_COPULAS
+            number = len(self.chain.nouns) - 1 if relative and same else 0
+            if not (same or named):
+                self._note(*phrase.where, "another name for the same thing")
+                phrase = replace(phrase, where=(end, end))
+            self._merge(phrase, number, named=named and not same)
+            self.at_root = number == 0
         else:
             self.problems.append(
                 not_known(self.tokens, max(at - 1, 1), self.text) if at else unreadable(phrase.label, self.text)
@@ -302,9 +311,9 @@ class _Reader(RegionReader):
         self._forget()
         return end
 
-    def _resolved(self, phrase: Phrase, other: Phrase | None = None) -> Phrase:
-        """`the yellow one` of the thing that was named last."""
-        if not phrase.anything or phrase.head_word not in ("one", "ones") or not self.chain.nouns:
+    def _resolved(self, phrase: Phrase, other: Phrase | None = None, *, implied: bool = False) -> Phrase:
+        """`the yellow one` of the thing that was named last; so too where no thing is said."""
+        if not phrase.anything or not (implied or phrase.head_word in ("one", "ones")) or not self.chain.nouns:
             return phrase
         named = other if other is not None and not other.anything else self.chain.nouns[-1]
         words = list(phrase.words)

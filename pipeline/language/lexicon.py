@@ -98,6 +98,7 @@ LINKING = _words(
 COPULAS = _words("that which who is are was were be been being that's which's who's it's there thats whos also")
 
 RELATIVE = frozenset({"that", "which", "who"})
+RELATIVE_COPULAS = RELATIVE | {"that's", "which's", "who's", "thats"}
 POSTURES = _words("stands sits lies rests hangs leans stand sit lie rest hang lean sat goes belongs appears")
 """Linking words only after `that`, since `tv stands` are things."""
 
@@ -113,6 +114,12 @@ FILLER = re.compile(
     r"|(?:up|down|over|out|off|all the way|in place|by itself|here|located)) ?(?= |$)"
 )
 """A distance or a direction before a relation, which no relation judges: `a few feet to the left of`."""
+
+SMALL_WORDS = _words(
+    "or plus of for few couple little bit feet foot inch inches meters metres centimeters steps way ways up down over "
+    "back all place by"
+)
+"""Words of fillers and lists, which say nothing alone."""
 
 ACTIONS = _words(
     "put place move turn open close push pull throw pour clean wash wipe fold lift drop carry stack arrange fill empty "

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pipeline.language import choices, lexicon
 from pipeline.language.attributes import Attribute, attribute
 from pipeline.language.cursor import MODALS, Cursor
-from pipeline.language.naming import DETERMINERS, is_compound, known_words, singular
+from pipeline.language.naming import DETERMINERS, default_synonyms, is_compound, key_of, singular
+from pipeline.language.normal import normal_form
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token, label_of
 from pipeline.language.tree import Choice, Role
 
-_QUANTIFIERS = frozenset({"all", "both", "each", "every", "same"})
+QUANTIFIERS = frozenset({"all", "both", "each", "every", "same"})
 _JUST = frozenset({"just", "directly", "right", "immediately", "slightly", "exactly", "straight", "almost", "very"})
 _LONGEST_CHOICE = 3
 
@@ -83,6 +84,7 @@ class _Draft:
     count: int | None = None
     ordinal: tuple[int, str] | None = None
     superlative: Token | None = None
+    predicate: bool = False
 
     def choose(self, order: str, text: str, rank: int | None = 1) -> None:
         if self.ordinal is not None and rank == 1:
@@ -97,7 +99,7 @@ class NounReader(Cursor):
 
     # ---- one noun phrase -------------------------------------------------------------------------------------------
 
-    def noun(self, at: int, *, stop_at_and: bool = False) -> tuple[Phrase | None, int]:
+    def noun(self, at: int, *, stop_at_and: bool = False, predicate: bool = False) -> tuple[Phrase | None, int]:
         """The noun phrase at a token and the token after it; None where there is none.
 
         Parameters
@@ -105,8 +107,10 @@ class NounReader(Cursor):
         at : int
         stop_at_and : bool
             An `and` never belongs to the name.
+        predicate : bool
+            It is said of a thing, so that adjectives may stand alone: `is red`.
         """
-        draft = _Draft([], [], [], [])
+        draft = _Draft([], [], [], [], predicate=predicate)
         at = self._before(self._determiners(at), draft)
         if draft.choices or draft.ordinal:
             at = self._of_several(at, draft)
@@ -136,7 +140,7 @@ class NounReader(Cursor):
         ), after
 
     def _determiners(self, at: int) -> int:
-        while at < len(self.tokens) and (self.tokens[at].plain in DETERMINERS or self.tokens[at].plain in _QUANTIFIERS):
+        while at < len(self.tokens) and (self.tokens[at].plain in DETERMINERS or self.tokens[at].plain in QUANTIFIERS):
             at += 1
         return at
 
@@ -228,7 +232,7 @@ class NounReader(Cursor):
             if (size == 2 and " " not in text) or not text:
                 continue
             found = attribute(text)
-            if found is None or (size == 1 and (self._compound(at) or self._is_the_thing(at, draft))):
+            if found is None or (size == 1 and (self._compound(at) or self._is_the_thing(at, draft, found))):
                 continue
             draft.attributes.append(found)
             draft.words.append(text)
@@ -236,11 +240,17 @@ class NounReader(Cursor):
             return at + size
         return None
 
-    def _is_the_thing(self, at: int, draft: _Draft) -> bool:
+    def _is_the_thing(self, at: int, draft: _Draft, found: Attribute) -> bool:
         """`orange`, `glass` and `light` name things too, where nothing follows that could be one."""
-        word = self.tokens[at].text
-        follows = at + 1 < len(self.tokens) and not self._ends(at + 1)
-        return not follows and word in known_words() and not draft.attributes
+        same_kind = any(a.kind == found.kind for a in draft.attributes)
+        if draft.predicate or same_kind or not is_name(self.tokens[at].text):
+            return False
+        after = at + 1
+        if after >= len(self.tokens) or self.tokens[after].plain == "of":
+            return True
+        # `orange, white and blue flags`
+        listed = after + (self.tokens[after].plain in lexicon.AND)
+        return self._ends(after) and attribute(self._text(listed)) is None
 
     def _of_several(self, at: int, draft: _Draft) -> int:
         """`the taller of the two boxes`: past `of the two`."""
@@ -266,6 +276,8 @@ class NounReader(Cursor):
         if word in lexicon.WITH:
             return word != "with" or end == at or not self._starts_noun(end + 1) or self._with_relation(end + 1)
         if word in lexicon.AND:
+            if any(is_compound([t.text for t in self.tokens[at:k]]) for k in (end + 2, end + 3)):
+                return False
             return stop_at_and or end == at or self._ends(end + 1) or self.tokens[end + 1].plain in DETERMINERS
         if word in lexicon.ARTICLE_BEARING:
             return end == at or (word == "or" and self._ends(end + 1))
@@ -335,6 +347,11 @@ class NounReader(Cursor):
         if len(head) > 2 and head[0].plain in lexicon.STACKS and head[1].plain == "of":
             return head[2:]
         return head
+
+
+def is_name(word: str) -> bool:
+    """Whether one word in lower case is a name of the project's table: `glass`, and not `red`."""
+    return key_of(normal_form(word)) in default_synonyms().keys
 
 
 def _first_word(draft: _Draft, tokens: Sequence[Token], head: int) -> int:
