@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from pipeline.language import lexicon
+from pipeline.language import choices, lexicon
 from pipeline.language.naming import DETERMINERS
 from pipeline.language.nouns import QUANTIFIERS, NounReader, Phrase
 from pipeline.language.tokens import EXAMPLE, Token
@@ -18,8 +18,8 @@ Attach = Literal["any", "nearest", "same", "root"]
 
 OWN_WORDS = (
     lexicon.GRAMMAR_WORDS | lexicon.AND | lexicon.WITH | lexicon.OTHER | lexicon.PRONOUNS | lexicon.CLOSING
-    | DETERMINERS | QUANTIFIERS | frozenset(w for phrase in lexicon.phrase_table() for w in phrase.split())
-    | lexicon.SMALL_WORDS
+    | lexicon.SMALL_WORDS | DETERMINERS | QUANTIFIERS | frozenset(choices.NUMBERS)
+    | frozenset(w for phrase in lexicon.phrase_table() for w in phrase.split())
 )  # fmt: skip
 """Words that may be left out of all spans: what they say is in how the expression was read."""
 
@@ -140,6 +140,15 @@ class ChainReader(NounReader):
         self._note(at, end, self.problems[-1].what)
         self._forget()
         return end
+
+    def _place_left_out(self, token: Token, relation: str) -> Token:
+        """The relation of a part of a thing, as its preposition alone: which part is noted and not judged."""
+        preposition = token.text.split()[0]
+        cut = token.start + len(preposition)
+        note = "where on or in a thing something is is not judged"
+        start = cut + len(self.text[cut : token.end]) - len(self.text[cut : token.end].lstrip())
+        self.chain.spans.append(Span(start, token.end, "unused", 0, note))
+        return replace(token, text=preposition, relation=relation, end=cut)
 
     def _note(self, at: int, end: int, why: str, also: Token | None = None) -> None:
         start = self.tokens[at].start

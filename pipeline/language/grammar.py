@@ -18,7 +18,7 @@ from dataclasses import replace
 from pipeline.language import choices, lexicon
 from pipeline.language.chain import Attach, Chain, Clause, Opened
 from pipeline.language.naming import DETERMINERS, singular
-from pipeline.language.nouns import Phrase
+from pipeline.language.nouns import Phrase, is_name
 from pipeline.language.regions import RegionReader
 from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice
@@ -63,6 +63,7 @@ class _Reader(RegionReader):
         tokens = without_view(tokens, text)
         tokens, self.asks_what = leading_removed(tokens)
         super().__init__(text, tokens)
+        self.renamed = False
 
     def read(self) -> Chain:
         at = 0
@@ -74,7 +75,7 @@ class _Reader(RegionReader):
         chain = self.chain
         if not chain.nouns:
             raise self.problems[0] if self.problems else self._no_target()
-        told = chain.clauses or any(n.attributes or n.choices for n in chain.nouns)
+        told = self.renamed or chain.clauses or any(n.attributes or n.choices for n in chain.nouns)
         if self.problems and not told:
             raise self.problems[0]
         return chain
@@ -86,8 +87,9 @@ class _Reader(RegionReader):
         if self.chain.nouns and self.breaks[at] and word in ("it", "this", "they") and not self.opened:
             self.at_root = True
             return at + 1
-        if word == "without":
-            return self._unused(at, "what a thing does not have is not judged")
+        if word == "without" and self.chain.nouns and not self.opened:
+            self.negated = True
+            return self._with(at)
         if word in lexicon.NEGATIONS:
             self.negated = self.linked = True
             return at + 1
@@ -125,6 +127,13 @@ class _Reader(RegionReader):
         if word in lexicon.UNKNOWN_RELATIONS or (word in lexicon.ACTIONS and self.chain.nouns):
             return self._unused(at, not_known(self.tokens, at, self.text))
         return self._noun(at)
+
+    def _said_of(self, at: int) -> bool:
+        """Whether what begins here is said of a thing: `is red`, `is not the red one`, and not `there is`."""
+        at -= 1
+        while at > 0 and (self.tokens[at].plain in lexicon.NEGATIONS or self.tokens[at].plain in lexicon.DEGREES):
+            at -= 1
+        return bool(self.chain.nouns) and self.tokens[at].plain in lexicon.BE and self.tokens[at - 1].plain != "there"
 
     def _links(self, at: int) -> bool:
         """Whether a word only links a noun to what follows."""
@@ -183,13 +192,18 @@ class _Reader(RegionReader):
             after = self.tokens[end] if end < len(self.tokens) else None
         tail = None if after is None or phrase is None else self._with_tail(end)
         if phrase is None or after is None or tail is None:
-            return self._unused(at, "parts and what a thing has are left to the detector")
+            lacks = "what a thing does not have is not judged"
+            return self._unused(at, lacks if self.negated else "parts and what a thing has are left to the detector")
         self._relation_span(self.tokens[at])
         number = self._add_noun(phrase, "reference", phrase.where)
         self._relation_span(after)
         words = f"{self.tokens[at].text} ... {after.text}"
         relation, swapped = str(after.relation), not after.swapped
-        attach: Attach = "same" if self.joined and self.chain.clauses else "nearest"
+        # `has` after no `that` is said of the target; `with` and `that has` of any thing before.
+        relative = self.tokens[at - 1].plain in lexicon.RELATIVE or self.tokens[at].plain in ("with", "without")
+        attach: Attach = "same" if self.joined and self.chain.clauses else "any" if relative else "root"
+        if phrase.head_word == "nothing":
+            phrase, self.negated = replace(phrase, label="thing", head=""), True
         self.chain.clauses.append(Clause(relation, words, (number,), swapped, attach, True, self._take_negation()))
         self.joined = False
         return tail
@@ -197,8 +211,8 @@ class _Reader(RegionReader):
     # ---- nouns -----------------------------------------------------------------------------------------------------
 
     def _noun(self, at: int) -> int:
-        said_of = self.linked and not self.opened and self.tokens[at].plain not in DETERMINERS
-        phrase, end = self.noun(at, stop_at_and=bool(self.opened), predicate=said_of and bool(self.chain.nouns))
+        predicate = not self.opened and self._said_of(at) and self.tokens[at].plain not in DETERMINERS
+        phrase, end = self.noun(at, stop_at_and=bool(self.opened), predicate=predicate)
         if phrase is None:
             self._note(at, max(end, at + 1), "these words have no place here")
             return max(end, at + 1)
@@ -235,9 +249,9 @@ class _Reader(RegionReader):
         if self.opened[-1].token.relation == "between":
             second, end = self._second(phrase, first, end)
             if second is None and " of" in self.opened[-1].token.text:
-                # In the middle of one thing.
+                # In the middle of one thing: on it, and the place there is not judged.
                 opened = self.opened.pop()
-                self.opened.append(replace(opened, token=replace(opened.token, relation="on")))
+                self.opened.append(replace(opened, token=self._place_left_out(opened.token, "on")))
                 self._refer(first)
             elif second is None:
                 raise InputError(
@@ -258,8 +272,10 @@ class _Reader(RegionReader):
             and self.tokens[end].plain in lexicon.AND
             and not (first.count == 2 and self._ends(end + 1))
         ):
-            self._relation_span(self.tokens[end])
             phrase, after = self.noun(end + 1)
+            if phrase is None and " of" in self.opened[-1].token.text:
+                return None, end
+            self._relation_span(self.tokens[end])
             if phrase is None:
                 raise InputError(
                     "the reference is missing after 'and'", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
@@ -291,16 +307,20 @@ class _Reader(RegionReader):
             self._forget()
             return end
         same = phrase.name == root.name or phrase.anything or phrase.name in root.name.split()
-        named = self.linked and (root.anything or phrase.name.endswith(f" {root.name}"))
-        if self.joined and not clauses and not same:
+        said_of = self._said_of(at)
+        noun = self.tokens[at].plain in DETERMINERS or is_name(singular(phrase.head_word))
+        named = said_of and noun and (root.anything or phrase.name.endswith(f" {root.name}"))
+        told_before = any(t.plain in lexicon.BE for t in self.tokens[:at])
+        if self.joined and not told_before and not clauses and not same:
             joint = "and the" if self.tokens[at].plain in DETERMINERS else "and"
             raise InputError(f"'{joint}' names a second target", got=f"'{self.text}'", expected="one target a relation")
-        if same or named or (self.linked and (phrase.attributes or phrase.choices)):
+        if same or named or (said_of and (phrase.attributes or phrase.choices)):
             relative = {self.tokens[at - 1].plain, self.tokens[at - 2].plain} & lexicon.RELATIVE_COPULAS
             number = len(self.chain.nouns) - 1 if relative and same else 0
             if not (same or named):
                 self._note(*phrase.where, "another name for the same thing")
                 phrase = replace(phrase, where=(end, end))
+            self.renamed = self.renamed or (named and not same)
             self._merge(phrase, number, named=named and not same)
             self.at_root = number == 0
         else:

@@ -91,11 +91,20 @@ LINKING = _words(
     "straight exactly slightly somewhere still currently located positioned placed situated standing stood sitting "
     "seated lying laying laid resting hanging hung leaning mounted kept found put parked the a an thats whos can could "
     "may seen visible propped stored stacked arranged displayed perched tucked nestled almost nearly very quite "
-    "closely pictured appears seems approximately about"
+    "closely pictured appears seems approximately about does do did hidden partially partly attached fixed connected "
+    "wedged tossed thrown stuck draped built"
 )
 """Words between a noun and its relation that say nothing: `the mug that is standing on`."""
 
-COPULAS = _words("that which who is are was were be been being that's which's who's it's there thats whos also")
+COPULAS = _words(
+    "does do did that which who is are was were be been being that's which's who's it's there thats whos also"
+)
+
+SEEMS = re.compile(r"what (?:appears|seems|looks|look|appear|seem) (?:to be|like)(?= |$)")
+"""Words before a noun that say only that its name is a guess."""
+BE = _words("is are was were be being been isn't aren't wasn't isnt arent it's that's which's thats")
+DEGREES = _words("also very quite just rather or nor really both mostly all")
+"""What may stand between `is` and an adjective."""
 
 RELATIVE = frozenset({"that", "which", "who"})
 RELATIVE_COPULAS = RELATIVE | {"that's", "which's", "who's", "thats"}

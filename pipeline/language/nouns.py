@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pipeline.language import choices, lexicon
 from pipeline.language.attributes import Attribute, attribute
 from pipeline.language.cursor import MODALS, Cursor
-from pipeline.language.naming import DETERMINERS, default_synonyms, is_compound, key_of, singular
+from pipeline.language.naming import DETERMINERS, default_synonyms, is_compound, key_of, known_words, singular
 from pipeline.language.normal import normal_form
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token, label_of
@@ -140,8 +140,13 @@ class NounReader(Cursor):
         ), after
 
     def _determiners(self, at: int) -> int:
-        while at < len(self.tokens) and (self.tokens[at].plain in DETERMINERS or self.tokens[at].plain in QUANTIFIERS):
-            at += 1
+        while at < len(self.tokens):
+            if found := self.match(lexicon.SEEMS, at):
+                at = found[1]
+            elif self.tokens[at].plain in DETERMINERS or self.tokens[at].plain in QUANTIFIERS:
+                at += 1
+            else:
+                break
         return at
 
     def _before(self, at: int, draft: _Draft) -> int:
@@ -243,7 +248,8 @@ class NounReader(Cursor):
     def _is_the_thing(self, at: int, draft: _Draft, found: Attribute) -> bool:
         """`orange`, `glass` and `light` name things too, where nothing follows that could be one."""
         same_kind = any(a.kind == found.kind for a in draft.attributes)
-        if draft.predicate or same_kind or not is_name(self.tokens[at].text):
+        word = self.tokens[at].text
+        if draft.predicate or same_kind or not (is_name(word) or (found.kind == "material" and word in known_words())):
             return False
         after = at + 1
         if after >= len(self.tokens) or self.tokens[after].plain == "of":

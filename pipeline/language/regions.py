@@ -44,6 +44,8 @@ class RegionReader(ChainReader):
             attach = "same"
         relation = choices.REGION_RELATION.get(found[0]["preposition"], "near")
         token = Token(found[0][0].strip(), self.tokens[at].start, self.tokens[found[1] - 1].end, relation)
+        if not found[0]["side"]:
+            token = self._place_left_out(token, relation)
         self.opened.append(Opened(token, self._take_negation(), attach))
         return found[1]
 

@@ -28,9 +28,14 @@ def without_view(tokens: list[Token], text: str) -> list[Token]:
         joined, _, ends = joined_words(tokens)
         for owned in lexicon.SIDE_OF_OWNER.finditer(joined):
             following = ends.index(owned.end()) + 1 if owned.end() in ends else None
-            if following is not None and all(
-                t.relation is not None or t.plain in lexicon.LINKING or t.plain in lexicon.AND
-                for t in tokens[following : following + 1]
+            about = owned[0].split()[0] in lexicon.COPULAS
+            if (
+                following is not None
+                and not (about and following < len(tokens))
+                and all(
+                    t.relation is not None or t.plain in lexicon.LINKING or t.plain in lexicon.AND
+                    for t in tokens[following : following + 1]
+                )
             ):
                 raise other_view(owned[0], text)
     check_judged(tokens, text)
