@@ -8,6 +8,7 @@ from typing import Literal
 
 from pipeline.language import choices, lexicon
 from pipeline.language.naming import DETERMINERS
+from pipeline.language.normal import HEAD_ENDS
 from pipeline.language.nouns import QUANTIFIERS, NounReader, Phrase
 from pipeline.language.tokens import EXAMPLE, Token
 from pipeline.language.tree import Choice, Role, Span
@@ -45,6 +46,9 @@ class Clause:
         Whether nothing later may modify its references, as in `table with a lamp on top`.
     negated : bool
     choice : Choice or None
+    otherwise : (str, Choice or None) or None
+        Another relation, and a side of the noun with it, that the same words may say: `on the left side of the table`
+        may be a place on it.
     """
 
     relation: str
@@ -55,6 +59,7 @@ class Clause:
     closed: bool = False
     negated: bool = False
     choice: Choice | None = None
+    otherwise: tuple[str, Choice | None] | None = None
 
 
 @dataclass
@@ -93,11 +98,19 @@ class ChainReader(NounReader):
             self._relation_span(opened.token)
             clause = Clause(
                 str(opened.token.relation), opened.token.text, references, opened.token.swapped, opened.attach,
-                negated=opened.negated,
+                negated=opened.negated, otherwise=self._otherwise(opened.token, references),
             )  # fmt: skip
             self.chain.clauses.append(clause)
         self.opened.clear()
         self._forget()
+
+    def _otherwise(self, token: Token, references: tuple[int, ...]) -> tuple[str, Choice | None] | None:
+        name = self.chain.nouns[references[0]].name
+        if HEAD_ENDS.split(name)[0].split()[-1] not in lexicon.SURFACES:
+            return None
+        if found := choices.SIDE_OR_PLACE.fullmatch(token.text):
+            return "on", Choice(choices.SIDES[found["side"]], None, token.text)  # type: ignore[arg-type]
+        return ("near", None) if token.relation == "on" and token.text.endswith(" side of") else None
 
     def _add_noun(self, phrase: Phrase, role: Role, where: tuple[int, int]) -> int:
         number = len(self.chain.nouns)

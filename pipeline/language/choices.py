@@ -62,12 +62,15 @@ AT_SIDE = re.compile(
 
 REGION_OF = re.compile(
     rf"(?P<preposition>on|at|in|to|toward|towards|near|by) {_THE}(?:(?:very|far|extreme|outer|inner) )?"
-    rf"(?:(?P<side>(?:{_SIDE})(?: (?:{_SIDE}))?) )?(?:(?:hand )?(?:side|corner|end|edge|part|half|area|section|portion|"
-    rf"region|position|front|back|right|left) )of(?= )"
+    rf"(?:(?P<side>(?:{_SIDE})(?: (?:{_SIDE}))?) )?(?:hand )?(?P<part>side|corner|end|edge|part|half|area|section|"
+    rf"portion|region|position|foot|head|base|front|back|right|left|top|bottom) of(?= )"
 )
 """A part of a thing: `on the right end of the couch`, `at the edge of the table`."""
 REGION_RELATION = {"in": "in", "on": "on"}
 """What a part of a thing says of it, by the preposition; else `near`."""
+
+SIDE_OR_PLACE = re.compile(r"(?:on|at|in) the (?P<side>left|right|front|back|left hand|right hand)(?: side)? of")
+"""Phrases of relations that may also say a place on a thing: `the plate on the left side of the table`."""
 
 FROM_SIDE = re.compile(
     rf"(?:from|starting from|counting from|counted from|on|to|at|in) {_THE}(?:far )?(?P<side>{_SIDE})"

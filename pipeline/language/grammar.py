@@ -62,6 +62,10 @@ class _Reader(RegionReader):
             tokens = tokens[:-1]
         tokens = without_view(tokens, text)
         tokens, self.asks_what = leading_removed(tokens)
+        contrast = next((k for k, t in enumerate(tokens) if t.plain == "but" and k + 1 < len(tokens)), None)
+        if contrast and tokens[0].plain in lexicon.NEGATIONS:
+            # `not the mug on the desk but the one on the shelf`: what is meant comes first.
+            tokens = tokens[contrast + 1 :] + tokens[:contrast]
         super().__init__(text, tokens)
         self.renamed = False
 
@@ -96,6 +100,8 @@ class _Reader(RegionReader):
         if word in lexicon.AND or word in ("or", "nor", "plus"):
             self.joined = True
             clauses = self.chain.clauses
+            if word == "but" and any(t.plain in lexicon.EVERY for t in self.tokens[: min(at, 3)]):
+                self.negated = self.linked = True
             self.negated = self.negated or (word in ("or", "nor") and bool(clauses) and clauses[-1].negated)
             return at + 1
         if (side := self._side(at)) is not None:
@@ -128,6 +134,9 @@ class _Reader(RegionReader):
             return self._unused(at, not_known(self.tokens, at, self.text))
         return self._noun(at)
 
+    def _relates(self, at: int) -> bool:
+        return at < len(self.tokens) and self.tokens[at].relation is not None and not self.breaks[at]
+
     def _said_of(self, at: int) -> bool:
         """Whether what begins here is said of a thing: `is red`, `is not the red one`, and not `there is`."""
         at -= 1
@@ -159,7 +168,7 @@ class _Reader(RegionReader):
     def _relation(self, at: int) -> int:
         token = self.tokens[at]
         if not self.chain.nouns:
-            if not (self.asks_what or self.linked or self.joined):
+            if not (self.asks_what or self.linked or self.joined or token.text.split()[0] in lexicon.LINKING):
                 raise self._no_target()
             self._add_noun(Phrase(label="thing"), "target", (at, at))
         scene = self._scene(at + 1) if token.relation in choices.OF_THE_SCENE else None
@@ -194,6 +203,8 @@ class _Reader(RegionReader):
         if phrase is None or after is None or tail is None:
             lacks = "what a thing does not have is not judged"
             return self._unused(at, lacks if self.negated else "parts and what a thing has are left to the detector")
+        if phrase.head_word == "nothing":
+            phrase, self.negated = replace(phrase, label="thing", head=""), True
         self._relation_span(self.tokens[at])
         number = self._add_noun(phrase, "reference", phrase.where)
         self._relation_span(after)
@@ -202,8 +213,6 @@ class _Reader(RegionReader):
         # `has` after no `that` is said of the target; `with` and `that has` of any thing before.
         relative = self.tokens[at - 1].plain in lexicon.RELATIVE or self.tokens[at].plain in ("with", "without")
         attach: Attach = "same" if self.joined and self.chain.clauses else "any" if relative else "root"
-        if phrase.head_word == "nothing":
-            phrase, self.negated = replace(phrase, label="thing", head=""), True
         self.chain.clauses.append(Clause(relation, words, (number,), swapped, attach, True, self._take_negation()))
         self.joined = False
         return tail
@@ -290,7 +299,11 @@ class _Reader(RegionReader):
         """A noun without a relation before it: the target once more, what it is not, or nothing that is of use."""
         root = self.chain.nouns[0]
         if self.negated:
-            if phrase.anything and not (phrase.attributes or phrase.choices):
+            if root.anything and root.head_word == "one" and not phrase.anything:
+                self._merge(replace(phrase, attributes=(), words=(), modifiers=(), choices=()), named=True)
+                root = self.chain.nouns[0]
+            again = phrase.anything or (phrase.name == root.name and self._relates(end))
+            if again and not (phrase.attributes or phrase.choices):
                 # `not the ones on the stool`: what follows is negated.
                 self.at_root = True
                 return end

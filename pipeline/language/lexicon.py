@@ -63,6 +63,8 @@ SCENE_ORDER = {
 BARE_SIDES = {"in front": "near", "behind": "far", "in back": "far", "on top": "high", "on the top": "high"}
 """Relation phrases that name a side where no reference follows."""
 
+SURFACES = _words("table desk counter countertop shelf bookshelf bed couch sofa bench dresser nightstand rug tray")
+"""Things that others stand on, so that their left side may be a place on them."""
 STACKS = _words("stack pile heap")
 SCENE = _words("room picture image photo photograph scene view frame screen shot")
 """What holds all of the frame: its sides are those of the picture."""
@@ -113,6 +115,8 @@ POSTURES = _words("stands sits lies rests hangs leans stand sit lie rest hang le
 
 CLOSING = _words("please thanks is are there")
 AND = frozenset({"and", "but", "&"})
+EVERY = _words("any all every each everything anything")
+"""Before a noun they make `but` mean `except`."""
 NEGATIONS = _words(
     "not no isn't aren't isnt arent wasn't doesn't doesnt don't without except excluding neither nor never cannot"
 )

@@ -158,7 +158,7 @@ class NounReader(Cursor):
                 end = at + 1
             if end is None and token.plain in choices.NUMBERS and not self._ends(at + 1):
                 draft.count, end = choices.NUMBERS[token.plain], at + 1
-            if end is None and token.plain in lexicon.AND and draft.attributes and attribute(self._text(at + 1)):
+            if end is None and token.plain in ("and", "&") and draft.attributes and attribute(self._text(at + 1)):
                 end = at + 1
             if end is None or (at > 0 and self.breaks[at] and not draft.attributes):
                 break
@@ -284,7 +284,13 @@ class NounReader(Cursor):
         if word in lexicon.AND:
             if any(is_compound([t.text for t in self.tokens[at:k]]) for k in (end + 2, end + 3)):
                 return False
-            return stop_at_and or end == at or self._ends(end + 1) or self.tokens[end + 1].plain in DETERMINERS
+            return (
+                stop_at_and
+                or word == "but"
+                or end == at
+                or self._ends(end + 1)
+                or self.tokens[end + 1].plain in DETERMINERS
+            )
         if word in lexicon.ARTICLE_BEARING:
             return end == at or (word == "or" and self._ends(end + 1))
         if end == at:

@@ -22,7 +22,9 @@ class RegionReader(ChainReader):
         if found := self.match(choices.EXTREME_AT_SIDE, at):
             self._choice(Choice(choices.SIDES[found[0]["side"]], 1, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
             return found[1]
-        found = self.match(choices.AT_SIDE, at)
+        found, region = self.match(choices.AT_SIDE, at), self.match(choices.REGION_OF, at)
+        if found is not None and region is not None and region[1] > found[1]:
+            return self._region(at)
         if found is None or not (found[0]["part"] or found[0]["most"] or self._ends(found[1])):
             return self._region(at)
         rank = 1 if found[0]["far"] or found[0]["most"] else None
@@ -37,14 +39,30 @@ class RegionReader(ChainReader):
             return None
         if not self.chain.nouns:
             self._add_noun(Phrase(label="thing"), "target", (at, at))
+        preposition, side, part = found[0]["preposition"], found[0]["side"], found[0]["part"]
+        noun, end = self.noun(found[1])
+        if noun is not None and noun.head_word in lexicon.STACKS and part in ("top", "bottom"):
+            order = "high" if part == "top" else "low"
+            self._choice(Choice(order, 1, self.words(at, end)), at, end)
+            return end
+        side = f"{side} {part}" if side and part in choices.SIDES else side
         attach = self._attach()
-        for order in choices.orders_of(found[0]["side"] or ""):
+        for order in choices.orders_of(side or ""):
             choice = Choice(order, None, found[0][0].strip())  # type: ignore[arg-type]
             self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
             attach = "same"
-        relation = choices.REGION_RELATION.get(found[0]["preposition"], "near")
+        scene = self._scene(found[1], named=preposition == "in")
+        if scene is not None:
+            if not side:
+                self._note(at, scene, "where in the frame a corner or an edge is meant is not said")
+            else:
+                self.chain.spans.append(Span(self.tokens[at].start, self.tokens[scene - 1].end, "choice", 0))
+            return scene
+        relation = choices.REGION_RELATION.get(preposition, "near")
+        if part == "top" or (relation == "in" and noun is not None and noun.head_word in lexicon.SURFACES):
+            relation = "on"
         token = Token(found[0][0].strip(), self.tokens[at].start, self.tokens[found[1] - 1].end, relation)
-        if not found[0]["side"]:
+        if not side:
             token = self._place_left_out(token, relation)
         self.opened.append(Opened(token, self._take_negation(), attach))
         return found[1]
@@ -64,9 +82,10 @@ class RegionReader(ChainReader):
             self.chain.spans.append(span)
         self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
 
-    def _scene(self, at: int) -> int | None:
+    def _scene(self, at: int, *, named: bool = False) -> int | None:
         """Past `the room`, where the scene itself is the reference; None where a thing is."""
         at += at < len(self.tokens) and self.tokens[at].plain in DETERMINERS
-        if at < len(self.tokens) and self.tokens[at].plain in lexicon.SCENE and self._ends(at + 1):
+        word = self.tokens[at].plain or (self.tokens[at].text if named else None) if at < len(self.tokens) else None
+        if word in lexicon.SCENE and self._ends(at + 1):
             return at + 1
         return None

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from pipeline.language.lexicon import AND, GRAMMAR_WORDS, WITH, phrase_table
+from pipeline.language.lexicon import AND, GRAMMAR_WORDS, LINKING, WITH, phrase_table
 from pipeline.language.naming import DETERMINERS, Synonyms, known_words
 from pipeline.system.errors import InputError, require
 
@@ -228,6 +228,9 @@ def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[T
         phrase = _longest(_PHRASES.get(words[i]), words[:free], opens, i)
         if phrase is not None and len(phrase[0]) > 1:
             phrase = _before_a_name(phrase, known, words, opens, i)
+            later = _longest(_PHRASES.get(words[i + 1]), words[:free], opens, i + 1)
+            if words[i] in LINKING and later is not None and len(later[0]) >= len(phrase[0]):
+                phrase = None  # `sitting` says nothing in `sitting on top of`.
         best = name if phrase is None or (name is not None and len(name[0]) > len(phrase[0])) else phrase
         if best is None:
             tokens.append(Token(words[i], starts[i], ends[i], bound=not (opens[i] and opens[i + 1])))
