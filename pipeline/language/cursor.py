@@ -58,12 +58,19 @@ class Cursor:
         word = token.plain
         if word in MODALS:
             return at + 1 < len(self.tokens) and self.tokens[at + 1].plain in ("be", "been")
+        if word is not None and word.endswith("ing") and at and self._after_number(at):
+            return False
         if word == "right":
             return self._structural(at + 1) or self.breaks[at + 1]
         return word is not None and (
             word in lexicon.AND or word in lexicon.WITH or word in lexicon.NEGATIONS or word in lexicon.LINKING
             or word in lexicon.RELATIVE or word in lexicon.UNKNOWN_RELATIONS or word in lexicon.VERBS
         )  # fmt: skip
+
+    def _after_number(self, at: int) -> bool:
+        """`hanging` in `three hanging towels`."""
+        word = self.tokens[at + 1].plain if at + 1 < len(self.tokens) else None
+        return self.tokens[at - 1].plain in choices.NUMBERS and word is not None and word not in DETERMINERS
 
     def _ends(self, at: int) -> bool:
         """Whether a noun phrase or a side may end before a token."""

@@ -21,7 +21,7 @@ from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import Phrase, is_name
 from pipeline.language.regions import RegionReader
 from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
-from pipeline.language.tree import Choice
+from pipeline.language.tree import Choice, Span
 from pipeline.language.unreadable import FORM, not_known, unreadable
 from pipeline.language.views import leading_removed, without_view
 from pipeline.system.errors import InputError
@@ -54,11 +54,17 @@ def read_chain(text: str, known: Vocabulary) -> Chain:
     raise problem
 
 
+_NOT_JUDGED = (
+    (lexicon.DEIXIS, "words that point to a place say nothing without a pointer"),
+    (lexicon.DOING, "what somebody does with a thing is not judged"),
+)
+
+
 class _Reader(RegionReader):
     """One pass over one expression, adding to its chain."""
 
     def __init__(self, text: str, tokens: list[Token]) -> None:
-        while tokens and tokens[-1].plain in lexicon.CLOSING:
+        while tokens and tokens[-1].plain in lexicon.CLOSING and tokens[-2:][0].text not in lexicon.POINTING:
             tokens = tokens[:-1]
         tokens = without_view(tokens, text)
         tokens, self.asks_what = leading_removed(tokens)
@@ -110,6 +116,12 @@ class _Reader(RegionReader):
         filler = self.match(lexicon.FILLER, at) if loose else None
         if filler is not None and self._goes_on(filler[1]):
             return filler[1]
+        if self.chain.nouns and not self.opened and not self._said_of(at):
+            for pattern, why in _NOT_JUDGED:
+                if (found := self.match(pattern, at)) and self._goes_on(found[1]):
+                    self.problems.append(InputError(why, got=f"'{self.words(at, found[1])}'"))
+                    self._note(at, found[1], why)
+                    return found[1]
         if self._links(at):
             self.linked = True
             return at + 1
@@ -274,8 +286,28 @@ class _Reader(RegionReader):
             self._refer(first)
         return end
 
+    def _joins(self, at: int) -> bool:
+        return at < len(self.tokens) and self.tokens[at].plain in lexicon.AND
+
+    def _later_and(self, at: int) -> int | None:
+        """The next `and` before a noun, behind words that tell more of the first of a pair."""
+        if self.opened[-1].token.text.endswith(" of"):
+            return None
+        ahead = (k for k in range(at, len(self.tokens)) if self.tokens[k].plain == "and" and self._starts_noun(k + 1))
+        return next(ahead, None)
+
     def _second(self, first: Phrase, number: int, end: int) -> tuple[int | None, int]:
         """The other reference of `between`; `the two chairs` are both."""
+        if (side := self.match(choices.AT_SIDE, end)) is not None and self._joins(side[1]):
+            for order in choices.orders_of(side[0]["side"]):
+                choice = Choice(order, None, side[0][0].strip())  # type: ignore[arg-type]
+                self.chain.nouns[number] = replace(first, choices=(*first.choices, choice))
+            span = Span(self.tokens[end].start, self.tokens[side[1] - 1].end, "choice", number)
+            self.chain.spans.append(span)
+            end = side[1]
+        elif not self._joins(end) and (later := self._later_and(end)) is not None:
+            self._note(end, later, "words within a pair are not read")
+            end = later
         if (
             end < len(self.tokens)
             and self.tokens[end].plain in lexicon.AND

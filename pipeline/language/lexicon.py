@@ -110,8 +110,24 @@ DEGREES = _words("also very quite just rather or nor really both mostly all")
 
 RELATIVE = frozenset({"that", "which", "who"})
 RELATIVE_COPULAS = RELATIVE | {"that's", "which's", "who's", "thats"}
-POSTURES = _words("stands sits lies rests hangs leans stand sit lie rest hang lean sat goes belongs appears")
+POSTURES = _words(
+    "resides stays stands sits lies rests hangs leans stand sit lie rest hang lean sat goes belongs appears"
+)
 """Linking words only after `that`, since `tv stands` are things."""
+
+SOMEBODY = _words("somebody someone nobody anybody everybody he she you i we they")
+COUNTING = re.compile(r"(?:how many|how much|(?:the |a )?(?:number|count|amount) of|count)(?= )")
+"""Questions for a number, at the start of a sentence."""
+POINTING = _words("over up down out back right")
+DEIXIS = re.compile(r"(?:(?:right|over|up|down|out|back|just) )+(?:there|here)(?= |$)")
+"""Words that point to a place."""
+DOING = re.compile(
+    r"(?:(?:the |a |an |that |this |some |my )?(?:man|woman|boy|girl|person|people|child|kid|baby|guy|lady|cat|dog)"
+    r"|somebody|someone|nobody|anybody|everybody|he|she|you|i|we|they) "
+    r"(?:(?:is|are|was|were|am|has|have|can|will) )?(?:been )?\w+(?:ing|s|ed)"
+    r"(?: (?:on|in|at|with|to|against|for))?(?= |$)"
+)
+"""What somebody does with a thing."""
 
 CLOSING = _words("please thanks is are there")
 AND = frozenset({"and", "but", "&"})
@@ -124,7 +140,7 @@ NEGATIONS = _words(
 FILLER = re.compile(
     r"(?:(?:a |one |two |three |several |some )?(?:few |couple of |couple |little |bit )?"
     r"(?:feet|foot|inch|inches|meters|metres|centimeters|steps|bit|little|ways?)(?: away| off| over| back| up| down)?"
-    r"|(?:up|down|over|out|off|all the way|in place|by itself|here|located)) ?(?= |$)"
+    r"|(?:up|down|over|out|off|all the way|in place|by itself|here|located)|(?:you|i|we) (?:can |could )?see) ?(?= |$)"
 )
 """A distance or a direction before a relation, which no relation judges: `a few feet to the left of`."""
 
@@ -180,7 +196,9 @@ VIEW_WORDS = _words(
 VIEW_LAST = re.compile(rf"(?<= )(?:{CAMERA_VIEW}|in (?:the|this) (?:image|scene))$")
 
 OBJECT_VIEW = re.compile(
-    r"\bfacing (?:the|a|an|this|that|it|them|my|your|toward|towards|away|forward)\b|^(?:when |if |while )?facing\b"
+    r"\bfacing (?:the|a|an|this|that|it|them|me|us|you|my|your|toward|towards|away|forward)\b"
+    r"|^(?:when |if |while )?facing\b"
+    r"|\b(?:faces|(?:turned|pointing|pointed|aimed|points) (?:to|at|toward|towards)) (?:the|a|an|this|that|me|it)\b"
     r"|\b(?:looking|look) (?:from|out|toward|towards|the|away)\b|\blooking at\b|\blook at the (?:front|back|face) of\b"
     r"|\S+'s? (?:point of view|viewpoint|view|perspective)\b"
     r"|\bfrom (?:the |its |their |his |her )?(?:point of view|viewpoint|perspective|view|side|position|standpoint)\b"
@@ -191,8 +209,8 @@ OBJECT_VIEW = re.compile(
 """Expressions judged from an object's own front, or from where somebody stands."""
 
 OBJECT_VIEW_WORDS = _words(
-    "facing looking look view viewpoint perspective seen viewed observed you when while if back own side position "
-    "standpoint"
+    "facing faces turned pointing pointed points aimed looking look view viewpoint perspective seen viewed "
+    "observed you when while if back own side position standpoint"
 )
 """No expression without one of these words matches OBJECT_VIEW."""
 

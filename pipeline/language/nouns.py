@@ -112,14 +112,14 @@ class NounReader(Cursor):
         """
         draft = _Draft([], [], [], [], predicate=predicate)
         at = self._before(self._determiners(at), draft)
-        if draft.choices or draft.ordinal:
+        if draft.choices or draft.ordinal or any(w.endswith("est") for w in draft.words):
             at = self._of_several(at, draft)
         end = self._head_end(at, draft, stop_at_and=stop_at_and)
         head = self._of_a_stack(self.tokens[at:end])
         after = self._ordinal_end(end, draft)
         if not head and not (draft.attributes or draft.choices or draft.count):
             return None, after
-        start = at if not head else end - len(head)
+        start = _first_word(draft, self.tokens, at if not head else end - len(head))
         name, cut = "thing", end
         if head:
             cut = next((k for k, t in enumerate(head) if k and t.plain in lexicon.WITH), len(head))
@@ -134,8 +134,10 @@ class NounReader(Cursor):
             choices=tuple(draft.choices),
             count=draft.count,
             named=len(head) == 1 and head[0].name is not None,
-            where=(_first_word(draft, self.tokens, start), end) if head else (end, end),
-            modifiers=tuple(m for m in draft.modifiers if not head or m[2] == "choice"),
+            where=(start, end) if head else (end, end),
+            modifiers=tuple(
+                m for m in draft.modifiers if not head or m[2] == "choice" or m[0] < self.tokens[start].start
+            ),
             superlative=draft.superlative,
         ), after
 
@@ -236,7 +238,7 @@ class NounReader(Cursor):
             text = " ".join(self._text(k) for k in range(at, at + size)).strip()
             if (size == 2 and " " not in text) or not text:
                 continue
-            found = attribute(text)
+            found = attribute(text) or (_superlative_of(text) if size == 1 else None)
             if found is None or (size == 1 and (self._compound(at) or self._is_the_thing(at, draft, found))):
                 continue
             draft.attributes.append(found)
@@ -295,6 +297,8 @@ class NounReader(Cursor):
             return end == at or (word == "or" and self._ends(end + 1))
         if end == at:
             return word in lexicon.COPULAS or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
+        if word in lexicon.SOMEBODY:
+            return True
         if word in _JUST:
             return self._ends(end + 1)
         if word in MODALS:
@@ -359,6 +363,12 @@ class NounReader(Cursor):
         if len(head) > 2 and head[0].plain in lexicon.STACKS and head[1].plain == "of":
             return head[2:]
         return head
+
+
+def _superlative_of(word: str) -> Attribute | None:
+    """`darkest` as dark: how a thing looks is judged by degrees."""
+    stems = (word[:-3], word[:-2], word[:-4]) if word.endswith("est") and len(word) > 5 else ()
+    return next((found for stem in stems if (found := attribute(stem)) is not None), None)
 
 
 def is_name(word: str) -> bool:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pipeline.language import lexicon
 from pipeline.language.tokens import Token, joined_words
-from pipeline.language.unreadable import check_judged, other_view
+from pipeline.language.unreadable import FORM, check_judged, other_view
+from pipeline.system.errors import InputError
 
 
 def without_view(tokens: list[Token], text: str) -> list[Token]:
@@ -38,6 +39,11 @@ def without_view(tokens: list[Token], text: str) -> list[Token]:
                 )
             ):
                 raise other_view(owned[0], text)
+    counting = lexicon.COUNTING.match(joined_words(tokens)[0]) if tokens and tokens[0].plain else None
+    if counting:
+        raise InputError(
+            f"'{counting[0]}' asks for a number, and only a thing can be asked for", got=f"'{text}'", expected=FORM
+        )
     check_judged(tokens, text)
     return tokens
 
