@@ -10,6 +10,7 @@ from pipeline.language import choices, lexicon
 from pipeline.language.naming import DETERMINERS
 from pipeline.language.normal import HEAD_ENDS
 from pipeline.language.nouns import QUANTIFIERS, NounReader, Phrase
+from pipeline.language.relation_names import RELATIONS
 from pipeline.language.tokens import EXAMPLE, Token
 from pipeline.language.tree import Choice, Role, Span
 from pipeline.language.unreadable import FORM
@@ -108,7 +109,10 @@ class ChainReader(NounReader):
         name = self.chain.nouns[references[0]].name
         if HEAD_ENDS.split(name)[0].split()[-1] not in lexicon.SURFACES:
             return None
-        if found := choices.SIDE_OR_PLACE.fullmatch(token.text):
+        before = next((t for t in reversed(self.tokens) if t.end <= token.start), token)
+        # The plain phrases, which labels are written with, say one thing; after `lying` a place on it is as likely.
+        plain = token.text in RELATIONS[str(token.relation)].says and before.plain not in lexicon.LYING
+        if not plain and (found := choices.SIDE_OR_PLACE.fullmatch(token.text)):
             return "on", Choice(choices.SIDES[found["side"]], None, token.text)  # type: ignore[arg-type]
         return ("near", None) if token.relation == "on" and token.text.endswith(" side of") else None
 

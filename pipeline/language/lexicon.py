@@ -65,6 +65,9 @@ BARE_SIDES = {"in front": "near", "behind": "far", "in back": "far", "on top": "
 
 SURFACES = _words("table desk counter countertop shelf bookshelf bed couch sofa bench dresser nightstand rug tray")
 """Things that others stand on, so that their left side may be a place on them."""
+LYING = _words(
+    "standing sitting lying laying resting placed put located positioned situated kept stands sits lies rests"
+)
 STACKS = _words("stack pile heap")
 SCENE = _words("room picture image photo photograph scene view frame screen shot")
 """What holds all of the frame: its sides are those of the picture."""
@@ -146,7 +149,7 @@ FILLER = re.compile(
 
 SMALL_WORDS = _words(
     "or plus of for few couple little bit feet foot inch inches meters metres centimeters steps way ways up down over "
-    "back all place by"
+    "back all place by what looks look like seem seems appear see"
 )
 """Words of fillers and lists, which say nothing alone."""
 

@@ -136,7 +136,11 @@ class NounReader(Cursor):
             named=len(head) == 1 and head[0].name is not None,
             where=(start, end) if head else (end, end),
             modifiers=tuple(
-                m for m in draft.modifiers if not head or m[2] == "choice" or m[0] < self.tokens[start].start
+                m
+                for m in draft.modifiers
+                if not head
+                or (m[2] == "choice" and m[0] != self.tokens[start].start)
+                or m[0] < self.tokens[start].start
             ),
             superlative=draft.superlative,
         ), after

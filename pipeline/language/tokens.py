@@ -15,7 +15,7 @@ from pipeline.system.errors import InputError, require
 MAX_LENGTH = 300
 """Characters; a spatial expression is a phrase, not a page."""
 
-_SEPARATORS = r"\s\-_‐-―,;:?!\"“”„«»()\[\]/&+%#.'’‘$€£@*~"
+_SEPARATORS = r"\s\-_‐-―,;:?!\"“”„«»()\[\]/&+%#.'’‘$"
 _WORD = re.compile(rf"[^{_SEPARATORS}]+(?:['’.][^{_SEPARATORS}]+)*|&")
 _STRANGE = re.compile(rf"[^\w{_SEPARATORS}]|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 _QUOTED = re.compile(r"[\"“„«]([^\"“”„«»]+)[\"”“»]")
