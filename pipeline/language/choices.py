@@ -17,12 +17,12 @@ def _table(text: str) -> dict[str, str]:
 
 
 EXTREMES = _table(
-    "left: leftmost, left most, most left, far left, farthest left, furthest left, extreme left;"
-    "right: rightmost, right most, most right, far right, farthest right, furthest right, extreme right;"
-    "high: topmost, top most, uppermost, highest, higher;"
-    "low: lowest, bottommost, bottom most, lowermost, lower most, lower;"
-    "near: closest, nearest, closer, nearer, frontmost, front most, foremost;"
-    "far: farthest, furthest, farther, further, backmost, back most, rearmost, most distant;"
+    "left: leftmost, left most, most left, far left, farthest left, furthest left, extreme left, very left;"
+    "right: rightmost, right most, most right, far right, farthest right, furthest right, extreme right, very right;"
+    "high: topmost, top most, uppermost, very top, highest, higher;"
+    "low: lowest, bottommost, bottom most, very bottom, lowermost, lower most, lower;"
+    "near: closest, nearest, closer, nearer, frontmost, front most, foremost, very front;"
+    "far: farthest, furthest, farther, further, backmost, back most, very back, rearmost, most distant;"
     "tall: tallest, taller; short: shortest, shorter;"
     "big: biggest, bigger, largest, larger, greatest;"
     "small: smallest, smaller, tiniest, tinier, littlest, littler;"
@@ -62,12 +62,15 @@ AT_SIDE = re.compile(
 
 REGION_OF = re.compile(
     rf"(?P<preposition>on|at|in|to|toward|towards|near|by) {_THE}(?:(?:very|far|extreme|outer|inner) )?"
-    rf"(?:(?P<side>(?:{_SIDE})(?: (?:{_SIDE}))?) )?(?:(?:hand )?(?:side|corner|end|edge|part|half|area|section|portion|"
-    rf"region|position|front|back|right|left) )of(?= )"
+    rf"(?:(?P<side>(?:{_SIDE})(?: (?:{_SIDE}))?) )?(?:hand )?(?P<part>side|corner|end|edge|part|half|area|section|"
+    rf"portion|region|position|foot|head|base|front|back|right|left|top|bottom) of(?= )"
 )
 """A part of a thing: `on the right end of the couch`, `at the edge of the table`."""
 REGION_RELATION = {"in": "in", "on": "on"}
 """What a part of a thing says of it, by the preposition; else `near`."""
+
+SIDE_OR_PLACE = re.compile(r"(?:on|at|in) the (?P<side>left|right|front|back|left hand|right hand)(?: side)? of")
+"""Phrases of relations that may also say a place on a thing: `the plate on the left side of the table`."""
 
 FROM_SIDE = re.compile(
     rf"(?:from|starting from|counting from|counted from|on|to|at|in) {_THE}(?:far )?(?P<side>{_SIDE})"
@@ -86,7 +89,8 @@ def orders_of(words: str) -> tuple[str, ...]:
     """The orders that words of sides name: `bottom left` is both."""
     if words in SIDES:
         return (SIDES[words],)
-    return tuple(dict.fromkeys(SIDES[w] for w in words.split() if w in SIDES))
+    several = [w for w in words.split() if w not in ("hand", "most")]
+    return tuple(dict.fromkeys(SIDES[w] for w in several)) if all(w in SIDES for w in several) else ()
 
 
 OF_THE_SCENE = frozenset({"left", "right", "front", "behind", "between", "above", "below", "on", "in"})

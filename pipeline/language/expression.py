@@ -6,7 +6,8 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 from pipeline.language import lexicon
-from pipeline.language.grammar import Chain, Clause, read_chain
+from pipeline.language.chain import Chain, Clause
+from pipeline.language.grammar import read_chain
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.language.relation_names import MIRRORED, RELATIONS
 from pipeline.language.tokens import check_text, vocabulary
@@ -16,6 +17,7 @@ from pipeline.system.errors import InputError, Unsupported, require
 MAX_RELATIONS = 4
 """Of more parts than this only two readings are kept: there would be 42, 132, ... of them."""
 MOST_RELATIONS = 16
+MOST_READINGS = 14
 
 
 def parse(
@@ -61,13 +63,14 @@ def parse(
         got=str(len(chain.clauses)),
         expected=f"at most {MOST_RELATIONS}",
     )
-    attachments = [_attachment(clause, relations) for clause in chain.clauses]
     readings: list[Reading] = []
-    for parents in _parents(chain.clauses):
-        root = _tree(0, chain, attachments, parents)
-        words = described(root)
-        if not any(r.description == words for r in readings):
-            readings.append(Reading(root, is_default=not readings, description=words))
+    for clauses in _ways(chain.clauses, relations):
+        attachments = [_attachment(clause, relations) for clause in clauses]
+        for parents in _parents(clauses):
+            root = _tree(0, replace(chain, clauses=clauses), attachments, parents)
+            words = described(root)
+            if not any(r.description == words for r in readings) and len(readings) < MOST_READINGS:
+                readings.append(Reading(root, is_default=not readings, description=words))
     return Query(text, tuple(readings), tuple(sorted(chain.spans, key=lambda s: s.start)))
 
 
@@ -92,6 +95,14 @@ def _attachment(clause: Clause, relations: Collection[str] | None) -> Attachment
         )
     note = f"this vocabulary has no '{lacking}': '{clause.phrase}' is read as '{relation}'" if mapped_from else None
     return Attachment(relation, (), inverse, clause.phrase, mapped_from, note, clause.negated)
+
+
+def _ways(clauses: list[Clause], relations: Collection[str] | None) -> Iterator[list[Clause]]:
+    """The parts as they are read first, and as else their words may be meant."""
+    yield clauses
+    offered = relations is None or {"on", "near"} <= set(relations)
+    if offered and any(c.otherwise for c in clauses):
+        yield [replace(c, relation=c.otherwise[0], choice=c.otherwise[1]) if c.otherwise else c for c in clauses]
 
 
 def _parents(clauses: Sequence[Clause]) -> Iterator[tuple[int, ...]]:
@@ -144,9 +155,9 @@ def _tree(noun: int, chain: Chain, attachments: Sequence[Attachment | None], par
         nodes = tuple(_tree(r, chain, attachments, parents) for r in clause.references)
         if clause.choice is not None:
             chosen.append(clause.choice)
-        elif attachment is None:
+        if attachment is None and clause.choice is None:
             excluded += nodes
-        else:
+        elif attachment is not None:
             mine.append(replace(attachment, nodes=nodes))
     return Node(
         label=phrase.label,

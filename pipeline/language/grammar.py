@@ -13,60 +13,18 @@ nothing is left that tells the thing meant is that an error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
 from pipeline.language import choices, lexicon
+from pipeline.language.chain import Attach, Chain, Clause, Opened
 from pipeline.language.naming import DETERMINERS, singular
-from pipeline.language.nouns import NounReader, Phrase, joined_words, leading_removed
+from pipeline.language.nouns import Phrase, is_name
+from pipeline.language.regions import RegionReader
 from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
-from pipeline.language.tree import Choice, Role, Span
-from pipeline.language.unreadable import FORM, check_judged, not_known, other_view, unreadable
+from pipeline.language.tree import Choice, Span
+from pipeline.language.unreadable import FORM, not_known, unreadable
+from pipeline.language.views import leading_removed, without_view
 from pipeline.system.errors import InputError, Unsupported
-
-Attach = Literal["any", "nearest", "same", "root"]
-
-
-@dataclass(frozen=True)
-class Clause:
-    """One relation, side or exclusion of the chain.
-
-    Attributes
-    ----------
-    relation : str
-        Canonical name; empty for a choice and for an exclusion.
-    phrase : str
-        The words that said it.
-    references : tuple of int
-        Numbers of the nouns; two for `between`, none for a choice.
-    swapped : bool
-        Whether the relation holds from the reference to the target.
-    attach : {"any", "nearest", "same", "root"}
-        Which noun it may modify: any on the right frontier; only the one before it (`the nearest chair to`); the
-        one that the part before it modifies (`left of a and behind b`); or the target.
-    closed : bool
-        Whether nothing later may modify its references, as in `table with a lamp on top`.
-    negated : bool
-    choice : Choice or None
-    """
-
-    relation: str
-    phrase: str
-    references: tuple[int, ...]
-    swapped: bool = False
-    attach: Attach = "any"
-    closed: bool = False
-    negated: bool = False
-    choice: Choice | None = None
-
-
-@dataclass
-class Chain:
-    """What the grammar read: nouns in order of mention, parts between them, and where each stands."""
-
-    nouns: list[Phrase] = field(default_factory=list)
-    clauses: list[Clause] = field(default_factory=list)
-    spans: list[Span] = field(default_factory=list)
 
 
 def read_chain(text: str, known: Vocabulary) -> Chain:
@@ -96,28 +54,26 @@ def read_chain(text: str, known: Vocabulary) -> Chain:
     raise problem
 
 
-@dataclass(frozen=True)
-class _Opened:
-    """A relation that waits for its reference."""
-
-    token: Token
-    negated: bool
-    attach: Attach
+_NOT_JUDGED = (
+    (lexicon.DEIXIS, "words that point to a place say nothing without a pointer"),
+    (lexicon.DOING, "what somebody does with a thing is not judged"),
+)
 
 
-class _Reader(NounReader):
+class _Reader(RegionReader):
     """One pass over one expression, adding to its chain."""
 
     def __init__(self, text: str, tokens: list[Token]) -> None:
-        while tokens and tokens[-1].plain in lexicon.CLOSING:
+        while tokens and tokens[-1].plain in lexicon.CLOSING and tokens[-2:][0].text not in lexicon.POINTING:
             tokens = tokens[:-1]
-        tokens = _without_view(tokens, text)
+        tokens = without_view(tokens, text)
         tokens, self.asks_what = leading_removed(tokens)
+        contrast = next((k for k, t in enumerate(tokens) if t.plain == "but" and k + 1 < len(tokens)), None)
+        if contrast and tokens[0].plain in lexicon.NEGATIONS:
+            # `not the mug on the desk but the one on the shelf`: what is meant comes first.
+            tokens = tokens[contrast + 1 :] + tokens[:contrast]
         super().__init__(text, tokens)
-        self.chain = Chain()
-        self.problems: list[InputError] = []
-        self.opened: list[_Opened] = []
-        self.negated = self.joined = self.linked = self.at_root = False
+        self.renamed = False
 
     def read(self) -> Chain:
         at = 0
@@ -125,10 +81,11 @@ class _Reader(NounReader):
             at = self._step(at)
         for opened in self.opened:
             self._missing(opened)
+        self._note_dropped()
         chain = self.chain
         if not chain.nouns:
             raise self.problems[0] if self.problems else self._no_target()
-        told = chain.clauses or any(n.attributes or n.choices for n in chain.nouns)
+        told = self.renamed or chain.clauses or any(n.attributes or n.choices for n in chain.nouns)
         if self.problems and not told:
             raise self.problems[0]
         return chain
@@ -140,14 +97,17 @@ class _Reader(NounReader):
         if self.chain.nouns and self.breaks[at] and word in ("it", "this", "they") and not self.opened:
             self.at_root = True
             return at + 1
-        if word == "without":
-            return self._unused(at, "what a thing does not have is not judged")
+        if word == "without" and self.chain.nouns and not self.opened:
+            self.negated = True
+            return self._with(at)
         if word in lexicon.NEGATIONS:
             self.negated = self.linked = True
             return at + 1
         if word in lexicon.AND or word in ("or", "nor", "plus"):
             self.joined = True
             clauses = self.chain.clauses
+            if word == "but" and any(t.plain in lexicon.EVERY for t in self.tokens[: min(at, 3)]):
+                self.negated = self.linked = True
             self.negated = self.negated or (word in ("or", "nor") and bool(clauses) and clauses[-1].negated)
             return at + 1
         if (side := self._side(at)) is not None:
@@ -156,6 +116,12 @@ class _Reader(NounReader):
         filler = self.match(lexicon.FILLER, at) if loose else None
         if filler is not None and self._goes_on(filler[1]):
             return filler[1]
+        if self.chain.nouns and not self.opened and not self._said_of(at):
+            for pattern, why in _NOT_JUDGED:
+                if (found := self.match(pattern, at)) and self._goes_on(found[1]):
+                    self.problems.append(Unsupported(why, got=f"'{self.words(at, found[1])}'"))
+                    self._note(at, found[1], why)
+                    return found[1]
         if self._links(at):
             self.linked = True
             return at + 1
@@ -167,7 +133,7 @@ class _Reader(NounReader):
             return self._with(at)
         if self.chain.nouns and not self.opened and word in ("left", "right") and at + 1 < len(self.tokens):
             side_token = replace(token, relation=word)
-            self.opened.append(_Opened(side_token, self._take_negation(), self._attach()))
+            self.opened.append(Opened(side_token, self._take_negation(), self._attach()))
             return at + 1
         if word in lexicon.ACTIONS and not at and len(self.tokens) > 1 and self.tokens[1].plain in DETERMINERS:
             raise Unsupported(
@@ -180,52 +146,15 @@ class _Reader(NounReader):
             return self._unused(at, not_known(self.tokens, at, self.text))
         return self._noun(at)
 
-    def _side(self, at: int) -> int | None:
-        """A side that chooses: `on the left`, `furthest to the right`; None where there is none here."""
-        if (not self.chain.nouns and not self.asks_what) or " " in self.tokens[at].text:
-            return None
-        if found := self.match(choices.EXTREME_AT_SIDE, at):
-            self._choice(Choice(choices.SIDES[found[0]["side"]], 1, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
-            return found[1]
-        found = self.match(choices.AT_SIDE, at)
-        if found is None or not (found[0]["part"] or found[0]["most"] or self._ends(found[1])):
-            return self._region(at)
-        rank = 1 if found[0]["far"] or found[0]["most"] else None
-        for order in choices.orders_of(found[0]["side"]):
-            self._choice(Choice(order, rank, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
-        return found[1]
+    def _relates(self, at: int) -> bool:
+        return at < len(self.tokens) and self.tokens[at].relation is not None and not self.breaks[at]
 
-    def _region(self, at: int) -> int | None:
-        """A part of a thing: it stands in a relation to that thing, and at a side."""
-        found = self.match(choices.REGION_OF, at)
-        if found is None or self.opened:
-            return None
-        if not self.chain.nouns:
-            self._add_noun(Phrase(label="thing"), "target", (at, at))
-        attach = self._attach()
-        for order in choices.orders_of(found[0]["side"] or ""):
-            choice = Choice(order, None, found[0][0].strip())  # type: ignore[arg-type]
-            self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
-            attach = "same"
-        relation = choices.REGION_RELATION.get(found[0]["preposition"], "near")
-        token = Token(found[0][0].strip(), self.tokens[at].start, self.tokens[found[1] - 1].end, relation)
-        self.opened.append(_Opened(token, self._take_negation(), attach))
-        return found[1]
-
-    def _choice(self, choice: Choice, at: int, end: int) -> None:
-        if not self.chain.nouns:
-            self._add_noun(Phrase(label="thing"), "target", (at, at))
-        attach = self._attach()
-        if self.opened:
-            self.opened.pop()
-        if self.negated:
-            self._note(at, end, "a side that is not meant is not judged")
-            self.negated = False
-            return
-        span = Span(self.tokens[at].start, self.tokens[end - 1].end, "choice", 0)
-        if not any(s.start == span.start for s in self.chain.spans):
-            self.chain.spans.append(span)
-        self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
+    def _said_of(self, at: int) -> bool:
+        """Whether what begins here is said of a thing: `is red`, `is not the red one`, and not `there is`."""
+        at -= 1
+        while at > 0 and (self.tokens[at].plain in lexicon.NEGATIONS or self.tokens[at].plain in lexicon.DEGREES):
+            at -= 1
+        return bool(self.chain.nouns) and self.tokens[at].plain in lexicon.BE and self.tokens[at - 1].plain != "there"
 
     def _links(self, at: int) -> bool:
         """Whether a word only links a noun to what follows."""
@@ -251,7 +180,7 @@ class _Reader(NounReader):
     def _relation(self, at: int) -> int:
         token = self.tokens[at]
         if not self.chain.nouns:
-            if not (self.asks_what or self.linked or self.joined):
+            if not (self.asks_what or self.linked or self.joined or token.text.split()[0] in lexicon.LINKING):
                 raise self._no_target()
             self._add_noun(Phrase(label="thing"), "target", (at, at))
         scene = self._scene(at + 1) if token.relation in choices.OF_THE_SCENE else None
@@ -272,15 +201,8 @@ class _Reader(NounReader):
             return at + 1
         if self.opened and not self.joined:
             self._missing(self.opened.pop())
-        self.opened.append(_Opened(token, self._take_negation(), self._attach()))
+        self.opened.append(Opened(token, self._take_negation(), self._attach()))
         return at + 1
-
-    def _scene(self, at: int) -> int | None:
-        """Past `the room`, where the scene itself is the reference; None where a thing is."""
-        at += at < len(self.tokens) and self.tokens[at].plain in DETERMINERS
-        if at < len(self.tokens) and self.tokens[at].plain in lexicon.SCENE and self._ends(at + 1):
-            return at + 1
-        return None
 
     def _with(self, at: int) -> int:
         """`table with a lamp on top`: the relation holds from the lamp to the table. Else it tells of a part."""
@@ -291,13 +213,18 @@ class _Reader(NounReader):
             after = self.tokens[end] if end < len(self.tokens) else None
         tail = None if after is None or phrase is None else self._with_tail(end)
         if phrase is None or after is None or tail is None:
-            return self._unused(at, "parts and what a thing has are left to the detector")
+            lacks = "what a thing does not have is not judged"
+            return self._unused(at, lacks if self.negated else "parts and what a thing has are left to the detector")
+        if phrase.head_word == "nothing":
+            phrase, self.negated = replace(phrase, label="thing", head=""), True
         self._relation_span(self.tokens[at])
         number = self._add_noun(phrase, "reference", phrase.where)
         self._relation_span(after)
         words = f"{self.tokens[at].text} ... {after.text}"
         relation, swapped = str(after.relation), not after.swapped
-        attach: Attach = "same" if self.joined and self.chain.clauses else "nearest"
+        # `has` after no `that` is said of the target; `with` and `that has` of any thing before.
+        relative = self.tokens[at - 1].plain in lexicon.RELATIVE or self.tokens[at].plain in ("with", "without")
+        attach: Attach = "same" if self.joined and self.chain.clauses else "any" if relative else "root"
         self.chain.clauses.append(Clause(relation, words, (number,), swapped, attach, True, self._take_negation()))
         self.joined = False
         return tail
@@ -305,7 +232,8 @@ class _Reader(NounReader):
     # ---- nouns -----------------------------------------------------------------------------------------------------
 
     def _noun(self, at: int) -> int:
-        phrase, end = self.noun(at, stop_at_and=bool(self.opened) and self.opened[-1].token.relation == "between")
+        predicate = not self.opened and self._said_of(at) and self.tokens[at].plain not in DETERMINERS
+        phrase, end = self.noun(at, stop_at_and=bool(self.opened), predicate=predicate)
         if phrase is None:
             self._note(at, max(end, at + 1), "these words have no place here")
             return max(end, at + 1)
@@ -342,9 +270,9 @@ class _Reader(NounReader):
         if self.opened[-1].token.relation == "between":
             second, end = self._second(phrase, first, end)
             if second is None and " of" in self.opened[-1].token.text:
-                # In the middle of one thing.
+                # In the middle of one thing: on it, and the place there is not judged.
                 opened = self.opened.pop()
-                self.opened.append(replace(opened, token=replace(opened.token, relation="on")))
+                self.opened.append(replace(opened, token=self._place_left_out(opened.token, "on")))
                 self._refer(first)
             elif second is None:
                 raise InputError(
@@ -358,15 +286,37 @@ class _Reader(NounReader):
             self._refer(first)
         return end
 
+    def _joins(self, at: int) -> bool:
+        return at < len(self.tokens) and self.tokens[at].plain in lexicon.AND
+
+    def _later_and(self, at: int) -> int | None:
+        """The next `and` before a noun, behind words that tell more of the first of a pair."""
+        if self.opened[-1].token.text.endswith(" of"):
+            return None
+        ahead = (k for k in range(at, len(self.tokens)) if self.tokens[k].plain == "and" and self._starts_noun(k + 1))
+        return next(ahead, None)
+
     def _second(self, first: Phrase, number: int, end: int) -> tuple[int | None, int]:
         """The other reference of `between`; `the two chairs` are both."""
+        if (side := self.match(choices.AT_SIDE, end)) is not None and self._joins(side[1]):
+            for order in choices.orders_of(side[0]["side"]):
+                choice = Choice(order, None, side[0][0].strip())  # type: ignore[arg-type]
+                self.chain.nouns[number] = replace(first, choices=(*first.choices, choice))
+            span = Span(self.tokens[end].start, self.tokens[side[1] - 1].end, "choice", number)
+            self.chain.spans.append(span)
+            end = side[1]
+        elif not self._joins(end) and (later := self._later_and(end)) is not None:
+            self._note(end, later, "words within a pair are not read")
+            end = later
         if (
             end < len(self.tokens)
             and self.tokens[end].plain in lexicon.AND
             and not (first.count == 2 and self._ends(end + 1))
         ):
-            self._relation_span(self.tokens[end])
             phrase, after = self.noun(end + 1)
+            if phrase is None and " of" in self.opened[-1].token.text:
+                return None, end
+            self._relation_span(self.tokens[end])
             if phrase is None:
                 raise InputError(
                     "the reference is missing after 'and'", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
@@ -381,11 +331,16 @@ class _Reader(NounReader):
         """A noun without a relation before it: the target once more, what it is not, or nothing that is of use."""
         root = self.chain.nouns[0]
         if self.negated:
-            if phrase.anything and not (phrase.attributes or phrase.choices):
+            if root.anything and root.head_word == "one" and not phrase.anything:
+                self._merge(replace(phrase, attributes=(), words=(), modifiers=(), choices=()), named=True)
+                root = self.chain.nouns[0]
+            again = phrase.anything or (phrase.name == root.name and self._relates(end))
+            if again and not (phrase.attributes or phrase.choices):
                 # `not the ones on the stool`: what follows is negated.
                 self.at_root = True
                 return end
-            number = self._add_noun(self._resolved(phrase, root), "reference", phrase.where)
+            implied = phrase.where[0] == phrase.where[1]
+            number = self._add_noun(self._resolved(phrase, root, implied=implied), "reference", phrase.where)
             self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
             self.negated, self.at_root = False, True
             return end
@@ -397,12 +352,22 @@ class _Reader(NounReader):
             self._forget()
             return end
         same = phrase.name == root.name or phrase.anything or phrase.name in root.name.split()
-        if self.joined and not clauses and not same:
+        said_of = self._said_of(at)
+        noun = self.tokens[at].plain in DETERMINERS or is_name(singular(phrase.head_word))
+        named = said_of and noun and (root.anything or phrase.name.endswith(f" {root.name}"))
+        told_before = any(t.plain in lexicon.BE for t in self.tokens[:at])
+        if self.joined and not told_before and not clauses and not same:
             joint = "and the" if self.tokens[at].plain in DETERMINERS else "and"
             raise InputError(f"'{joint}' names a second target", got=f"'{self.text}'", expected="one target a relation")
-        if same or (self.linked and (phrase.attributes or phrase.choices)):
-            self._merge(phrase)
-            self.at_root = True
+        if same or named or (said_of and (phrase.attributes or phrase.choices)):
+            relative = {self.tokens[at - 1].plain, self.tokens[at - 2].plain} & lexicon.RELATIVE_COPULAS
+            number = len(self.chain.nouns) - 1 if relative and same else 0
+            if not (same or named):
+                self._note(*phrase.where, "another name for the same thing")
+                phrase = replace(phrase, where=(end, end))
+            self.renamed = self.renamed or (named and not same)
+            self._merge(phrase, number, named=named and not same)
+            self.at_root = number == 0
         else:
             self.problems.append(
                 not_known(self.tokens, max(at - 1, 1), self.text) if at else unreadable(phrase.label, self.text)
@@ -411,18 +376,9 @@ class _Reader(NounReader):
         self._forget()
         return end
 
-    def _merge(self, phrase: Phrase) -> None:
-        """Words about the target that come later: `the mug ... , the red one`, `the mug is the leftmost object`."""
-        root = self.chain.nouns[0]
-        merged = replace(
-            root, attributes=(*root.attributes, *phrase.attributes), choices=(*root.choices, *phrase.choices)
-        )
-        self.chain.nouns[0] = merged
-        self._modifier_spans(phrase, 0)
-
-    def _resolved(self, phrase: Phrase, other: Phrase | None = None) -> Phrase:
-        """`the yellow one` of the thing that was named last."""
-        if not phrase.anything or phrase.head_word not in ("one", "ones") or not self.chain.nouns:
+    def _resolved(self, phrase: Phrase, other: Phrase | None = None, *, implied: bool = False) -> Phrase:
+        """`the yellow one` of the thing that was named last; so too where no thing is said."""
+        if not phrase.anything or not (implied or phrase.head_word in ("one", "ones")) or not self.chain.nouns:
             return phrase
         named = other if other is not None and not other.anything else self.chain.nouns[-1]
         words = list(phrase.words)
@@ -444,7 +400,7 @@ class _Reader(NounReader):
         link = self.tokens[end]
         self._relation_span(early)
         self.opened.append(
-            _Opened(replace(link, text=f"{early.text} {link.text}", relation=early.relation), False, "nearest")
+            Opened(replace(link, text=f"{early.text} {link.text}", relation=early.relation), False, "nearest")
         )
         viewer = self._viewer(at)
         return self._reference(at, *self._required(at)) if viewer is None else viewer
@@ -454,115 +410,3 @@ class _Reader(NounReader):
         if phrase is None:
             raise self._missing_reference(self.opened[-1].token.text)
         return phrase, end
-
-    # ---- what is added ---------------------------------------------------------------------------------------------
-
-    def _refer(self, *references: int) -> None:
-        """Close the relations that are open with their references."""
-        for opened in self.opened:
-            self._relation_span(opened.token)
-            clause = Clause(
-                str(opened.token.relation), opened.token.text, references, opened.token.swapped, opened.attach,
-                negated=opened.negated,
-            )  # fmt: skip
-            self.chain.clauses.append(clause)
-        self.opened.clear()
-        self._forget()
-
-    def _add_noun(self, phrase: Phrase, role: Role, where: tuple[int, int]) -> int:
-        number = len(self.chain.nouns)
-        self.chain.nouns.append(phrase)
-        if where[1] > where[0]:
-            self.chain.spans.append(Span(self.tokens[where[0]].start, self.tokens[where[1] - 1].end, role, number))
-        self._modifier_spans(phrase, number)
-        return number
-
-    def _modifier_spans(self, phrase: Phrase, number: int) -> None:
-        self.chain.spans += [Span(start, end, role, number) for start, end, role in phrase.modifiers]
-
-    def _relation_span(self, token: Token) -> None:
-        self.chain.spans.append(Span(token.start, token.end, "relation", len(self.chain.clauses)))
-
-    def _attach(self) -> Attach:
-        """Where the part that begins here belongs."""
-        attach: Attach = (
-            "root" if self.at_root else "same" if self.joined and (self.chain.clauses or self.opened) else "any"
-        )
-        self.joined = self.at_root = False
-        return attach
-
-    def _take_negation(self) -> bool:
-        negated, self.negated = self.negated, False
-        return negated
-
-    def _forget(self) -> None:
-        self.joined = self.linked = self.negated = False
-
-    def _unused(self, at: int, why: str | InputError) -> int:
-        """Words up to the next part that cannot be used."""
-        end = at + 1
-        if self._starts_noun(end):
-            end = max(self.noun(end)[1], end)
-        self.problems.append(why if isinstance(why, InputError) else Unsupported(why, got=f"'{self.words(at, end)}'"))
-        self._note(at, end, self.problems[-1].what)
-        self._forget()
-        return end
-
-    def _note(self, at: int, end: int, why: str, also: Token | None = None) -> None:
-        start = self.tokens[at].start if also is None else also.start
-        self.chain.spans.append(Span(start, self.tokens[end - 1].end, "unused", 0, why))
-
-    def _missing(self, opened: _Opened) -> None:
-        self.problems.append(self._missing_reference(opened.token.text))
-        token = opened.token
-        self.chain.spans.append(Span(token.start, token.end, "unused", 0, self.problems[-1].what))
-
-    # ---- errors ----------------------------------------------------------------------------------------------------
-
-    def _missing_reference(self, after: str) -> InputError:
-        return InputError(
-            f"the reference is missing after '{after}'", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
-        )
-
-    def _no_target(self) -> InputError:
-        return InputError(
-            "the target is missing before the relation", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
-        )
-
-    def _is_pronoun(self, phrase: Phrase) -> bool:
-        return phrase.label in lexicon.PRONOUNS - lexicon.ANYTHING and not phrase.named
-
-    def _names_nothing(self, role: str, phrase: Phrase) -> InputError:
-        return Unsupported(
-            f"the {role} names no object: '{phrase.label}'", got=f"'{self.text}'", expected="the name of a thing"
-        )
-
-
-def _without_view(tokens: list[Token], text: str) -> list[Token]:
-    """Drop the camera's view, which is the default; refuse views from elsewhere, and what is not judged."""
-    words = {t.text for t in tokens}
-    if not words.isdisjoint(lexicon.VIEW_WORDS):
-        joined, starts, ends = joined_words(tokens)
-        first = lexicon.VIEW_FIRST.match(joined)
-        if first and first.end() in ends:
-            tokens = tokens[ends.index(first.end()) + 1 :]
-            joined, starts, ends = joined_words(tokens)
-        last = lexicon.VIEW_LAST.search(joined)
-        if last and last.start() in starts:
-            tokens = tokens[: starts.index(last.start())]
-    singles = {w for t in tokens for w in t.text.split()}
-    if not singles.isdisjoint(lexicon.OBJECT_VIEW_WORDS):
-        found = lexicon.OBJECT_VIEW.search(joined_words(tokens)[0])
-        if found:
-            raise other_view(found[0].strip(), text)
-    if "'" in text or "’" in text:
-        joined, _, ends = joined_words(tokens)
-        for owned in lexicon.SIDE_OF_OWNER.finditer(joined):
-            following = ends.index(owned.end()) + 1 if owned.end() in ends else None
-            if following is not None and all(
-                t.relation is not None or t.plain in lexicon.LINKING or t.plain in lexicon.AND
-                for t in tokens[following : following + 1]
-            ):
-                raise other_view(owned[0], text)
-    check_judged(tokens, text)
-    return tokens

@@ -63,6 +63,11 @@ SCENE_ORDER = {
 BARE_SIDES = {"in front": "near", "behind": "far", "in back": "far", "on top": "high", "on the top": "high"}
 """Relation phrases that name a side where no reference follows."""
 
+SURFACES = _words("table desk counter countertop shelf bookshelf bed couch sofa bench dresser nightstand rug tray")
+"""Things that others stand on, so that their left side may be a place on them."""
+LYING = _words(
+    "standing sitting lying laying resting placed put located positioned situated kept stands sits lies rests"
+)
 STACKS = _words("stack pile heap")
 SCENE = _words("room picture image photo photograph scene view frame screen shot")
 """What holds all of the frame: its sides are those of the picture."""
@@ -91,18 +96,46 @@ LINKING = _words(
     "straight exactly slightly somewhere still currently located positioned placed situated standing stood sitting "
     "seated lying laying laid resting hanging hung leaning mounted kept found put parked the a an thats whos can could "
     "may seen visible propped stored stacked arranged displayed perched tucked nestled almost nearly very quite "
-    "closely pictured appears seems approximately about"
+    "closely pictured appears seems approximately about does do did hidden partially partly attached fixed connected "
+    "wedged tossed thrown stuck draped built"
 )
 """Words between a noun and its relation that say nothing: `the mug that is standing on`."""
 
-COPULAS = _words("that which who is are was were be been being that's which's who's it's there thats whos also")
+COPULAS = _words(
+    "does do did that which who is are was were be been being that's which's who's it's there thats whos also"
+)
+
+SEEMS = re.compile(r"what (?:appears|seems|looks|look|appear|seem) (?:to be|like)(?= |$)")
+"""Words before a noun that say only that its name is a guess."""
+BE = _words("is are was were be being been isn't aren't wasn't isnt arent it's that's which's thats")
+DEGREES = _words("also very quite just rather or nor really both mostly all")
+"""What may stand between `is` and an adjective."""
 
 RELATIVE = frozenset({"that", "which", "who"})
-POSTURES = _words("stands sits lies rests hangs leans stand sit lie rest hang lean sat goes belongs appears")
+RELATIVE_COPULAS = RELATIVE | {"that's", "which's", "who's", "thats"}
+POSTURES = _words(
+    "resides stays stands sits lies rests hangs leans stand sit lie rest hang lean sat goes belongs appears"
+)
 """Linking words only after `that`, since `tv stands` are things."""
+
+SOMEBODY = _words("somebody someone nobody anybody everybody he she you i we they")
+COUNTING = re.compile(r"(?:how many|how much|(?:the |a )?(?:number|count|amount) of|count)(?= )")
+"""Questions for a number, at the start of a sentence."""
+POINTING = _words("over up down out back right")
+DEIXIS = re.compile(r"(?:(?:right|over|up|down|out|back|just) )+(?:there|here)(?= |$)")
+"""Words that point to a place."""
+DOING = re.compile(
+    r"(?:(?:the |a |an |that |this |some |my )?(?:man|woman|boy|girl|person|people|child|kid|baby|guy|lady|cat|dog)"
+    r"|somebody|someone|nobody|anybody|everybody|he|she|you|i|we|they) "
+    r"(?:(?:is|are|was|were|am|has|have|can|will) )?(?:been )?\w+(?:ing|s|ed)"
+    r"(?: (?:on|in|at|with|to|against|for))?(?= |$)"
+)
+"""What somebody does with a thing."""
 
 CLOSING = _words("please thanks is are there")
 AND = frozenset({"and", "but", "&"})
+EVERY = _words("any all every each everything anything")
+"""Before a noun they make `but` mean `except`."""
 NEGATIONS = _words(
     "not no isn't aren't isnt arent wasn't doesn't doesnt don't without except excluding neither nor never cannot"
 )
@@ -110,9 +143,15 @@ NEGATIONS = _words(
 FILLER = re.compile(
     r"(?:(?:a |one |two |three |several |some )?(?:few |couple of |couple |little |bit )?"
     r"(?:feet|foot|inch|inches|meters|metres|centimeters|steps|bit|little|ways?)(?: away| off| over| back| up| down)?"
-    r"|(?:up|down|over|out|off|all the way|in place|by itself|here|located)) ?(?= |$)"
+    r"|(?:up|down|over|out|off|all the way|in place|by itself|here|located)|(?:you|i|we) (?:can |could )?see) ?(?= |$)"
 )
 """A distance or a direction before a relation, which no relation judges: `a few feet to the left of`."""
+
+SMALL_WORDS = _words(
+    "or plus of for few couple little bit feet foot inch inches meters metres centimeters steps way ways up down over "
+    "back all place by what looks look like seem seems appear see"
+)
+"""Words of fillers and lists, which say nothing alone."""
 
 ACTIONS = _words(
     "put place move turn open close push pull throw pour clean wash wipe fold lift drop carry stack arrange fill empty "
@@ -160,7 +199,9 @@ VIEW_WORDS = _words(
 VIEW_LAST = re.compile(rf"(?<= )(?:{CAMERA_VIEW}|in (?:the|this) (?:image|scene))$")
 
 OBJECT_VIEW = re.compile(
-    r"\bfacing (?:the|a|an|this|that|it|them|my|your|toward|towards|away|forward)\b|^(?:when |if |while )?facing\b"
+    r"\bfacing (?:the|a|an|this|that|it|them|me|us|you|my|your|toward|towards|away|forward)\b"
+    r"|^(?:when |if |while )?facing\b"
+    r"|\b(?:faces|(?:turned|pointing|pointed|aimed|points) (?:to|at|toward|towards)) (?:the|a|an|this|that|me|it)\b"
     r"|\b(?:looking|look) (?:from|out|toward|towards|the|away)\b|\blooking at\b|\blook at the (?:front|back|face) of\b"
     r"|\S+'s? (?:point of view|viewpoint|view|perspective)\b"
     r"|\bfrom (?:the |its |their |his |her )?(?:point of view|viewpoint|perspective|view|side|position|standpoint)\b"
@@ -171,8 +212,8 @@ OBJECT_VIEW = re.compile(
 """Expressions judged from an object's own front, or from where somebody stands."""
 
 OBJECT_VIEW_WORDS = _words(
-    "facing looking look view viewpoint perspective seen viewed observed you when while if back own side position "
-    "standpoint"
+    "facing faces turned pointing pointed points aimed looking look view viewpoint perspective seen viewed "
+    "observed you when while if back own side position standpoint"
 )
 """No expression without one of these words matches OBJECT_VIEW."""
 

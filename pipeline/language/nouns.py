@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pipeline.language import choices, lexicon
 from pipeline.language.attributes import Attribute, attribute
-from pipeline.language.naming import DETERMINERS, is_compound, known_words, singular
+from pipeline.language.cursor import MODALS, Cursor
+from pipeline.language.naming import DETERMINERS, default_synonyms, is_compound, key_of, known_words, singular
+from pipeline.language.normal import normal_form
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token, label_of
 from pipeline.language.tree import Choice, Role
 
-_QUANTIFIERS = frozenset({"all", "both", "each", "every", "same"})
+QUANTIFIERS = frozenset({"all", "both", "each", "every", "same"})
 _JUST = frozenset({"just", "directly", "right", "immediately", "slightly", "exactly", "straight", "almost", "very"})
-_MODALS = frozenset({"can", "could", "may"})
 _LONGEST_CHOICE = 3
 
 
@@ -84,6 +84,7 @@ class _Draft:
     count: int | None = None
     ordinal: tuple[int, str] | None = None
     superlative: Token | None = None
+    predicate: bool = False
 
     def choose(self, order: str, text: str, rank: int | None = 1) -> None:
         if self.ordinal is not None and rank == 1:
@@ -93,94 +94,12 @@ class _Draft:
         self.choices.append(Choice(order, rank, text))  # type: ignore[arg-type]
 
 
-class NounReader:
-    """A cursor over tokens that reads noun phrases.
-
-    Attributes
-    ----------
-    text : str
-    tokens : list of Token
-        Words that hyphens join are one.
-    breaks : list of bool
-        Whether punctuation stands before a token.
-    """
-
-    def __init__(self, text: str, tokens: Sequence[Token]) -> None:
-        self.text = text
-        self.tokens = _hyphens_joined(text, tokens)
-        self.breaks = [
-            k > 0 and any(c in text[self.tokens[k - 1].end : t.start] for c in ",;:.!?()")
-            for k, t in enumerate(self.tokens)
-        ]
-        self.line, self._starts, ends = joined_words(self.tokens)
-        self._after = {end: k + 1 for k, end in enumerate(ends)}
-
-    def match(self, pattern: re.Pattern[str], at: int) -> tuple[re.Match[str], int] | None:
-        """The pattern at a token, and the token after it, where it ends with a word."""
-        found = pattern.match(self.line, self._starts[at]) if at < len(self.tokens) else None
-        end = None if found is None else self._after.get(self._starts[at] + len(found[0].rstrip()))
-        if found is None or end is None or any(self.breaks[k] for k in range(at + 1, end)):
-            return None
-        return found, end
-
-    def words(self, at: int, end: int) -> str:
-        """The tokens as they were typed."""
-        return self.text[self.tokens[at].start : self.tokens[min(end, len(self.tokens)) - 1].end]
-
-    # ---- boundaries ------------------------------------------------------------------------------------------------
-
-    def _structural(self, at: int) -> bool:
-        """Whether a token is grammar, and no word of a name."""
-        if at >= len(self.tokens):
-            return True
-        token = self.tokens[at]
-        if token.relation is not None:
-            return True
-        word = token.plain
-        if word in _MODALS:
-            return at + 1 < len(self.tokens) and self.tokens[at + 1].plain in ("be", "been")
-        return word is not None and (
-            word in lexicon.AND or word in lexicon.WITH or word in lexicon.NEGATIONS or word in lexicon.LINKING
-            or word in lexicon.RELATIVE or word in lexicon.UNKNOWN_RELATIONS or word in lexicon.VERBS
-        )  # fmt: skip
-
-    def _ends(self, at: int) -> bool:
-        """Whether a noun phrase or a side may end before a token."""
-        return at >= len(self.tokens) or self.breaks[at] or self._structural(at) or (
-            self.tokens[at].plain in lexicon.POSTURES or self.tokens[at].plain in ("or", "nor", "it", "this")
-        ) or self.match(choices.AT_SIDE, at) is not None  # fmt: skip
-
-    def _goes_on(self, at: int) -> bool:
-        """Whether a relation, a side or the end follows."""
-        return at >= len(self.tokens) or self._structural(at) or self.match(choices.AT_SIDE, at) is not None
-
-    def _starts_noun(self, at: int) -> bool:
-        """Whether a noun phrase may begin at a token."""
-        if at >= len(self.tokens) or self.breaks[at]:
-            return False
-        word = self.tokens[at].plain
-        return word in DETERMINERS or not (self._structural(at) or word in lexicon.PLACE_PRONOUNS)
-
-    def is_superlative_noun(self, at: int) -> bool:
-        """Whether `nearest` stands before a noun, as in `the nearest chair`."""
-        return self.tokens[at].text in lexicon.SUPERLATIVES and self._starts_noun(at + 1) and (
-            at == 0 or self.tokens[at - 1].plain in DETERMINERS or self.tokens[at - 1].plain in choices.ORDINALS
-            or self.tokens[at - 1].relation is not None
-        )  # fmt: skip
-
-    def _superlative_reference(self, at: int) -> int | None:
-        """The token after `to` or `from`, where what `nearest` is near to follows there."""
-        if (
-            at + 1 < len(self.tokens)
-            and self.tokens[at].plain in ("to", "from")
-            and not self.match(choices.AT_SIDE, at)
-        ):
-            return at + 1
-        return None
+class NounReader(Cursor):
+    """A cursor that reads noun phrases."""
 
     # ---- one noun phrase -------------------------------------------------------------------------------------------
 
-    def noun(self, at: int, *, stop_at_and: bool = False) -> tuple[Phrase | None, int]:
+    def noun(self, at: int, *, stop_at_and: bool = False, predicate: bool = False) -> tuple[Phrase | None, int]:
         """The noun phrase at a token and the token after it; None where there is none.
 
         Parameters
@@ -188,17 +107,19 @@ class NounReader:
         at : int
         stop_at_and : bool
             An `and` never belongs to the name.
+        predicate : bool
+            It is said of a thing, so that adjectives may stand alone: `is red`.
         """
-        draft = _Draft([], [], [], [])
+        draft = _Draft([], [], [], [], predicate=predicate)
         at = self._before(self._determiners(at), draft)
-        if draft.choices or draft.ordinal:
+        if draft.choices or draft.ordinal or any(w.endswith("est") for w in draft.words):
             at = self._of_several(at, draft)
         end = self._head_end(at, draft, stop_at_and=stop_at_and)
         head = self._of_a_stack(self.tokens[at:end])
         after = self._ordinal_end(end, draft)
         if not head and not (draft.attributes or draft.choices or draft.count):
             return None, after
-        start = at if not head else end - len(head)
+        start = _first_word(draft, self.tokens, at if not head else end - len(head))
         name, cut = "thing", end
         if head:
             cut = next((k for k, t in enumerate(head) if k and t.plain in lexicon.WITH), len(head))
@@ -213,14 +134,25 @@ class NounReader:
             choices=tuple(draft.choices),
             count=draft.count,
             named=len(head) == 1 and head[0].name is not None,
-            where=(_first_word(draft, self.tokens, start), end) if head else (end, end),
-            modifiers=tuple(m for m in draft.modifiers if not head or m[2] == "choice"),
+            where=(start, end) if head else (end, end),
+            modifiers=tuple(
+                m
+                for m in draft.modifiers
+                if not head
+                or (m[2] == "choice" and m[0] != self.tokens[start].start)
+                or m[0] < self.tokens[start].start
+            ),
             superlative=draft.superlative,
         ), after
 
     def _determiners(self, at: int) -> int:
-        while at < len(self.tokens) and (self.tokens[at].plain in DETERMINERS or self.tokens[at].plain in _QUANTIFIERS):
-            at += 1
+        while at < len(self.tokens):
+            if found := self.match(lexicon.SEEMS, at):
+                at = found[1]
+            elif self.tokens[at].plain in DETERMINERS or self.tokens[at].plain in QUANTIFIERS:
+                at += 1
+            else:
+                break
         return at
 
     def _before(self, at: int, draft: _Draft) -> int:
@@ -232,7 +164,7 @@ class NounReader:
                 end = at + 1
             if end is None and token.plain in choices.NUMBERS and not self._ends(at + 1):
                 draft.count, end = choices.NUMBERS[token.plain], at + 1
-            if end is None and token.plain in lexicon.AND and draft.attributes and attribute(self._text(at + 1)):
+            if end is None and token.plain in ("and", "&") and draft.attributes and attribute(self._text(at + 1)):
                 end = at + 1
             if end is None or (at > 0 and self.breaks[at] and not draft.attributes):
                 break
@@ -265,14 +197,19 @@ class NounReader:
         for size in range(_LONGEST_CHOICE, 0, -1):
             if at + size > len(self.tokens) or any(self.breaks[at + 1 : at + size]):
                 continue
-            text = " ".join(self._text(k) for k in range(at, at + size))
+            words = [self._text(k) for k in range(at, at + size)]
+            if not all(words):
+                continue
+            text = " ".join(words)
             order = choices.EXTREMES.get(text)
-            side = choices.SIDES.get(text) if size == 1 or " hand" in text else None
+            sides = choices.orders_of(text)
+            if sides and order == "low" and self._text(at + size) in choices.SIDES:
+                order = None  # `lower left chair`
             rank = choices.ORDINALS.get(text) if size == 1 else None
-            if order is None and side is None and rank is None:
+            if order is None and not sides and rank is None:
                 continue
             last = at + size
-            if self._compound(at) or (size == 1 and not self._may_choose(text, last, draft, side is not None)):
+            if self._compound(at) or (size == 1 and not self._may_choose(text, last, draft, bool(sides))):
                 return None
             if rank is not None:
                 draft.ordinal = rank, text
@@ -281,7 +218,8 @@ class NounReader:
                 if self.tokens[at].text in lexicon.SUPERLATIVES:
                     draft.superlative = self.tokens[at]
             else:
-                draft.choose(str(side), text, None)
+                for side in sides:
+                    draft.choose(side, text, None)
             draft.modifiers.append((self.tokens[at].start, self.tokens[last - 1].end, "choice"))
             return last
         return None
@@ -304,8 +242,8 @@ class NounReader:
             text = " ".join(self._text(k) for k in range(at, at + size)).strip()
             if (size == 2 and " " not in text) or not text:
                 continue
-            found = attribute(text)
-            if found is None or (size == 1 and (self._compound(at) or self._is_the_thing(at, draft))):
+            found = attribute(text) or (_superlative_of(text) if size == 1 else None)
+            if found is None or (size == 1 and (self._compound(at) or self._is_the_thing(at, draft, found))):
                 continue
             draft.attributes.append(found)
             draft.words.append(text)
@@ -313,11 +251,18 @@ class NounReader:
             return at + size
         return None
 
-    def _is_the_thing(self, at: int, draft: _Draft) -> bool:
+    def _is_the_thing(self, at: int, draft: _Draft, found: Attribute) -> bool:
         """`orange`, `glass` and `light` name things too, where nothing follows that could be one."""
+        same_kind = any(a.kind == found.kind for a in draft.attributes)
         word = self.tokens[at].text
-        follows = at + 1 < len(self.tokens) and not self._ends(at + 1)
-        return not follows and word in known_words() and not draft.attributes
+        if draft.predicate or same_kind or not (is_name(word) or (found.kind == "material" and word in known_words())):
+            return False
+        after = at + 1
+        if after >= len(self.tokens) or self.tokens[after].plain == "of":
+            return True
+        # `orange, white and blue flags`
+        listed = after + (self.tokens[after].plain in lexicon.AND)
+        return self._ends(after) and attribute(self._text(listed)) is None
 
     def _of_several(self, at: int, draft: _Draft) -> int:
         """`the taller of the two boxes`: past `of the two`."""
@@ -343,15 +288,25 @@ class NounReader:
         if word in lexicon.WITH:
             return word != "with" or end == at or not self._starts_noun(end + 1) or self._with_relation(end + 1)
         if word in lexicon.AND:
-            return stop_at_and or end == at or self._ends(end + 1) or self.tokens[end + 1].plain in DETERMINERS
+            if any(is_compound([t.text for t in self.tokens[at:k]]) for k in (end + 2, end + 3)):
+                return False
+            return (
+                stop_at_and
+                or word == "but"
+                or end == at
+                or self._ends(end + 1)
+                or self.tokens[end + 1].plain in DETERMINERS
+            )
         if word in lexicon.ARTICLE_BEARING:
             return end == at or (word == "or" and self._ends(end + 1))
         if end == at:
             return word in lexicon.COPULAS or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
+        if word in lexicon.SOMEBODY:
+            return True
         if word in _JUST:
             return self._ends(end + 1)
-        if word in _MODALS:
-            return end + 1 < len(self.tokens) and self.tokens[end + 1].plain in ("be", "is", "see", "been")
+        if word in MODALS:
+            return end + 1 < len(self.tokens) and self.tokens[end + 1].plain in ("be", "see", "been")
         if word in lexicon.POSTURES:
             # `tv stands` are things; `the tv stands` is one that does.
             verb = any(self.tokens[k].plain in DETERMINERS for k in range(max(at - 3, 0), at))
@@ -414,6 +369,17 @@ class NounReader:
         return head
 
 
+def _superlative_of(word: str) -> Attribute | None:
+    """`darkest` as dark: how a thing looks is judged by degrees."""
+    stems = (word[:-3], word[:-2], word[:-4]) if word.endswith("est") and len(word) > 5 else ()
+    return next((found for stem in stems if (found := attribute(stem)) is not None), None)
+
+
+def is_name(word: str) -> bool:
+    """Whether one word in lower case is a name of the project's table: `glass`, and not `red`."""
+    return key_of(normal_form(word)) in default_synonyms().keys
+
+
 def _first_word(draft: _Draft, tokens: Sequence[Token], head: int) -> int:
     """The token with which the thing and the attributes right before it begin."""
     starts = {start for start, _, role in draft.modifiers if role == "attribute"}
@@ -426,43 +392,3 @@ def _first_word(draft: _Draft, tokens: Sequence[Token], head: int) -> int:
         elif tokens[k].plain not in lexicon.AND:
             break
     return first
-
-
-def _hyphens_joined(text: str, tokens: Sequence[Token]) -> list[Token]:
-    """The tokens with those that hyphens join as one, which no table of single words holds."""
-    found: list[Token] = []
-    for k, token in enumerate(tokens):
-        last = found[-1] if found else None
-        if token.bound and last is not None and tokens[k - 1].bound and text[last.end : token.start].strip(" ") != "":
-            found[-1] = Token(text[last.start : token.end].lower(), last.start, token.end, bound=True)
-        else:
-            found.append(token)
-    return found
-
-
-def joined_words(tokens: Sequence[Token]) -> tuple[str, list[int], list[int]]:
-    """The words as one string, with where each token starts and ends in it; names are hidden from patterns."""
-    words = ["_" if t.name is not None else t.text for t in tokens]
-    starts, at = [], 0
-    for word in words:
-        starts.append(at)
-        at += len(word) + 1
-    return " ".join(words), starts, [s + len(w) for s, w in zip(starts, words, strict=True)]
-
-
-def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
-    """Without `please find me` and the like, as long as something is left; whether they ask `what` or `which`."""
-    asks = False
-    while tokens:
-        for n in (5, 4, 3, 2, 1):
-            run = tokens[:n]
-            if len(run) == n and " ".join(t.text for t in run) in lexicon.LEADING:
-                if any(t.bound or t.name is not None for t in run):
-                    continue
-                asked = any(t.text.startswith(("what", "which")) for t in run)
-                if len(tokens) > n and (tokens[n].relation is None or tokens[n].text in lexicon.SUPERLATIVES or asked):
-                    tokens, asks = tokens[n:], asks or asked
-                    break
-        else:
-            return tokens, asks
-    return tokens, asks

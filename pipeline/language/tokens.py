@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from pipeline.language.lexicon import AND, GRAMMAR_WORDS, WITH, phrase_table
+from pipeline.language.lexicon import AND, GRAMMAR_WORDS, LINKING, WITH, phrase_table
 from pipeline.language.naming import DETERMINERS, Synonyms, known_words
 from pipeline.system.errors import InputError, require
 
 MAX_LENGTH = 300
 """Characters; a spatial expression is a phrase, not a page."""
 
-_SEPARATORS = r"\s\-_‐-―,;:?!\"“”„«»()\[\]/&+%#.'’‘"
+_SEPARATORS = r"\s\-_‐-―,;:?!\"“”„«»()\[\]/&+%#.'’‘$"
 _WORD = re.compile(rf"[^{_SEPARATORS}]+(?:['’.][^{_SEPARATORS}]+)*|&")
 _STRANGE = re.compile(rf"[^\w{_SEPARATORS}]|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 _QUOTED = re.compile(r"[\"“„«]([^\"“”„«»]+)[\"”“»]")
@@ -228,6 +228,9 @@ def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[T
         phrase = _longest(_PHRASES.get(words[i]), words[:free], opens, i)
         if phrase is not None and len(phrase[0]) > 1:
             phrase = _before_a_name(phrase, known, words, opens, i)
+            later = _longest(_PHRASES.get(words[i + 1]), words[:free], opens, i + 1)
+            if words[i] in LINKING and later is not None and len(later[0]) >= len(phrase[0]):
+                phrase = None  # `sitting` says nothing in `sitting on top of`.
         best = name if phrase is None or (name is not None and len(name[0]) > len(phrase[0])) else phrase
         if best is None:
             tokens.append(Token(words[i], starts[i], ends[i], bound=not (opens[i] and opens[i + 1])))
@@ -297,3 +300,13 @@ def label_of(text: str, tokens: Sequence[Token]) -> str:
     if len(tokens) == 1 and tokens[0].name is not None:
         return tokens[0].name
     return _label(text, tokens[0].start, tokens[-1].end)
+
+
+def joined_words(tokens: Sequence[Token]) -> tuple[str, list[int], list[int]]:
+    """The words as one string, with where each token starts and ends in it; names are hidden from patterns."""
+    words = ["_" if t.name is not None else t.text for t in tokens]
+    starts, at = [], 0
+    for word in words:
+        starts.append(at)
+        at += len(word) + 1
+    return " ".join(words), starts, [s + len(w) for s, w in zip(starts, words, strict=True)]

@@ -55,7 +55,7 @@ def test_every_specified_phrase(relation: str, phrase: str) -> None:
 
 @pytest.mark.parametrize(("phrase", "relation"), SWAPPED_PHRASES)
 def test_swapped_phrases_keep_the_head_as_target(phrase: str, relation: str) -> None:
-    expression = parse(f"the table that is {phrase} a lamp").expression
+    expression = expression_of(f"the table that is {phrase} a lamp")
     assert (expression.target, expression.relation, expression.reference) == ("table", relation, "lamp")
     assert expression.inverse
 
@@ -132,19 +132,19 @@ def test_the_camera_may_be_a_reference() -> None:
 
 @pytest.mark.parametrize("phrase", SAYS["between"])
 def test_between(phrase: str) -> None:
-    expression = parse(f"the chair that is {phrase} the table and the sofa").expression
+    expression = expression_of(f"the chair that is {phrase} the table and the sofa")
     assert (expression.target, expression.relation) == ("chair", "between")
     assert (expression.reference, expression.second_reference) == ("table", "sofa")
     assert str(expression) == "chair between table and sofa"
     names = ["salt and pepper shaker", "mug", "fork"]
-    expression = parse("mug between the salt and pepper shaker and the fork", class_names=names).expression
+    expression = expression_of("mug between the salt and pepper shaker and the fork", class_names=names)
     assert (expression.reference, expression.second_reference) == ("salt and pepper shaker", "fork")
 
 
 @pytest.mark.parametrize("tail", ["on top", "on top of it", "on top of them", "on its top", "on it", "atop"])
 def test_with_on_top_is_swapped(tail: str) -> None:
     for text in (f"the table with a lamp {tail}", f"find the table that has a lamp {tail}"):
-        expression = parse(text).expression
+        expression = expression_of(text)
         assert (expression.target, expression.relation, expression.reference) == ("table", "on", "lamp")
         assert expression.inverse
     query = parse(f"the table with a lamp {tail} left of the sofa")
@@ -162,7 +162,7 @@ def test_with_on_top_is_swapped(tail: str) -> None:
     ],
 )  # fmt: skip
 def test_with_tails(text: str, relation: str, inverse: bool) -> None:
-    expression = parse(text).expression
+    expression = expression_of(text)
     assert (expression.relation, expression.inverse) == (relation, inverse)
     assert expression.target == text.split()[0]
 
@@ -378,9 +378,9 @@ def test_the_parser_needs_no_heavy_library() -> None:
 
 def test_a_known_name_that_begins_within_a_phrase_and_ends_after_it_is_kept() -> None:
     names = ["mug", "door", "front door"]
-    assert parse("mug in front door", class_names=names).expression.reference == "front door"
-    assert parse("mug in front of door", class_names=names).expression.relation == "front"
-    assert parse("mug in front of front door", class_names=names).expression.reference == "front door"
+    assert expression_of("mug in front door", class_names=names).reference == "front door"
+    assert expression_of("mug in front of door", class_names=names).relation == "front"
+    assert expression_of("mug in front of front door", class_names=names).reference == "front door"
 
 
 def test_a_known_name_after_an_article_is_kept_whole_too() -> None:

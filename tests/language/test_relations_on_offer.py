@@ -17,23 +17,23 @@ SEMANTIC_ABSTRACTION = ("behind", "left", "right", "front", "on", "in")
 
 
 def test_on_is_read_as_above_where_there_is_no_on() -> None:
-    expression = parse("mug on top of the table", relations=AVD).expression
+    expression = expression_of("mug on top of the table", relations=AVD)
     assert (expression.relation, expression.mapped_from) == ("above", "on")
     assert expression.note is not None
     assert "on top of" in expression.note
-    held = parse("table holding a mug", relations=AVD).expression
+    held = expression_of("table holding a mug", relations=AVD)
     assert (held.relation, held.inverse, held.mapped_from) == ("below", False, "on")
-    under = parse("mug under the table", relations=AVD).expression
+    under = expression_of("mug under the table", relations=AVD)
     assert (under.relation, under.mapped_from) == ("below", "under")
 
 
 def test_nothing_is_mapped_without_need() -> None:
     for relations in (None, RELATIONS, SEMANTIC_ABSTRACTION):
-        expression = parse("mug on the table", relations=relations).expression
+        expression = expression_of("mug on the table", relations=relations)
         assert (expression.relation, expression.mapped_from, expression.note) == ("on", None, None)
     for phrase in ("below", "lower than"):
-        assert parse(f"mug {phrase} table", relations=AVD).expression.mapped_from is None
-    assert parse("mug under the table").expression.mapped_from is None
+        assert expression_of(f"mug {phrase} table", relations=AVD).mapped_from is None
+    assert expression_of("mug under the table").mapped_from is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,227 @@
+"""The chain that an expression is read into, and what readers add to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from pipeline.language import choices, lexicon
+from pipeline.language.naming import DETERMINERS
+from pipeline.language.normal import HEAD_ENDS
+from pipeline.language.nouns import QUANTIFIERS, NounReader, Phrase
+from pipeline.language.relation_names import RELATIONS
+from pipeline.language.tokens import EXAMPLE, Token
+from pipeline.language.tree import Choice, Role, Span
+from pipeline.language.unreadable import FORM
+from pipeline.system.errors import InputError, Unsupported
+
+Attach = Literal["any", "nearest", "same", "root"]
+
+OWN_WORDS = (
+    lexicon.GRAMMAR_WORDS | lexicon.AND | lexicon.WITH | lexicon.OTHER | lexicon.PRONOUNS | lexicon.CLOSING
+    | lexicon.SMALL_WORDS | DETERMINERS | QUANTIFIERS | frozenset(choices.NUMBERS)
+    | frozenset(w for phrase in lexicon.phrase_table() for w in phrase.split())
+)  # fmt: skip
+"""Words that may be left out of all spans: what they say is in how the expression was read."""
+
+
+@dataclass(frozen=True)
+class Clause:
+    """One relation, side or exclusion of the chain.
+
+    Attributes
+    ----------
+    relation : str
+        Canonical name; empty for a choice and for an exclusion.
+    phrase : str
+        The words that said it.
+    references : tuple of int
+        Numbers of the nouns; two for `between`, none for a choice.
+    swapped : bool
+        Whether the relation holds from the reference to the target.
+    attach : {"any", "nearest", "same", "root"}
+        Which noun it may modify: any on the right frontier; only the one before it (`the nearest chair to`); the
+        one that the part before it modifies (`left of a and behind b`); or the target.
+    closed : bool
+        Whether nothing later may modify its references, as in `table with a lamp on top`.
+    negated : bool
+    choice : Choice or None
+    otherwise : (str, Choice or None) or None
+        Another relation, and a side of the noun with it, that the same words may say: `on the left side of the table`
+        may be a place on it.
+    """
+
+    relation: str
+    phrase: str
+    references: tuple[int, ...]
+    swapped: bool = False
+    attach: Attach = "any"
+    closed: bool = False
+    negated: bool = False
+    choice: Choice | None = None
+    otherwise: tuple[str, Choice | None] | None = None
+
+
+@dataclass
+class Chain:
+    """What the grammar read: nouns in order of mention, parts between them, and where each stands."""
+
+    nouns: list[Phrase] = field(default_factory=list)
+    clauses: list[Clause] = field(default_factory=list)
+    spans: list[Span] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A relation that waits for its reference."""
+
+    token: Token
+    negated: bool
+    attach: Attach
+
+
+class ChainReader(NounReader):
+    """A reader of noun phrases that holds the chain and what is still open in it."""
+
+    def __init__(self, text: str, tokens: Sequence[Token]) -> None:
+        super().__init__(text, tokens)
+        self.chain = Chain()
+        self.problems: list[InputError] = []
+        self.opened: list[Opened] = []
+        self.negated = self.joined = self.linked = self.at_root = False
+
+    # ---- what is added ---------------------------------------------------------------------------------------------
+
+    def _refer(self, *references: int) -> None:
+        """Close the relations that are open with their references."""
+        for opened in self.opened:
+            self._relation_span(opened.token)
+            clause = Clause(
+                str(opened.token.relation), opened.token.text, references, opened.token.swapped, opened.attach,
+                negated=opened.negated, otherwise=self._otherwise(opened.token, references),
+            )  # fmt: skip
+            self.chain.clauses.append(clause)
+        self.opened.clear()
+        self._forget()
+
+    def _otherwise(self, token: Token, references: tuple[int, ...]) -> tuple[str, Choice | None] | None:
+        name = self.chain.nouns[references[0]].name
+        if HEAD_ENDS.split(name)[0].split()[-1] not in lexicon.SURFACES:
+            return None
+        before = next((t for t in reversed(self.tokens) if t.end <= token.start), token)
+        # The plain phrases, which labels are written with, say one thing; after `lying` a place on it is as likely.
+        plain = token.text in RELATIONS[str(token.relation)].says and before.plain not in lexicon.LYING
+        if not plain and (found := choices.SIDE_OR_PLACE.fullmatch(token.text)):
+            return "on", Choice(choices.SIDES[found["side"]], None, token.text)  # type: ignore[arg-type]
+        return ("near", None) if token.relation == "on" and token.text.endswith(" side of") else None
+
+    def _add_noun(self, phrase: Phrase, role: Role, where: tuple[int, int]) -> int:
+        number = len(self.chain.nouns)
+        self.chain.nouns.append(phrase)
+        if where[1] > where[0]:
+            self.chain.spans.append(self._span(where, role, number))
+        self._modifier_spans(phrase, number)
+        return number
+
+    def _span(self, where: tuple[int, int], role: Role, number: int) -> Span:
+        return Span(self.tokens[where[0]].start, self.tokens[where[1] - 1].end, role, number)
+
+    def _modifier_spans(self, phrase: Phrase, number: int) -> None:
+        self.chain.spans += [Span(start, end, role, number) for start, end, role in phrase.modifiers]
+
+    def _relation_span(self, token: Token) -> None:
+        self.chain.spans.append(Span(token.start, token.end, "relation", len(self.chain.clauses)))
+
+    def _attach(self) -> Attach:
+        """Where the part that begins here belongs."""
+        attach: Attach = (
+            "root" if self.at_root else "same" if self.joined and (self.chain.clauses or self.opened) else "any"
+        )
+        self.joined = self.at_root = False
+        return attach
+
+    def _take_negation(self) -> bool:
+        negated, self.negated = self.negated, False
+        return negated
+
+    def _forget(self) -> None:
+        self.joined = self.linked = self.negated = False
+
+    def _unused(self, at: int, why: str | InputError) -> int:
+        """Words up to the next part that cannot be used."""
+        end = at + 1
+        if self._starts_noun(end):
+            end = max(self.noun(end)[1], end)
+        self.problems.append(why if isinstance(why, InputError) else Unsupported(why, got=f"'{self.words(at, end)}'"))
+        self._note(at, end, self.problems[-1].what)
+        self._forget()
+        return end
+
+    def _place_left_out(self, token: Token, relation: str) -> Token:
+        """The relation of a part of a thing, as its preposition alone: which part is noted and not judged."""
+        preposition = token.text.split()[0]
+        cut = token.start + len(preposition)
+        note = "where on or in a thing something is is not judged"
+        start = cut + len(self.text[cut : token.end]) - len(self.text[cut : token.end].lstrip())
+        self.chain.spans.append(Span(start, token.end, "unused", 0, note))
+        return replace(token, text=preposition, relation=relation, end=cut)
+
+    def _note(self, at: int, end: int, why: str, also: Token | None = None) -> None:
+        start = self.tokens[at].start
+        if also is not None:
+            if any(also.end <= s.start < start for s in self.chain.spans):
+                self.chain.spans.append(Span(also.start, also.end, "unused", 0, why))
+            else:
+                start = also.start
+        self.chain.spans.append(Span(start, self.tokens[end - 1].end, "unused", 0, why))
+
+    def _note_dropped(self) -> None:
+        """Note words that no part has taken and that are not the grammar's own: nothing is dropped in silence."""
+        taken = sorted((s.start, s.end) for s in self.chain.spans)
+        for at, token in enumerate(self.tokens):
+            own = token.name is None and all(w in OWN_WORDS for w in token.text.split())
+            if not own and not any(start < token.end and token.start < end for start, end in taken):
+                self._note(at, at + 1, "this word was not used")
+
+    def _missing(self, opened: Opened) -> None:
+        self.problems.append(self._missing_reference(opened.token.text))
+        token = opened.token
+        self.chain.spans.append(Span(token.start, token.end, "unused", 0, self.problems[-1].what))
+
+    def _merge(self, phrase: Phrase, number: int = 0, *, named: bool = False) -> None:
+        """Words about a noun that come later: `the mug ... , the red one`, `the mug is the leftmost object`."""
+        noun = self.chain.nouns[number]
+        words, name = (*noun.words, *phrase.words), phrase.name if named else noun.name
+        self.chain.nouns[number] = replace(
+            noun,
+            label=" ".join([*words, name]),
+            head=name if words else "",
+            words=words,
+            attributes=(*noun.attributes, *phrase.attributes),
+            choices=(*noun.choices, *phrase.choices),
+        )
+        self._modifier_spans(phrase, number)
+        if phrase.where[1] > phrase.where[0]:
+            role = "reference" if number else "target"
+            self.chain.spans.append(self._span(phrase.where, role, number))
+
+    # ---- errors ----------------------------------------------------------------------------------------------------
+
+    def _missing_reference(self, after: str) -> InputError:
+        return InputError(
+            f"the reference is missing after '{after}'", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
+        )
+
+    def _no_target(self) -> InputError:
+        return InputError(
+            "the target is missing before the relation", got=f"'{self.text}'", expected=FORM, cause=EXAMPLE
+        )
+
+    def _is_pronoun(self, phrase: Phrase) -> bool:
+        return phrase.label in lexicon.PRONOUNS - lexicon.ANYTHING and not phrase.named
+
+    def _names_nothing(self, role: str, phrase: Phrase) -> InputError:
+        return Unsupported(
+            f"the {role} names no object: '{phrase.label}'", got=f"'{self.text}'", expected="the name of a thing"
+        )

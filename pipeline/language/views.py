@@ -1,0 +1,66 @@
+"""What stands around an expression: whose view it is judged from, and the words of asking before it."""
+
+from __future__ import annotations
+
+from pipeline.language import lexicon
+from pipeline.language.tokens import Token, joined_words
+from pipeline.language.unreadable import FORM, check_judged, other_view
+from pipeline.system.errors import Unsupported
+
+
+def without_view(tokens: list[Token], text: str) -> list[Token]:
+    """Drop the camera's view, which is the default; refuse views from elsewhere, and what is not judged."""
+    words = {t.text for t in tokens}
+    if not words.isdisjoint(lexicon.VIEW_WORDS):
+        joined, starts, ends = joined_words(tokens)
+        first = lexicon.VIEW_FIRST.match(joined)
+        if first and first.end() in ends:
+            tokens = tokens[ends.index(first.end()) + 1 :]
+            joined, starts, ends = joined_words(tokens)
+        last = lexicon.VIEW_LAST.search(joined)
+        if last and last.start() in starts:
+            tokens = tokens[: starts.index(last.start())]
+    singles = {w for t in tokens for w in t.text.split()}
+    if not singles.isdisjoint(lexicon.OBJECT_VIEW_WORDS):
+        found = lexicon.OBJECT_VIEW.search(joined_words(tokens)[0])
+        if found:
+            raise other_view(found[0].strip(), text)
+    if "'" in text or "’" in text:
+        joined, _, ends = joined_words(tokens)
+        for owned in lexicon.SIDE_OF_OWNER.finditer(joined):
+            following = ends.index(owned.end()) + 1 if owned.end() in ends else None
+            about = owned[0].split()[0] in lexicon.COPULAS
+            if (
+                following is not None
+                and not (about and following < len(tokens))
+                and all(
+                    t.relation is not None or t.plain in lexicon.LINKING or t.plain in lexicon.AND
+                    for t in tokens[following : following + 1]
+                )
+            ):
+                raise other_view(owned[0], text)
+    counting = lexicon.COUNTING.match(joined_words(tokens)[0]) if tokens and tokens[0].plain else None
+    if counting:
+        raise Unsupported(
+            f"'{counting[0]}' asks for a number, and only a thing can be asked for", got=f"'{text}'", expected=FORM
+        )
+    check_judged(tokens, text)
+    return tokens
+
+
+def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
+    """Without `please find me` and the like, as long as something is left; whether they ask `what` or `which`."""
+    asks = False
+    while tokens:
+        for n in (5, 4, 3, 2, 1):
+            run = tokens[:n]
+            if len(run) == n and " ".join(t.text for t in run) in lexicon.LEADING:
+                if any(t.bound or t.name is not None for t in run):
+                    continue
+                asked = any(t.text.startswith(("what", "which")) for t in run)
+                if len(tokens) > n and (tokens[n].relation is None or tokens[n].text in lexicon.SUPERLATIVES or asked):
+                    tokens, asks = tokens[n:], asks or asked
+                    break
+        else:
+            return tokens, asks
+    return tokens, asks
