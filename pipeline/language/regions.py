@@ -23,7 +23,8 @@ class RegionReader(ChainReader):
             self._choice(Choice(choices.SIDES[found[0]["side"]], 1, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
             return found[1]
         found, region = self.match(choices.AT_SIDE, at), self.match(choices.REGION_OF, at)
-        if found is not None and region is not None and region[1] > found[1]:
+        inside = region is not None and region[0]["side"] and region[0]["preposition"] != "to"
+        if found is not None and region is not None and inside and region[1] > found[1]:
             return self._region(at)
         if found is None or not (found[0]["part"] or found[0]["most"] or self._ends(found[1])):
             return self._region(at)
