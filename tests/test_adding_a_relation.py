@@ -77,7 +77,7 @@ for format in ("jsonl", "parquet"):
     export_labels(earlier, format, out.parent / format)
 sentences = [row for row in labels.expressions.to_pylist() if row["relation"] == name]
 print(json.dumps({
-    "read": expression_of(f"mug {PHRASE[name]} the laptop").relation,
+    "read": parse(f"mug {PHRASE[name]} the laptop").expression.relation,
     "answer": [int(trace.objects[best.target].id), int(trace.objects[best.reference].id)],
     "meant": [int(truth.numbers[a]), int(truth.numbers[b])],
     "probability": float(trace.scores.of(name)[best.target, best.reference]),
@@ -89,7 +89,7 @@ print(json.dumps({
     "states": sorted(set(labels.relations.column(name).to_pylist())),
     "margins": labels.relations.column(name + "_margin").null_count,
     "sentences": len(sentences),
-    "reread": all(expression_of(s["text"]).relation == name for s in sentences),
+    "reread": all(parse(s["text"]).expression.relation == name for s in sentences),
     "findings": [[f.rule, f.message] for f in check_labels(labels) if f.severity == "error" or name in f.message],
     "learnt": read_label_data(labels, "rel14", ("left", name)).frames[0].states.shape[-1],
     "old": [earlier.relations.num_rows, earlier.relations.column(name).null_count],

@@ -10,7 +10,7 @@ from pipeline.system.errors import InputError
 
 
 def expression_of(text: str, **options: object) -> Expression:
-    expression = expression_of(text, **options)  # type: ignore[arg-type]
+    expression = parse(text, **options).expression  # type: ignore[arg-type]
     assert expression is not None
     return expression
 

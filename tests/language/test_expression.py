@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from expression_checks import refused, triple
+from expression_checks import expression_of, refused, triple
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from expression_checks import refused, triple
+from expression_checks import expression_of, refused, triple
 
 from pipeline.language.expression import parse
 from pipeline.language.relation_names import RELATIONS
