@@ -102,6 +102,7 @@ class _Reader(RegionReader):
             return self._with(at)
         if word in lexicon.NEGATIONS:
             self.negated = self.linked = True
+            self._relation_span(token)
             return at + 1
         if word in lexicon.AND or word in ("or", "nor", "plus"):
             self.joined = True
