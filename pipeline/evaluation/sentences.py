@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, model_validator
-from pydantic_core import PydanticCustomError
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import (
@@ -55,10 +54,11 @@ class _Line(BaseModel):
     def _one_truth(self) -> _Line:
         given = [name for name in ("targets", "points", "point", "boxes") if getattr(self, name) is not None]
         if len(given) != 1:
-            told = {"given": " and ".join(given) or "none"}
-            raise PydanticCustomError("truth", "one of targets, points and boxes says what is right, not {given}", told)
+            raise ValueError(
+                f"one of targets, points and boxes says what is right, not {' and '.join(given) or 'none'}"
+            )
         if any(x1 <= x0 or y1 <= y0 for x0, y0, x1, y1 in self.boxes or ()):
-            raise PydanticCustomError("truth", "a box is x0, y0, x1, y1 with x0 < x1 and y0 < y1")
+            raise ValueError("a box is x0, y0, x1, y1 with x0 < x1 and y0 < y1")
         return self
 
 

@@ -74,6 +74,7 @@ def test_any_known_names_with_any_phrase(a: str, phrase: tuple[str, str], b: str
     assume(not (phrase[0].endswith("on top") and b.startswith("box")))
     query = parse(form.format(a=a, p=phrase[0], b=b), class_names=NAMES)
     expression = query.expression
+    assert expression is not None
     assert (expression.target, expression.relation, expression.reference) == (a, phrase[1], b)
     assert len(query.readings) == 1
     assert not expression.inverse
