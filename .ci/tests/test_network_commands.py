@@ -65,9 +65,7 @@ def test_rooms_refuse_what_only_labels_have(tmp_path: Path, capsys: pytest.Captu
     assert "no labels here" in capsys.readouterr().err
 
 
-def test_train_writes_a_network_that_answers_and_its_card(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_train_writes_a_network_that_answers_and_its_card(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "mine.onnx"
     small = ["--rooms", "3", "--views", "1", "--width", "200", "--height", "150", "--epochs", "3", "--workers", "1"]
     assert main(["train", "rooms", "--out", str(out), *small, "--seed", "4", "--features", "canon"]) == 0

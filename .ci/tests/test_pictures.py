@@ -120,9 +120,7 @@ def test_the_edges_of_a_box_are_cut_at_the_camera() -> None:
     assert (edges[..., 1] > camera.cy).all(), "an edge of a box below the camera is drawn above it"
 
 
-@given(
-    arrays(np.float64, (5, 2, 3), elements=st.floats(-3, 3)), st.floats(0.05, 2), st.floats(0.1, 0.9)
-)
+@given(arrays(np.float64, (5, 2, 3), elements=st.floats(-3, 3)), st.floats(0.05, 2), st.floats(0.1, 0.9))
 @settings(max_examples=60)
 def test_dashes_lie_on_their_lines_and_reach_both_ends(segments: np.ndarray, period: float, share: float) -> None:
     found = dashed(segments, period, share)
