@@ -72,19 +72,10 @@ def require(
         raise error(what, got=got, expected=expected, cause=cause, path=path)
 
 
-def needed(
-    value: Thing | None,
-    what: str,
-    *,
-    got: object = None,
-    expected: object = None,
-    cause: str | None = None,
-    path: str | Path | None = None,
-    error: type[InputError] = InputError,
-) -> Thing:
-    """A value that must not be None; InputError (or another `error`) with these words where it is."""
+def needed(value: Thing | None, what: str, *, error: type[InputError] = InputError, **words: Any) -> Thing:
+    """A value that must not be None; `error` with these words (those of `require`) where it is."""
     if value is None:
-        raise error(what, got=got, expected=expected, cause=cause, path=path)
+        raise error(what, **words)
     return value
 
 
