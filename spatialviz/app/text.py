@@ -1,28 +1,19 @@
-"""Small pieces of HTML shared by the panels. Every string of a dataset passes `safe` first."""
+"""Small pieces shared by the panels."""
 
 from __future__ import annotations
 
-import html
+from collections.abc import Mapping
 
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import RGB, hex_color
+from spatialviz.app.markup import Child, Element, h
 
 GOOD, DOUBT, BAD, IDLE = "#35a96b", "#e0982e", "#e5484d", "#8a919c"
 
 
-def safe(text: object) -> str:
-    """Text as HTML, quotes included."""
-    return html.escape(str(text), quote=True)
-
-
-def tail(text: object) -> str:
-    """Text as HTML for a line that is cut at its left: written from right to left, where its ends must not move."""
-    return f"&lrm;{safe(text)}&lrm;"
-
-
-def dot(color: RGB) -> str:
+def dot(color: RGB) -> Element:
     """A filled square in a role's colour."""
-    return f'<span class="dot" style="--c:{hex_color(color)}"></span>'
+    return h.span(cls="dot", css={"--c": hex_color(color)})
 
 
 def words(reason: Pixel) -> str:
@@ -30,25 +21,29 @@ def words(reason: Pixel) -> str:
     return reason.name.lower().replace("_", " ")
 
 
-def panel(*parts: str, style: str = "") -> str:
-    """Parts inside one styled block."""
-    return f'<div class="sv" style="{style}">{"".join(parts)}</div>'
+def panel(*children: Child, cls: str = "") -> Element:
+    """Parts inside one block."""
+    return h.section(*children, cls=f"panel {cls}".strip())
 
 
-def heading(text: str, aside: str = "") -> str:
-    """A small capital heading with an optional remark at the right; both are HTML already."""
-    return f'<div class="h">{text}<span>{aside}</span></div>'
+def heading(text: Child, *aside: Child) -> Element:
+    """A small heading with an optional remark at the right."""
+    return h.h2(text, h.span(*aside))
 
 
-def note(text: str, color: str = DOUBT) -> str:
-    """A remark with a coloured edge; the text is escaped here."""
-    return f'<div class="note" style="--c:{color}">{safe(text)}</div>'
+def note(text: Child, color: str = DOUBT) -> Element:
+    """A remark with a coloured edge."""
+    return h.div(text, cls="note", css={"--c": color})
 
 
-def segments(kind: str, options: dict[str, str], chosen: str) -> str:
-    """A segmented control; the bus gets "kind:key"."""
-    cells = "".join(
-        f'<span class="{"on" if key == chosen else ""}" onclick="sv(\'{kind}:{key}\')">{label}</span>'
-        for key, label in options.items()
+def segments(kind: str, options: Mapping[str, str], chosen: str, name: str = "") -> Element:
+    """One of several: a press sends "kind:key"; `name` is for those who do not see it."""
+    return h.div(
+        (
+            h.button(label, role="radio", aria_checked=str(key == chosen).lower(), do=f"{kind}:{key}")
+            for key, label in options.items()
+        ),
+        cls="seg",
+        role="radiogroup",
+        aria_label=name or kind,
     )
-    return f'<div class="seg">{cells}</div>'

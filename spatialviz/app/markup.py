@@ -1,0 +1,157 @@
+"""What the page is made of: elements that escape by construction, and what of them changed.
+
+Nothing else turns strings into HTML: text and attributes are escaped here, and no attribute can hold a
+script or a style, as the page's content policy forbids both. What an element does is said by data that
+`static/page.mjs` acts on:
+
+===============  =======================================================================================
+`do`             command sent by a click, and by Enter or the space bar while it has the focus
+`local`          what the browser does by itself on a click: a name of `static/page.mjs`, and its argument
+`live`           command sent with the value of a field while it changes, at most every 50 ms
+`change`         command sent with the value of a field when it has changed
+`enter`          command sent with the value of a text field by Enter, which leaves it; Escape takes it back
+`point`          command sent with where a picture was clicked, as fractions of its width and height
+`band`           command sent with the rectangle that was drawn with Shift held, as the same fractions
+`field`          a text field with a list of its own: a name of `static/fields.mjs`
+`css`            custom properties and styles of this element alone
+===============  =======================================================================================
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Union
+
+Child = Union["Element", str, int, float, None, Iterable["Child"]]
+DATA = ("do", "local", "live", "change", "enter", "point", "band", "field")
+ACTIVE = ("a", "button", "input", "select", "textarea", "option", "summary")
+"""Elements that can be reached and pressed by keys as they are."""
+VOID = ("br", "img", "input", "hr", "meta", "link")
+
+
+@dataclass(frozen=True)
+class Element:
+    """An element of the page.
+
+    Attributes
+    ----------
+    name : str
+    attributes : tuple of (str, str)
+    children : tuple of Element or str
+        Text is not escaped yet.
+    """
+
+    name: str
+    attributes: tuple[tuple[str, str], ...] = ()
+    children: tuple[Element | str, ...] = ()
+
+    @property
+    def id(self) -> str:
+        """What it is known by on the page; "" where it is only a part of what has one."""
+        return dict(self.attributes).get("id", "")
+
+    @cached_property
+    def html(self) -> str:
+        """The element as HTML."""
+        attributes = "".join(f' {name}="{html.escape(value, quote=True)}"' for name, value in self.attributes)
+        if self.name in VOID:
+            return f"<{self.name}{attributes}>"
+        inner = "".join(html.escape(c, quote=False) if isinstance(c, str) else c.html for c in self.children)
+        return f"<{self.name}{attributes}>{inner}</{self.name}>"
+
+    @cached_property
+    def text(self) -> str:
+        """Its text without elements."""
+        return "".join(c if isinstance(c, str) else c.text for c in self.children)
+
+    def with_(self, **attributes: object) -> Element:
+        """The same with these attributes."""
+        return replace(self, attributes=_attributes(self.name, dict(self.attributes) | attributes))
+
+
+class Tag:
+    """Makes elements of one name: `h.div("text", h.span("more"), cls="row", do="pair:3")`.
+
+    An attribute that is None or False is left out, True stands by its name; `cls` is the class; `_` stands for `-`.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __call__(self, *children: Child, **attributes: object) -> Element:
+        return Element(self.name, _attributes(self.name, attributes), tuple(_flat(children)))
+
+
+def _attributes(name: str, given: Mapping[str, object]) -> tuple[tuple[str, str], ...]:
+    made: dict[str, str] = {}
+    for key, value in given.items():
+        if value is None or value is False or (key == "cls" and not value):
+            continue
+        key = f"data-{key}" if key in DATA else "class" if key == "cls" else key.replace("_", "-")
+        if key == "css":
+            assert isinstance(value, Mapping)
+            key, value = "data-css", ";".join(f"{k}:{v}" for k, v in value.items())
+        if key.startswith("on") or key == "style":
+            raise ValueError(f"no element has the attribute {key}: say what it does by `do`, how it looks by `css`")
+        made[key] = "" if value is True else str(value)
+    if "data-do" in made or "data-local" in made:
+        if name not in ACTIVE:
+            made.setdefault("tabindex", "0")
+            if name not in ("tr", "td", "th"):
+                made.setdefault("role", "button")
+        elif name == "button":
+            made.setdefault("type", "button")
+    return tuple(made.items())
+
+
+def _flat(children: Iterable[Child]) -> Iterator[Element | str]:
+    for child in children:
+        if isinstance(child, Element):
+            yield child
+        elif isinstance(child, (str, int, float)):
+            if child != "":
+                yield str(child)
+        elif child is not None:
+            yield from _flat(child)
+
+
+class Tags:
+    """Makes the tags by their names: `h.div`, `h.tr`."""
+
+    def __getattr__(self, name: str) -> Tag:
+        return Tag(name)
+
+
+h = Tags()
+
+
+def changed(before: Element, after: Element) -> Iterator[tuple[str, str]]:
+    """(id, HTML) of the elements that must be replaced to make one element of the page into another of the same id.
+
+    Where only elements with ids of their own differ, they are replaced in place of what holds them: a row, not the
+    table. Elements that come, go or change places take what holds them along.
+    """
+    if before == after:
+        return
+    if not _alike(before, after):
+        yield after.id, after.html
+        return
+    for one, other in zip(before.children, after.children, strict=True):
+        if isinstance(one, Element) and isinstance(other, Element):
+            yield from changed(one, other)
+
+
+def _alike(before: Element, after: Element) -> bool:
+    """Whether two elements differ only within elements inside them that have an id."""
+    if (before.name, before.attributes, len(before.children)) != (after.name, after.attributes, len(after.children)):
+        return False
+    for one, other in zip(before.children, after.children, strict=True):
+        if isinstance(one, str) or isinstance(other, str):
+            if one != other:
+                return False
+        elif one.id != other.id or not (one.id or _alike(one, other)):
+            return False
+    return True
