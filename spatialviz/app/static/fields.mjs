@@ -2,11 +2,11 @@
 
 A field that an element names by data-field gets its events from page.mjs. A key that is used up here is
 `defaultPrevented`: whoever comes after leaves it alone. The commands that are sent: `ask-typed:`, `ask:`,
-`class-typed:`, `class:`, `complete:`, `find:`, `decide:`. */
+`class-typed:`, `class:`, `complete:`, `find:`. */
 
-import {calls, el, fields, fill, locals, send} from './core.mjs';
+import {calls, el, fields, fill, locals, send, typing} from './core.mjs';
 
-const TYPED_MS = 60;
+const TYPED_MS = 60, COMPLETE_MS = 90;
 
 /* One list of offers for the field that is typed in. It lies in the top layer, so that nothing cuts it. */
 const offered = {field: null, list: null, rows: [], at: -1, take: null};
@@ -212,7 +212,17 @@ calls.focusClass = () => {
 
 /* The search. Its words stand below it, drawn by the server: buttons with data-local="take:<word>". */
 
-const words = () => [...document.querySelectorAll('[data-local^="take:"]')];
+const words = () => [...document.querySelectorAll('.cmp [data-local^="take:"]')];
+const marked = all => all.findIndex(one => one.getAttribute('aria-selected') === 'true');
+const mark = (all, to) => all.forEach((one, i) => one.setAttribute('aria-selected', String(i === to)));
+const stepped = (event, all) => {
+  const step = {ArrowDown: 1, ArrowUp: all.length - 1}[event.key];
+  if (!step || !all.length) return -1;
+  event.preventDefault();
+  const to = (Math.max(marked(all), 0) + step) % all.length;
+  mark(all, to);
+  return to;
+};
 
 /* Where the word begins that is being typed, with what stands in quotes as one. */
 export function wordBegun(text) {
@@ -231,17 +241,22 @@ locals.take = (_, word) => {
   const goesOn = /[:<]$/.test(word);
   field.value = field.value.slice(0, wordBegun(field.value)) + word + (goesOn ? '' : ' ');
   field.focus();
-  if (goesOn) soon('complete:', field, 0);
+  if (goesOn) soon('complete:', field, COMPLETE_MS);
   else noWords();
 };
 
+/* The search keeps the focus while one of its words is pressed. */
+document.addEventListener('mousedown', event => {
+  if (event.target instanceof Element && event.target.closest('.cmp')) event.preventDefault();
+});
+
 fields.find = {
   input(_, field) {
-    if (field.value && !/\s$/.test(field.value)) soon('complete:', field, 90);
+    if (field.value && !/\s$/.test(field.value)) soon('complete:', field, COMPLETE_MS);
     else noWords();
   },
   keydown(event, field) {
-    const all = words(), at = all.findIndex(word => word.classList.contains('on'));
+    const all = words();
     if (event.key === 'Enter') {
       noWords();
       send(`find:${field.value}`);
@@ -251,12 +266,8 @@ fields.find = {
       leave(event, field);
     } else if (event.key === 'Tab' && all.length && !event.shiftKey) {
       event.preventDefault();
-      locals.take(field, all[Math.max(at, 0)].dataset.local.slice('take:'.length));
-    } else if ((event.key === 'ArrowDown' || event.key === 'ArrowUp') && all.length) {
-      event.preventDefault();
-      const to = (Math.max(at, 0) + (event.key === 'ArrowDown' ? 1 : all.length - 1)) % all.length;
-      all.forEach((word, i) => word.classList.toggle('on', i === to));
-    }
+      locals.take(field, all[Math.max(marked(all), 0)].dataset.local.slice('take:'.length));
+    } else stepped(event, all);
   },
   blur: () => clearTimeout(timer),
 };
@@ -267,17 +278,50 @@ calls.find = query => {
   if (field && field.value !== query) field.value = query;
 };
 
-/* Dialogs: their text is copied, or sent. */
+/* The commands of the dialog that finds one. */
 
-const textOf = element => (element.closest('dialog') ?? document).querySelector('textarea, input');
+const commandRows = field => [...field.closest('dialog').querySelectorAll('.commands > button')];
+const visible = rows => rows.filter(row => !row.hidden);
+
+fields.commands = {
+  input(_, field) {
+    const typed = field.value.toLowerCase().split(/\s+/), rows = commandRows(field);
+    for (const row of rows) row.hidden = !typed.every(word => row.textContent.toLowerCase().includes(word));
+    mark(rows, rows.indexOf(visible(rows)[0]));
+  },
+  keydown(event, field) {
+    const rows = visible(commandRows(field));
+    if (event.key === 'Enter' && rows.length) {
+      event.preventDefault();
+      rows[Math.max(marked(rows), 0)].click();
+    } else rows[stepped(event, rows)]?.scrollIntoView({block: 'nearest'});
+  },
+};
+
+/* Dialogs: their text is copied or sent, their choices are sent, and their buttons have keys. */
+
+const TEXT = 'textarea, input:not([type=radio], [type=checkbox], [type=range])';
+
+function textOf(element) {
+  for (let around = element; around; around = around.parentElement) {
+    const field = around.querySelector(TEXT);
+    if (field) return field;
+  }
+  return null;
+}
 
 locals.send = (element, command) => {
   const field = textOf(element);
   if (field?.value.trim()) send(command + field.value);
 };
 
+locals.checked = (element, command) => {
+  const chosen = [...element.closest('dialog').querySelectorAll('input:checked')].map(input => input.value);
+  send(command + chosen.filter(Boolean).join(','));
+};
+
 locals.copy = async element => {
-  const field = textOf(element), told = (element.closest('dialog') ?? document).querySelector('.copied');
+  const dialog = element.closest('dialog'), field = dialog.querySelector(TEXT);
   let done = false;
   focus(field);
   try {
@@ -286,30 +330,23 @@ locals.copy = async element => {
   } catch {
     done = document.execCommand('copy');
   }
-  told.textContent = done ? 'Copied to the clipboard.'
+  dialog.querySelector('.copied').textContent = done ? 'Copied to the clipboard.'
     : 'The browser does not allow it: copy it by hand (Ctrl+C).';
 };
 
-/* Conflicts of labels: for each field theirs or one's own. */
-
-locals.pick = element => {
-  for (const other of element.parentElement.children) other.setAttribute('aria-checked', String(other === element));
-};
-
-locals.decide = () => {
-  const mine = [...document.querySelectorAll('.pick')].filter(
-    pick => pick.querySelector('[aria-checked=true]')?.dataset.mine !== undefined);
-  send(`decide:${mine.map(pick => pick.dataset.k).join(',')}`);
+calls.copy = () => {
+  const content = document.querySelector('dialog[open] .copied');
+  if (content) locals.copy(content);
 };
 
 window.addEventListener('keydown', event => {
-  const box = document.querySelector('dialog[open] .conflict');
-  if (!box || box.querySelector('.pick') || event.ctrlKey || event.metaKey || event.altKey) return;
-  const answer = {m: 'decide:0', t: 'decide:'}[event.key.toLowerCase()];
-  if (answer === undefined) return;
+  const dialog = document.querySelector('dialog[open]');
+  if (!dialog || typing(document.activeElement) || event.ctrlKey || event.metaKey || event.altKey) return;
+  const button = dialog.querySelector(`[aria-keyshortcuts="${CSS.escape(event.key.toUpperCase())}"]`);
+  if (!button) return;
   event.preventDefault();
   event.stopImmediatePropagation();
-  send(answer);
+  button.click();
 }, true);
 
 /* What changes many times a second: numbers of a box that is dragged, the drawing over the picture. */
