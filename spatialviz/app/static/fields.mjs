@@ -39,14 +39,14 @@ function activate(at) {
 function open(field, offers, note, take) {
   close();
   if (!offers.length && !note) return;
-  const list = offered.list ??= Object.assign(el('div', 'offers'), {id: 'offers', popover: 'manual'});
+  const list = offered.list ??= Object.assign(el('div', 'suggestions-list'), {id: 'suggested', popover: 'manual'});
   const parent = field.closest('dialog') ?? document.body;
   if (list.parentElement !== parent) parent.append(list);
   list.setAttribute('role', 'listbox');
   list.setAttribute('aria-label', 'suggestions');
   const rows = offers.map((offer, i) => {
     const row = el('div', 'offer');
-    row.id = `offer-${i}`;
+    row.id = `suggested-${i}`;
     row.setAttribute('role', 'option');
     row.setAttribute('aria-selected', 'false');
     row.append(...offer.parts.filter(part => part[2]).map(part => el(...part)));
@@ -68,7 +68,7 @@ function open(field, offers, note, take) {
   list.style.maxHeight = `${Math.min(360, (above ? box.top : below) - 12)}px`;
   list.showPopover();
   field.setAttribute('role', 'combobox');
-  field.setAttribute('aria-controls', 'offers');
+  field.setAttribute('aria-controls', 'suggested');
   field.setAttribute('aria-autocomplete', 'list');
   field.setAttribute('aria-expanded', 'true');
   Object.assign(offered, {field, rows, at: -1, take});

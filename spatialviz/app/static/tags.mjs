@@ -153,7 +153,7 @@ let layer = null, lines = null, tags = [], size = [0, 0], hooked = null;
 
 function layers() {
   if (layer?.isConnected) return;
-  layer = el('div', 'tags');
+  layer = el('div', 'scene-tags');
   lines = document.createElementNS(SVG, 'svg');
   layer.setAttribute('aria-hidden', 'true');
   layer.append(lines);
