@@ -6,10 +6,13 @@ import http
 import re
 import secrets
 from collections.abc import Mapping
+from pathlib import Path
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
+
+from pipeline.system.errors import as_input_error, require
 
 LOCAL_NAMES = ("127.0.0.1", "localhost", "[::1]")
 COOKIE = "spatialviz"
@@ -30,6 +33,29 @@ class Access:
     def __init__(self, host: str, tokens: Mapping[str, str] | None = None) -> None:
         self._tokens = dict(tokens or {})
         self._host = host
+
+    @classmethod
+    def of(cls, host: str, file: Path | None = None) -> Access:
+        """What an address needs: nothing on this machine, else the tokens of a file, or a new one.
+
+        Raises
+        ------
+        InputError
+            For a file that holds no tokens.
+        """
+        if file is not None:
+            return cls(host, read_tokens(file))
+        return cls(host, {} if host in (*LOCAL_NAMES, "::1") else {secrets.token_urlsafe(24): ""})
+
+    @property
+    def unnamed(self) -> str:
+        """The token that belongs to nobody; "" where there is none."""
+        return next((token for token, name in self._tokens.items() if not name), "")
+
+    @property
+    def open(self) -> bool:
+        """Whether no token is needed."""
+        return not self._tokens
 
     def refusal(self, request: Request) -> Response | None:
         """Why a request is refused; None where it is not.
@@ -83,9 +109,27 @@ class Access:
         )
 
 
-def new_token() -> str:
-    """A token that cannot be guessed."""
-    return secrets.token_urlsafe(24)
+def read_tokens(file: Path) -> dict[str, str]:
+    """Names by token, of a file with a line "NAME TOKEN" for each; "#" begins a remark.
+
+    Raises
+    ------
+    InputError
+        For lines that are none, short or double tokens, and a file without any.
+    """
+    how = "a line NAME TOKEN for each person, the token at least 16 letters, digits, - or _"
+    tokens: dict[str, str] = {}
+    with as_input_error("the tokens cannot be read", OSError, UnicodeDecodeError, path=file):
+        lines = file.read_text("utf-8").splitlines()
+    for number, line in enumerate(lines, 1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        good = len(words) == 2 and re.fullmatch(r"[\w-]{16,}", words[1], re.ASCII) and words[1] not in tokens
+        require(good, f"line {number} is not a name and a token of its own", expected=how, path=file)
+        tokens[words[1]] = words[0]
+    require(tokens, "the file holds no token", expected=how, path=file)
+    return tokens
 
 
 def _token(query: str) -> str:

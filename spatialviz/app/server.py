@@ -23,7 +23,7 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
-from spatialviz.app.access import LOCAL_NAMES, Access
+from spatialviz.app.access import Access
 from spatialviz.app.channel import end_all
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
@@ -48,7 +48,7 @@ def start(
     host: str = "127.0.0.1",
     port: int = 8080,
     dark: bool = True,
-    tokens: Mapping[str, str] | None = None,
+    access: Access | None = None,
     max_clients: int = MAX_CLIENTS,
 ) -> viser.ViserServer:
     """Start the server and return it; it runs on its own threads.
@@ -74,8 +74,8 @@ def start(
         What is shown first.
     port : int
         0 lets the system choose; a port that is taken becomes the next free one.
-    tokens : mapping of str to str, optional
-        Names by token; where there are any, nobody gets in without one.
+    access : Access, optional
+        Who gets in. Default: everybody on this machine, nobody else.
     max_clients : int
         Pages that may be open at once.
 
@@ -93,7 +93,7 @@ def start(
         FrameStore(sources), runs or {}, others or {}, labels or {}, journals or {}, author, tuple(opened_by),
         first_view, dark,
     )  # fmt: skip
-    access = Access(host, tokens)
+    access = access or Access.of(host)
     pages = Pages(shared, access, max_clients)
     try:
         with served_by(Site(access, pages)), redirect_stdout(io.StringIO()):
@@ -136,13 +136,16 @@ def serve(
     port: int = 8080,
     dark: bool = True,
     open_browser: bool = True,
+    access: Access | None = None,
+    max_clients: int = MAX_CLIENTS,
 ) -> None:
     """Start the server, say where it is, and wait until it is stopped."""
+    access = access or Access.of(host)
     server = start(
         sources, runs=runs, others=others, labels=labels, journals=journals, author=author, opened_by=opened_by,
-        first_view=first_view, host=host, port=port, dark=dark,
+        first_view=first_view, host=host, port=port, dark=dark, access=access, max_clients=max_clients,
     )  # fmt: skip
-    announce(server, sources, host, port, open_browser)
+    announce(server, access, sources, host, port, open_browser)
     _end_in_order()
     # What is computed for a page that has been closed meanwhile has nowhere to go; that is no news to a user.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
@@ -159,22 +162,27 @@ def serve(
 
 
 def announce(
-    server: viser.ViserServer, sources: Iterable[str], host: str, port: int, open_browser: bool, stop: str = "Ctrl-C"
+    server: viser.ViserServer,
+    access: Access,
+    sources: Iterable[str],
+    host: str,
+    port: int,
+    open_browser: bool,
+    stop: str = "Ctrl-C",
 ) -> None:
     """Say where a server is, asked for at `host` and `port`, and what stops it; open it where that is wanted."""
     shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{server.get_port()}"
-    if host not in (*LOCAL_NAMES, "::1"):
-        print(
-            f"spatialviz: warning: listening on {host}: anyone who reaches this machine sees the data, "
-            "there is no password",
-            file=sys.stderr,
-        )
     if port and server.get_port() != port:
         print(f"spatialviz: port {port} is taken, using {server.get_port()}", file=sys.stderr)
     names = ", ".join("the built-in demo" if n == DEMO_NAME else n for n in sources)
     print(f"spatialviz: {names} at {address} ({stop} stops)", flush=True)
-    if open_browser:
+    if access.unnamed:
+        address = f"{address}/?token={access.unnamed}"
+        print(f"spatialviz: others reach this machine, so a token is needed: {address}", flush=True)
+    elif not access.open:
+        print(f"spatialviz: everybody opens {address}/?token=THEIRS", flush=True)
+    if open_browser and (access.open or access.unnamed):
         webbrowser.open(address)
 
 

@@ -6,7 +6,6 @@ that both stand on one port.
 
 from __future__ import annotations
 
-import asyncio
 import gzip
 import http
 import re
@@ -64,6 +63,29 @@ class Pages(Protocol):
     def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
         """Name and content of a file that a page was told to fetch, once."""
         ...
+
+
+class Answers(Protocol):
+    """What a websocket server answers by."""
+
+    async def answer(self, request: Request) -> Response | None:
+        """The answer to a request; None lets a socket be opened."""
+        ...
+
+    async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Serve an open socket."""
+        ...
+
+
+class Nobody:
+    """Answers nobody: a server that only draws."""
+
+    async def answer(self, request: Request) -> Response | None:
+        """Refused."""
+        return _response(http.HTTPStatus.FORBIDDEN, b"nobody is served here\n")
+
+    async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Never opened."""
 
 
 class Site:
@@ -130,7 +152,7 @@ def _response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: dict
 
 
 @contextmanager
-def served_by(site: Site) -> Iterator[None]:
+def served_by(site: Answers) -> Iterator[None]:
     """While this is open, a websocket server that is started answers as the site does."""
     original = ws.serve
 
