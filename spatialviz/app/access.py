@@ -75,7 +75,9 @@ class Access:
             return _refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.\n")
         asked = _token(urlsplit(request.path).query)
         if self._tokens and self.name(request) is None and asked not in self._tokens:
-            return _refused(http.HTTPStatus.UNAUTHORIZED, "A token is needed: open the address that the server has printed.\n")
+            return _refused(
+                http.HTTPStatus.UNAUTHORIZED, "A token is needed: open the address that the server has printed.\n"
+            )
         return None
 
     def entered(self, request: Request) -> Response | None:
@@ -85,9 +87,13 @@ class Access:
         if not token:
             return None
         kept = urlencode([(k, v) for k, v in parse_qsl(parts.query, keep_blank_values=True) if k != "token"])
-        headers = {"Location": parts.path + ("?" + kept if kept else ""), "Content-Length": "0", "Cache-Control": "no-store"}
+        headers = {
+            "Location": parts.path + ("?" + kept if kept else ""),
+            "Content-Length": "0",
+            "Cache-Control": "no-store",
+        }
         if token in self._tokens:
-            headers["Set-Cookie"] = f"{COOKIE}={token}; Path=/; HttpOnly; SameSite=Strict"
+            headers["Set-Cookie"] = f"{COOKIE}={token}; Path=/; HttpOnly; SameSite=Lax"
         return Response(http.HTTPStatus.FOUND, "Found", Headers(headers), b"")
 
     def name(self, request: Request) -> str | None:
@@ -138,4 +144,6 @@ def _token(query: str) -> str:
 
 def _refused(status: http.HTTPStatus, text: str) -> Response:
     body = text.encode()
-    return Response(status, status.phrase, Headers({"Content-Type": "text/plain", "Content-Length": str(len(body))}), body)
+    return Response(
+        status, status.phrase, Headers({"Content-Type": "text/plain", "Content-Length": str(len(body))}), body
+    )

@@ -70,7 +70,7 @@ class Channel:
             loop.call_soon_threadsafe(outgoing.put_nowait, text)
 
     async def serve(self, connection: Any) -> None:
-        """Send what is said until the browser goes away. A second browser of the same page takes the first one's place."""
+        """Send what is said until the browser goes away. A second browser of a page takes the first one's place."""
         outgoing: asyncio.Queue[str | None] = asyncio.Queue()
         with self._lock:
             if self._outgoing is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -55,8 +55,8 @@ class Go:
     address: Annotated[str, Field(max_length=LONGEST_ADDRESS)]
 
 
-Incoming = Union[Hello, Command, Go]
-_INCOMING: TypeAdapter[Incoming] = TypeAdapter(Annotated[Incoming, Field(discriminator="type")])
+Incoming: TypeAlias = "Hello | Command | Go"
+_INCOMING: TypeAdapter[Incoming] = TypeAdapter(Annotated[Hello | Command | Go, Field(discriminator="type")])
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Scene:
     type: Literal["scene"] = "scene"
 
 
-Outgoing = Union[Patch, Call, Address, Scene]
+Outgoing: TypeAlias = "Patch | Call | Address | Scene"
 
 
 def read(text: str | bytes) -> Incoming:

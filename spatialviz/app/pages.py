@@ -114,7 +114,9 @@ class Pages:
         """Close the sessions of pages that did not come back."""
         now = time.monotonic()
         with self._lock:
-            gone = [k for k, s in self._sessions.items() if not s.channel.connected and now - s.channel.left > KEPT_SECONDS]
+            gone = [
+                k for k, s in self._sessions.items() if not s.channel.connected and now - s.channel.left > KEPT_SECONDS
+            ]
             for key in gone:
                 self._sessions.pop(key).close()
 

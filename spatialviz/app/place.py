@@ -50,7 +50,9 @@ class Place:
     def read(cls, query: str, sources: Collection[str]) -> Place:
         """The place that a query says. One of a dataset that is not open says nothing; what cannot be read is left."""
         try:
-            fields = {key: values[0] for key, values in parse_qs(query, keep_blank_values=True, max_num_fields=16).items()}
+            fields = {
+                key: values[0] for key, values in parse_qs(query, keep_blank_values=True, max_num_fields=16).items()
+            }
         except ValueError:
             return cls()
         source = fields.get("data")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from datetime import datetime
 
 import viser
@@ -14,14 +14,9 @@ from pipeline.answering.json_records import holds
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.answering.suggestions import suggest_expressions
-from pipeline.corrections.journal_location import JournalLocation
-from pipeline.datasets import has_moves
 from pipeline.datasets.base import dataset_notes
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif.state import ViewState
-from pipeline.evaluation.run_folder import Run
-from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError
@@ -33,7 +28,7 @@ from spatialviz.app.dialog import Dialog
 from spatialviz.app.filling import fill_answer, fill_page
 from spatialviz.app.frame_cloud import FrameCloud
 from spatialviz.app.frame_steps import FrameSteps
-from spatialviz.app.frames import FrameStore, LoadedFrame
+from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
 from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import Keys, meant
@@ -48,6 +43,7 @@ from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.selection import Selection
+from spatialviz.app.shared import Shared
 from spatialviz.app.state import NOTHING, State, shown_objects
 from spatialviz.app.view_settings import ViewSettings
 from spatialviz.app.view_string import BEGINS

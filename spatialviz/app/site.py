@@ -114,7 +114,9 @@ class Site:
 
     def _file(self, path: str, query: dict[str, list[str]]) -> Response:
         if path == "/":
-            return _response(http.HTTPStatus.OK, self._files["index.html"], ".html", {"Content-Security-Policy": PAGE_POLICY})
+            return _response(
+                http.HTTPStatus.OK, self._files["index.html"], ".html", {"Content-Security-Policy": PAGE_POLICY}
+            )
         folder, _, name = path.rpartition("/")
         if folder == "/app" and name in self._files:
             return _response(http.HTTPStatus.OK, self._files[name], Path(name).suffix)
