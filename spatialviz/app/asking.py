@@ -11,29 +11,28 @@ OFFERED = 8
 
 
 def offers(typed: str, state: State, suggestions: Sequence[str], asked: Sequence[str]) -> list[dict[str, str]]:
-    """What may come next, the best first: {"text": the whole question, "kind": "name", "relation" or "asked"}."""
+    """What may come next, the best first.
+
+    {"text", "kind", "detail"}: a "question" stands for all that is typed, a "name" or a "relation" ends it.
+    """
     text = typed.lower()
-    whole = [{"text": t, "kind": kind} for kind, found in (("asked", asked), ("example", suggestions)) for t in found]
+    sources = (("asked before", asked), ("example", suggestions))
+    whole = [{"text": t, "kind": "question", "detail": detail} for detail, found in sources for t in found]
     if not text.strip():
         return _distinct(whole)
     found = [o for o in whole if o["text"].lower().startswith(text) and o["text"].lower() != text]
     names = sorted({o.label for o in state.shown.objects}, key=lambda n: (len(n), n))
     for kind, vocabulary in (("name", names), ("relation", list(dict.fromkeys(PHRASE.values())))):
         for word in vocabulary:
-            begun = _begun(text, word.lower())
-            if begun:
-                found.append({"text": typed[: len(typed) - begun] + word + " ", "kind": kind})
-            elif text.endswith(" ") and kind == _next(text, names):
-                found.append({"text": typed + word + " ", "kind": kind})
+            if _begins(text, word.lower()) or (text.endswith(" ") and kind == _next(text, names)):
+                found.append({"text": word, "kind": kind, "detail": "in this frame" if kind == "name" else kind})
     return _distinct(found)
 
 
-def _begun(text: str, word: str) -> int:
-    """How many characters at the end of a text, from the beginning of a word of it, begin this word; 0 for none."""
-    for start in range(max(0, len(text) - len(word) + 1), len(text)):
-        if (start == 0 or text[start - 1] == " ") and word.startswith(text[start:]):
-            return len(text) - start
-    return 0
+def _begins(text: str, word: str) -> bool:
+    """Whether the end of a text, from the beginning of a word of it, begins this word."""
+    starts = (k for k in range(max(0, len(text) - len(word) + 1), len(text)) if k == 0 or text[k - 1] == " ")
+    return any(word.startswith(text[k:]) for k in starts)
 
 
 def _next(text: str, names: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ from spatialviz.app.layout import Page
 from spatialviz.app.objects import objects_html
 from spatialviz.app.picture import image_html, log_html
 from spatialviz.app.shared import Shared
-from spatialviz.app.stages import stages_html, suggestions_html
+from spatialviz.app.stages import stages_html
 from spatialviz.app.state import State
 from spatialviz.app.toolbar import scene_tools_html
 
@@ -25,7 +25,6 @@ def fill_page(
     *,
     dataset: Dataset,
     can_ask: bool,
-    suggestions: Sequence[str],
     log: Sequence[tuple[str, str]],
 ) -> None:
     """Fill all regions at once. What would not change sends nothing."""
@@ -38,7 +37,6 @@ def fill_page(
         page.show("tasks", tasks_html(state, bool(shared.runs), bool(shared.journals)))
         page.show("tools", tools_html())
         page.show("problem", problem_html(state))
-        page.show("ask-offers", suggestions_html(state, suggestions))
         page.show("scene-tools", scene_tools_html(state))
         page.show("objects", objects_html(state))
         fill_answer(page, state, can_ask)

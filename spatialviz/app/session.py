@@ -444,7 +444,6 @@ class Session:
             self._shared,
             dataset=dataset,
             can_ask=self._source().detector is not None,
-            suggestions=self._suggestions,
             log=self._log,
         )
         self._runs.follow()

@@ -73,30 +73,36 @@ const fraction = (e, at) => {
   const b = e.getBoundingClientRect(), part = (v, low, size) => Math.min(1, Math.max(0, (v - low) / size)).toFixed(5);
   return part(at.clientX, b.left, b.width) + ',' + part(at.clientY, b.top, b.height);
 };
+const said = (command, value) => send(command + (command.endsWith(':') ? '' : ':') + value);
 const act = (e, event) => {
   const own = e.closest('[data-do], [data-local], [data-point]');
   if (!own || own.getAttribute('aria-disabled') === 'true' || own.disabled) return;
   const {do: command, local, point} = own.dataset;
   if (local) { const [name, ...rest] = local.split(':'); locals[name]?.(own, rest.join(':')); }
   if (command) send(command);
-  else if (point && !event.shiftKey) send(point + fraction(own, event));
+  else if (point && !event.shiftKey) said(point, fraction(own, event));
 };
 document.addEventListener('click', e => { if (e.target instanceof Element) act(e.target, e); });
 
 let live = {}, timers = {};
 const follow = (command, value) => {
   live[command] = value;
-  timers[command] ||= setTimeout(() => { delete timers[command]; send(command + live[command]); }, 50);
+  timers[command] ||= setTimeout(() => { delete timers[command]; said(command, live[command]); }, 50);
 };
 document.addEventListener('input', e => {
   const f = e.target, {live: command, field} = f.dataset;
-  if (command) { f.style.setProperty('--v', (f.value - f.min) / (f.max - f.min)); follow(command, f.value); }
+  if (command) {
+    if (f.type === 'range') { f.style.setProperty('--v', (f.value - f.min) / (f.max - f.min)); if (f.nextElementSibling?.tagName === 'OUTPUT') f.nextElementSibling.textContent = (+f.value).toFixed(2); }
+    follow(command, f.value);
+  }
   if (field) fields[field]?.input?.(e, f);
 });
 document.addEventListener('change', e => {
   const f = e.target, {change, live: command} = f.dataset;
   if (command) { clearTimeout(timers[command]); delete timers[command]; }
-  if (change) send(change + (f.type === 'checkbox' ? f.checked : f.value));
+  if (change) said(change, f.type === 'checkbox' ? f.checked : f.value);
+  // A number that is taken comes back with the next patch; one that is refused falls back.
+  if (change && f.type === 'number') { const was = f.value; setTimeout(() => { if (f.value === was) f.value = f.defaultValue; }, 900); }
 });
 for (const kind of ['focus', 'blur']) {
   document.addEventListener(kind, e => { if (e.target.dataset?.field) fields[e.target.dataset.field]?.[kind]?.(e, e.target); }, true);
@@ -118,7 +124,7 @@ document.addEventListener('pointerdown', e => {
     pic.removeEventListener('pointermove', move);
     band.remove();
     const [a, b] = corners(e);
-    if (Math.abs(a[0] - b[0]) > .004 && Math.abs(a[1] - b[1]) > .004) send(pic.dataset.band + [...a, ...b].map(v => v.toFixed(5)).join(','));
+    if (Math.abs(a[0] - b[0]) > .004 && Math.abs(a[1] - b[1]) > .004) said(pic.dataset.band, [...a, ...b].map(v => v.toFixed(5)).join(','));
   }, {once: true});
 });
 
@@ -126,28 +132,34 @@ document.addEventListener('pointerdown', e => {
 
 let keys = new Set();
 calls.keys = rows => { keys = new Set(rows); };
-const named = e => (e.altKey ? 'Alt+' : '') + (e.ctrlKey || e.metaKey ? 'Ctrl+' : '') +
-  (e.shiftKey && /^[a-z]$/i.test(e.key) ? 'Shift+' : '') + (/^Key[A-Z]$/.test(e.code) && e.altKey ? e.code[3] : e.key.length === 1 ? e.key.toUpperCase() : e.key);
-
+const named = e => {
+  const latin = e.key.length === 1 && e.key.charCodeAt(0) < 128 && !e.altKey;
+  const key = latin ? e.key.toUpperCase() : e.code.replace(/^(Key|Digit|Numpad)/, '');
+  return (e.altKey ? 'Alt+' : '') + (e.ctrlKey || e.metaKey ? 'Ctrl+' : '') + (e.shiftKey && /^[A-Z]$/.test(key) ? 'Shift+' : '') + key;
+};
 const pressed = e => {
-  const f = document.activeElement, dialog = byId('dialog');
-  if (e.defaultPrevented) return;
-  if (typing(f) && e.currentTarget === window) {
-    if (f.dataset.field) fields[f.dataset.field]?.keydown?.(e, f);
+  const own = e.currentTarget === window, f = document.activeElement, dialog = byId('dialog-window');
+  if (e.defaultPrevented || e.isComposing) return;
+  if (own && typing(f)) {
+    fields[f.dataset.field]?.keydown?.(e, f);
     if (e.defaultPrevented) return;
-    if (e.key === 'Enter' && f.dataset.enter) { send(f.dataset.enter + f.value); f.blur(); e.preventDefault(); }
+    if (e.key === 'Enter' && f.dataset.enter) { said(f.dataset.enter, f.value); f.blur(); e.preventDefault(); }
     if (e.key === 'Escape' && !f.closest('dialog')) { if (f.dataset.enter) f.value = f.defaultValue; f.blur(); e.preventDefault(); }
     return;
   }
-  if (dialog.open) return;
-  const button = f instanceof Element && f.matches('[data-do], [data-local]') && e.currentTarget === window;
-  if (button && (e.key === 'Enter' || e.key === ' ') && f.tagName !== 'BUTTON') { e.preventDefault(); act(f, e); return; }
-  if (button && (e.key === 'Enter' || e.key === ' ')) return;
+  if (dialog) {
+    const meant = [...dialog.querySelectorAll('[aria-keyshortcuts]')].find(one => one.getAttribute('aria-keyshortcuts') === named(e));
+    if (meant) { e.preventDefault(); meant.click(); }
+    return;
+  }
+  if (own && (e.key === 'Enter' || e.key === ' ') && f.matches('a, button, summary, select, [data-do], [data-local]')) {
+    if (!f.matches('a, button, summary, select')) { e.preventDefault(); act(f, e); }
+    return;
+  }
   const name = named(e);
-  if (e.key === '/') { e.preventDefault(); const ask = byId('ask-text'); ask.focus(); ask.select(); }
+  if (e.key === '/') { e.preventDefault(); byId('ask-text').focus(); byId('ask-text').select(); }
   else if (e.key === '?') { e.preventDefault(); send('help'); }
   else if (keys.has(name)) { e.preventDefault(); send('key:' + name); }
-  else if (name === 'Ctrl+K') { e.preventDefault(); send('commands'); }
 };
 window.addEventListener('keydown', pressed);
 
@@ -174,16 +186,29 @@ calls.download = ({path, name}) => {
   a.click();
 };
 
+let working = 0;
+calls.working = text => {
+  clearTimeout(working);
+  // Quick work does not flicker.
+  working = setTimeout(() => { byId('working').textContent = text; }, text ? 150 : 0);
+};
+
 // A dialog is open while its region holds one; a tab stands while its panel holds something.
+let before = null;
 const settle = () => {
-  const dialog = byId('dialog'), held = byId('dialog-content').childElementCount > 0;
-  if (held && !dialog.open) { dialog.showModal(); (dialog.querySelector('[autofocus], textarea, input') || dialog).focus(); }
-  if (!held && dialog.open) dialog.close();
+  const dialog = byId('dialog-window');
+  if (dialog && !dialog.open) {
+    before = document.activeElement;
+    dialog.showModal();
+    dialog.addEventListener('cancel', e => { e.preventDefault(); send('close-dialog'); });
+    dialog.addEventListener('click', e => { if (e.target === dialog) send('close-dialog'); });
+    dialog.querySelector('[autofocus]')?.select?.();
+  }
+  if (!dialog && before) { before.focus?.(); before = null; }
   for (const tab of byId('drawer-tabs').querySelectorAll('[role=tab]')) {
     tab.hidden = !tab.getAttribute('aria-controls').split(' ').some(one => byId(one).childElementCount);
   }
 };
-byId('dialog').addEventListener('cancel', e => { e.preventDefault(); send('close-dialog'); });
 
 locals.tab = (_, name) => {
   for (const tab of byId('drawer-tabs').querySelectorAll('[role=tab]')) {
