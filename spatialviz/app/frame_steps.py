@@ -6,9 +6,9 @@ import threading
 from collections.abc import Callable
 
 from pipeline.datasets import moves
-from spatialviz.app import bottom
 from spatialviz.app.frames import FrameStore
-from spatialviz.app.layout import Page
+from spatialviz.app.markup import Element
+from spatialviz.app.picture import frames_html, window
 from spatialviz.app.state import State
 
 BROWSED = 6
@@ -20,7 +20,6 @@ class FrameSteps:
 
     Parameters
     ----------
-    page : Page
     store : FrameStore
     closed : threading.Event
         Set when the client has gone.
@@ -28,21 +27,23 @@ class FrameSteps:
         Gives the client's state.
     open_frame : callable
         Shows a frame.
+    show : callable
+        Puts the grid onto the page.
     post : callable
         Runs something later, on the client's own thread.
     """
 
     def __init__(
         self,
-        page: Page,
         store: FrameStore,
         closed: threading.Event,
         *,
         state: Callable[[], State],
         open_frame: Callable[[str], None],
+        show: Callable[[Element], None],
         post: Callable[[Callable[[], None]], None],
     ) -> None:
-        self._page, self._store, self._closed = page, store, closed
+        self._store, self._closed, self._show = store, closed, show
         self._state, self._open_frame, self._post = state, open_frame, post
 
     def commands(self) -> dict[str, Callable[[str], None]]:
@@ -74,13 +75,13 @@ class FrameSteps:
         """Fill the grid of small pictures bit by bit, behind whatever the user does."""
         ids, state = self._ids, self._state()
         current = (state.source, state.frame_id)
-        total = len(bottom.window(ids, ids.index(state.frame_id)))
+        total = len(window(ids, ids.index(state.frame_id)))
 
         def fill(ready: int) -> None:
             now = self._state()
             if (now.source, now.frame_id) != current or self._closed.is_set():
                 return
-            self._page.frames.content = bottom.frames_html(now, ids, self._store, ready)
+            self._show(frames_html(now, ids, self._store, ready))
             if ready < total:
                 self._post(lambda: fill(min(ready + BROWSED, total)))
 

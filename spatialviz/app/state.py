@@ -119,6 +119,8 @@ class State:
         The selected object of the second detector, where it is not the one that stands for `selected`.
     picking : bool
         The next click names a level surface.
+    stage : str
+        The stage of the pipeline whose evidence is open, as it was chosen; "" for the one that failed.
     """
 
     source: str
@@ -146,13 +148,14 @@ class State:
     layers: Layers = "both"
     second: int | None = None
     picking: bool = False
+    stage: str = ""
 
     @property
     def unasked(self) -> State:
         """The same without any answer."""
         return replace(
             self, trace=None, pair=None, selected=None, error="", judged=None, other=None, edited=None, labels=None,
-            second=None,
+            second=None, stage="",
         )  # fmt: skip
 
     @property
