@@ -1,4 +1,4 @@
-"""The head of the answer: the names, the relation's probability and the product, and the verdict in a whole sentence."""
+"""The head of the answer: its names, the relation's probability, the product, and the verdict in a whole sentence."""
 
 from __future__ import annotations
 
@@ -106,11 +106,9 @@ def _names(state: State, pair: ScoredPair) -> Element:
     target, *ends = state.at(pair)
     parts: list[Child] = [named(colors["target"], state.shown.names[target])]
     for k, end in enumerate(() if pair.reference is None else ends):
-        parts += [
-            h.span("and" if k else state.trace.phrase, cls="dim"),
-            named(colors["reference"], state.shown.names[end]),
-        ]
-    return h.h2((part, " ") for part in parts).with_(cls="names")
+        between = h.span("and" if k else state.trace.phrase, cls="dim")
+        parts += [" ", between, " ", named(colors["reference"], state.shown.names[end])]
+    return h.h2(parts, cls="names")
 
 
 def _headline(pair: ScoredPair) -> Element:

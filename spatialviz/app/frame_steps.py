@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from pipeline.datasets import moves
 from spatialviz.app.frames import FrameStore
-from spatialviz.app.markup import Element
+from spatialviz.app.layout import Page
 from spatialviz.app.picture import frames_html, window
 from spatialviz.app.state import State
 
@@ -20,6 +20,7 @@ class FrameSteps:
 
     Parameters
     ----------
+    page : Page
     store : FrameStore
     closed : threading.Event
         Set when the client has gone.
@@ -27,23 +28,21 @@ class FrameSteps:
         Gives the client's state.
     open_frame : callable
         Shows a frame.
-    show : callable
-        Puts the grid onto the page.
     post : callable
         Runs something later, on the client's own thread.
     """
 
     def __init__(
         self,
+        page: Page,
         store: FrameStore,
         closed: threading.Event,
         *,
         state: Callable[[], State],
         open_frame: Callable[[str], None],
-        show: Callable[[Element], None],
         post: Callable[[Callable[[], None]], None],
     ) -> None:
-        self._store, self._closed, self._show = store, closed, show
+        self._page, self._store, self._closed = page, store, closed
         self._state, self._open_frame, self._post = state, open_frame, post
 
     def commands(self) -> dict[str, Callable[[str], None]]:
@@ -81,7 +80,7 @@ class FrameSteps:
             now = self._state()
             if (now.source, now.frame_id) != current or self._closed.is_set():
                 return
-            self._show(frames_html(now, ids, self._store, ready))
+            self._page.show("frames", frames_html(now, ids, self._store, ready))
             if ready < total:
                 self._post(lambda: fill(min(ready + BROWSED, total)))
 

@@ -42,13 +42,11 @@ def image_html(state: State) -> Element:
         aria_hidden="true",
         id="overlay",
     )
-    image = h.img(
-        src=jpeg_url(picture[::step, ::step]), alt=", ".join((f"frame {frame.id}", *roles)), draggable="false"
-    )
+    alt = ", ".join((f"frame {frame.id}", *roles))
     return panel(
         pixel_row_html(state),
         h.div(
-            image,
+            h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false"),
             marks,
             cls="pic",
             css={"--wh": f"{frame.width / frame.height:.3f}"},

@@ -19,8 +19,8 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
 from spatialviz.app.failures import MEANING, searches, verdict_chip
 from spatialviz.app.run_figures import STANDS_IN, RunFigures
-from spatialviz.app.stage_verdict import ORACLE_WORDS
 from spatialviz.app.text import heading, note, panel, safe, segments
+from spatialviz.app.why import ORACLE_WORDS
 
 CUTS = {
     "relation": "relation", "class": "class", "distance": "distance", "size": "size", "occlusion": "occlusion",

@@ -115,17 +115,12 @@ def _against(state: State) -> list[Child]:
         h.th("needed", cls="n", title=hint),
     )
     colors = palette(state.dark)
-    pairs = (
-        (
-            h.dt(what),
-            h.dd(
-                named(colors["target"], _name(state, p.target)),
-                " · ",
-                named(colors["reference"], _name(state, p.reference)),
-            ),
-        )
-        for what, p in (("answer", d.winner), ("right", d.right))
-    )
+
+    def ends(pair: ScoredPair) -> list[Child]:
+        target, reference = (_name(state, i) for i in (pair.target, pair.reference))
+        return [named(colors["target"], target), " · ", named(colors["reference"], reference)]
+
+    pairs = ((h.dt(what), h.dd(ends(p))) for what, p in (("answer", d.winner), ("right", d.right)))
     table = h.table(h.thead(head), h.tbody(rows), cls="against")
     return [h.h3("Answer against the right pair"), h.dl(pairs, cls="facts"), table]
 
@@ -157,9 +152,7 @@ def _matrix(state: State, trace: Trace) -> list[Child]:
         h.th(_name(state, c).rpartition("·")[2], h.i(f"{s:.2f}"), cls="ref", title=_name(state, c)) for c, s in columns
     )
     cut = max(len(targets.index), len(references.index)) > MATRIX_LIMIT
-    css = {
-        f"--{role[0] if role != 'truth' else 'g'}": hex_color(colors[role]) for role in ("target", "truth", "reference")
-    }
+    css = {f"--{role}": hex_color(colors[role]) for role in ("target", "truth", "reference")}
     table = h.table(h.thead(h.tr(h.td(), h.td(), head)), h.tbody(body), cls="matrix", css=css)
     aside = f"best {MATRIX_LIMIT} a side" if cut else "relation · outlined: acceptable"
     return [h.h3("All pairs", h.span(aside)), h.div(table, cls="mx")]

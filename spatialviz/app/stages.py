@@ -1,4 +1,4 @@
-"""The pipeline as connected stages: how each fared, which one failed and why, and the evidence of the one that is open."""
+"""The pipeline as connected stages: how each fared, which one failed and why, and the evidence of the open one."""
 
 from __future__ import annotations
 
@@ -65,22 +65,14 @@ def failed_stages(state: State) -> tuple[str, ...]:
     return ("OPM",) if state.trace.missing else ("PRM",)
 
 
-def open_stage(state: State) -> str:
-    """The stage whose evidence is open: the one that was chosen, else the one that failed, else the ranked pairs."""
-    return state.stage or next(iter(failed_stages(state)), "PRM")
+def stages_html(state: State, open_stage: str = "") -> Element:
+    """The stages in order, each with the evidence below its head where it is the open one.
 
-
-def stages_html(state: State, opened: str, working: str = "") -> Element:
-    """The stages in order; the evidence of the `opened` one stands below its head.
-
-    `working` says what is being done now; it is seen from 0.15 s on, so that quick work does not flicker.
+    `open_stage` is a name of EVIDENCE, "" for the one that failed, else the ranked pairs, and anything else for none.
     """
     failed = failed_stages(state)
-    return h.ol(
-        h.li(working, cls="working", role="status") if working else None,
-        (_item(state, stage, opened, failed) for stage in stages(state)),
-        cls="stages busy" if working else "stages",
-    )
+    opened = open_stage or next(iter(failed), "PRM")
+    return h.ol((_item(state, stage, opened, failed) for stage in stages(state)), cls="stages")
 
 
 def _item(state: State, stage: Stage, opened: str, failed: tuple[str, ...]) -> Element:
@@ -100,9 +92,8 @@ def _item(state: State, stage: Stage, opened: str, failed: tuple[str, ...]) -> E
     evidence = None
     if is_open:
         found = h.p("Nothing is asked.", cls="dim") if state.trace is None else EVIDENCE[stage.name](state, state.trace)
-        evidence = h.div(
-            found, cls="evidence", id=f"evidence-{key}", role="region", aria_label=f"{stage.name}: evidence"
-        )
+        label = f"evidence of {stage.name}"
+        evidence = h.div(found, cls="evidence", id=f"evidence-{key}", role="region", aria_label=label)
     sentence = _sentence(state) if failed[:1] == (stage.name,) else None
     return h.li(head, sentence, evidence, cls=" ".join(("stage", stage.mark, *marks)), id=f"stage-{key}")
 
