@@ -163,7 +163,7 @@ class State:
         """The same without any answer."""
         return replace(
             self, trace=None, pair=None, selected=None, error="", judged=None, other=None, edited=None, labels=None,
-            second=None,
+            second=None, stage="",
         )  # fmt: skip
 
     @property
