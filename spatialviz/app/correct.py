@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-import viser
-
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
@@ -28,7 +26,6 @@ class Correct:
 
     Parameters
     ----------
-    client : viser.ClientHandle
     page : Page
     desks : mapping of str to callable
         By name of the source: opens this client's desk.
@@ -47,7 +44,6 @@ class Correct:
 
     def __init__(
         self,
-        client: viser.ClientHandle,
         page: Page,
         desks: Mapping[str, Callable[[], LabelEditor]],
         *,
@@ -58,7 +54,7 @@ class Correct:
         open_frame: Callable[[str], None],
         note: Callable[[str], None],
     ) -> None:
-        self._client, self._page, self._openers = client, page, desks
+        self._page, self._openers = page, desks
         self._state, self._take, self._draw, self._ask, self._note = state, take, draw, ask, note
         self._open_frame = open_frame
         self._desks: dict[str, LabelEditor] = {}
@@ -239,12 +235,11 @@ class Correct:
 
     def follow(self) -> None:
         """Bring the Review tab up to the state."""
-        if self._page.review_head is None or self._page.review_pair is None:
+        if not self._openers:
             return
         state = self._state()
-        opened = self._openers.get(state.source) is not None
-        self._page.review_head.content = review_head_html(state, opened, self.open_desk)
-        self._page.review_pair.content = pair_html(state)
+        self._page.show("review-head", review_head_html(state, state.source in self._openers, self.open_desk))
+        self._page.show("review-pair", pair_html(state))
 
     # ---- edits ------------------------------------------------------------------------
 
@@ -337,7 +332,7 @@ class Correct:
         if view is not None:
             self._take(replace(self._state(), labels=replace(view, said=said, bad=bad)))
         elif said:
-            self._client.add_notification("Labels", said, auto_close_seconds=8)
+            self._page.toast("Labels", said)
         self._note(said)
         if draw:
             self._draw()
@@ -414,7 +409,7 @@ class Correct:
     def refuse(self, problem: str) -> None:
         """Say why something was not done."""
         self._note(f"not done: {problem}")
-        self._client.add_notification("Not done", problem, auto_close_seconds=8)
+        self._page.toast("Not done", problem)
 
 
 def _looking_at(

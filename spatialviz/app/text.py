@@ -41,6 +41,11 @@ def note(text: Child, color: str = DOUBT) -> Element:
     return h.div(text, cls="note", css={"--c": color})
 
 
+def button(label: Child, do: str, title: str = "", cls: str = "", **more: object) -> Element:
+    """A small button: what it says, the command that it sends, and what that is for."""
+    return h.button(label, cls=f"try {cls}".strip(), do=do, title=title or None, **more)
+
+
 def segments(kind: str, options: Mapping[str, str], chosen: str, name: str = "") -> Element:
     """One of several: a press sends "kind:key"; `name` is for those who do not see it."""
     return h.div(
