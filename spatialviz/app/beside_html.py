@@ -52,9 +52,7 @@ def second_overlay(state: State, unit: float) -> list[Element]:
     return parts
 
 
-def name_tag(
-    text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str
-) -> tuple[Element, Element]:
+def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> tuple[Element, Element]:
     """A name on its colour in the picture, its upper left corner at (x, y) or as near as the picture's `shape` lets."""
     width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
     x, y = max(min(x, shape[1] - width), 0), min(max(y, 0), shape[0] - height)
