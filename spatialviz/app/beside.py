@@ -157,14 +157,13 @@ class BesideLayer:
             return []
         entry = state.beside.objects[chosen]
         assert entry.lifted.box is not None
-        low = self._scene.shown_box(entry.lifted.box)
+        box = self._scene.shown_box(entry.lifted.box)
         if self._anchor is None:
             self._anchor = self._client.scene.add_frame(ANCHOR, show_axes=False)
-        x, y = (float(v) for v in low.center[:2])
-        self._anchor.position = (x, y, float(low.corners[:, 2].min()))
+        self._anchor.position = triple(box.center)
         detail = "" if entry.score >= 0.9995 else f"{entry.score:.2f}"
         name, color = second_name(state.beside, chosen), hex_color(second_color(state.dark))
-        return [Tag(ANCHOR, f"B {name}", detail, color, True)]
+        return [Tag(ANCHOR, f"B {name}", detail, color, True, extent=half_size(box))]
 
 
 def _faint(color: RGB, dark: bool) -> RGB:

@@ -122,6 +122,7 @@ class SceneClient:
     def __init__(self) -> None:
         self.scene, self.camera = RetainedScene(), RetainedCamera()
         self._client: viser.ClientHandle | None = None
+        self._dark = True
         self._lock = threading.RLock()
 
     @property
@@ -141,6 +142,7 @@ class SceneClient:
             for callback in self.camera.callbacks:
                 client.camera.on_update(callback)
             self._client = client
+            self.set_dark(self._dark)
             vars(self.camera)["shown"] = client.camera
             with client.atomic():
                 for node in list(self.scene.nodes.values()):
@@ -157,6 +159,12 @@ class SceneClient:
             self._client = self.scene.shown = vars(self.camera)["shown"] = None
             for node in self.scene.nodes.values():
                 node.keep()
+
+    def set_dark(self, dark: bool) -> None:
+        """A dark ground, or a light one; viser's own panels, logo and share button are never shown."""
+        self._dark = dark
+        if self._client is not None:
+            self._client.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
     @contextmanager
     def atomic(self) -> Iterator[None]:

@@ -103,7 +103,7 @@ class Session:
         self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus, self._level.on_pixel)
         reach = (self._source, self._now, self._take)
         self._beside = BesideLayer(client, self.scene, self._now, self._take, self._draw)
-        self._view = ViewSettings(page, self.scene, *reach, self._draw, self._note)
+        self._view = ViewSettings(page, self.scene, *reach, self._draw, self._note, client.set_dark)
         self._cloud = FrameCloud(client, self.scene, self._view.show_context)
         self._runs = RunPanel(runs, store, page, self._now, self._set_listing, self._go, self.channel.post)
         self._what_if = WhatIf(
@@ -127,10 +127,13 @@ class Session:
             page, dialog, store.sources, runs, self._judge, shared.opened_by, state=self._now,
             view=self._strings.now, note=self._note,
         )  # fmt: skip
-        self._keys = Keys(page, dialog, shared.moving, bool(journals), shared.second, self._now)
+        keys = Keys(
+            page, dialog, self.handle, lambda: self.state.labels is not None, moving=shared.moving,
+            correcting=bool(journals), beside=shared.second,
+        )  # fmt: skip
         parts = (
             self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._labels, self._beside,
-            dialog, self._steps, self._level, self._keys,
+            dialog, self._steps, self._level, keys,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
 
@@ -149,13 +152,17 @@ class Session:
                 return
             if message.theme:
                 self.state = replace(self.state, dark=message.theme == "dark")
-            self._keys.tell()
+            self.client.set_dark(self.state.dark)
             self._labels.correct.greeted(message.author)
             self._begin(Place.read(message.address, self._store.sources))
         elif isinstance(message, Go):
             self._go(Place.read(message.address, self._store.sources), restoring=True)
         else:
             self.handle(message.text)
+
+    def signed_as(self, name: str) -> None:
+        """Labels are corrected under the name of the token that the browser has, and under no other."""
+        self.channel.post(lambda: self._labels.correct.signed_as(name))
 
     def attach(self, client: viser.ClientHandle) -> None:
         """The browser's frame is there: show the scene in it."""
