@@ -16,6 +16,11 @@ def dot(color: RGB) -> Element:
     return h.span(cls="dot", css={"--c": hex_color(color)})
 
 
+def named(color: RGB, name: str) -> Element:
+    """The name of an object, in the colour of its role."""
+    return h.span(dot(color), h.b(name), cls="name", title=name)
+
+
 def words(reason: Pixel) -> str:
     """What became of a pixel, in words."""
     return reason.name.lower().replace("_", " ")
@@ -34,6 +39,11 @@ def heading(text: Child, *aside: Child) -> Element:
 def note(text: Child, color: str = DOUBT) -> Element:
     """A remark with a coloured edge."""
     return h.div(text, cls="note", css={"--c": color})
+
+
+def button(label: Child, do: str, title: str = "", cls: str = "", **more: object) -> Element:
+    """A small button: what it says, the command that it sends, and what that is for."""
+    return h.button(label, cls=f"try {cls}".strip(), do=do, title=title or None, **more)
 
 
 def segments(kind: str, options: Mapping[str, str], chosen: str, name: str = "") -> Element:
