@@ -4,7 +4,7 @@ A field that an element names by data-field gets its events from page.mjs. A key
 `defaultPrevented`: whoever comes after leaves it alone. The commands that are sent: `ask-typed:`, `ask:`,
 `class-typed:`, `class:`, `complete:`, `find:`. */
 
-import {calls, el, fields, fill, locals, send, typing} from './core.mjs';
+import {calls, el, fields, fill, locals, send} from './core.mjs';
 
 const TYPED_MS = 60, COMPLETE_MS = 90;
 
@@ -298,7 +298,7 @@ fields.commands = {
   },
 };
 
-/* Dialogs: their text is copied or sent, their choices are sent, and their buttons have keys. */
+/* Dialogs: their text is copied or sent, and their choices are sent. */
 
 const TEXT = 'textarea, input:not([type=radio], [type=checkbox], [type=range])';
 
@@ -339,16 +339,6 @@ calls.copy = () => {
   if (content) locals.copy(content);
 };
 
-window.addEventListener('keydown', event => {
-  const dialog = document.querySelector('dialog[open]');
-  if (!dialog || typing(document.activeElement) || event.ctrlKey || event.metaKey || event.altKey) return;
-  const button = dialog.querySelector(`[aria-keyshortcuts="${CSS.escape(event.key.toUpperCase())}"]`);
-  if (!button) return;
-  event.preventDefault();
-  event.stopImmediatePropagation();
-  button.click();
-}, true);
-
 /* What changes many times a second: numbers of a box that is dragged, the drawing over the picture. */
 
 calls.numbers = numbers => {
@@ -364,7 +354,7 @@ calls.overlay = marks => {
 };
 
 calls.shown = () => setTimeout(() => {
-  document.querySelector('.ex[aria-current=true]')?.scrollIntoView({block: 'nearest'});
+  document.querySelector('.ex.sel')?.scrollIntoView({block: 'nearest'});
 }, 60);
 
 calls.sentence = () => {
