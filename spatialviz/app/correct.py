@@ -16,7 +16,6 @@ from pipeline.corrections.wording import consequences, events_text, outcome_text
 from pipeline.system.errors import InputError
 from spatialviz.app.label_view import LabelView, Target
 from spatialviz.app.layout import Page
-from spatialviz.app.place import Place
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.state import Shown, State
 
@@ -92,15 +91,13 @@ class Correct:
             self._desks[name].author = self._author or self._desks[name].author
         return self._desks.get(name)
 
-    def signed(self, said: str) -> str:
-        """Take the name that a browser has kept, unless one was given; the rest of what it says comes back."""
-        rest, author = Place.signed(said)
+    def greeted(self, author: str) -> None:
+        """Take the name that a browser has kept, unless one was given."""
         try:
             if author and not self.keeps_name:
                 self.sign(author)
         except InputError as error:
             self._note(str(error))
-        return rest
 
     @property
     def open_desk(self) -> LabelEditor | None:

@@ -26,6 +26,7 @@ from spatialviz.app.frames import FrameStore
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_view import Target
 from spatialviz.app.layout import Page
+from spatialviz.app.markup import h
 from spatialviz.app.queue_html import KINDS, Asked, item_html, queue_html
 from spatialviz.app.review_html import doubt_html
 from spatialviz.app.state import State
@@ -318,9 +319,8 @@ class ReviewQueue:
 
     def _doubt(self, card: PairCard, line: RelationLine, state: int) -> None:
         """Ask before a judgement is saved that geometry contradicts."""
-        self._dialog.show(
-            DOUBT_TITLE, doubt_html(card, line, state), (f"Save {letter(state)} all the same", "settle-sure")
-        )
+        save = h.button(f"Save {letter(state)} all the same", do="settle-sure")
+        self._dialog.show(DOUBT_TITLE, doubt_html(card, line, state), save)
 
     def _sure(self) -> None:
         """Save what was asked about."""

@@ -59,7 +59,7 @@ class Sentences:
             "mark": self.mark,
             "expression-status": self.status,
             "expression-text": self.reword,
-            "edit-text": lambda _: self._page.call("sentence", None),
+            "edit-text": lambda _: self._page.call("sentence"),
             "undo-group": lambda group: self._correct.taken_back("undo", group),
             "mend": lambda _: self.mend(),
             "author": self.sign,
@@ -87,9 +87,8 @@ class Sentences:
             return
         names = [c.id for c in view.expressions]
         at = names.index(view.expression) + step if view.expression in names else 0
-        self.select(names[at % len(names)])
         self._page.call("tab", "Answer")
-        self._page.call("shown", None)
+        self.select(names[at % len(names)])
 
     def select_object(self, number: int) -> None:
         """Select an object by its number in the labels."""

@@ -32,8 +32,6 @@ class ViewSettings:
     draw : callable
     note : callable
         Writes a line of the log.
-    theme : callable
-        Makes the page and the scene's frame dark, or light.
     """
 
     def __init__(
@@ -45,10 +43,9 @@ class ViewSettings:
         take: Callable[[State], None],
         draw: Callable[[], None],
         note: Callable[[str], None],
-        theme: Callable[[bool], None],
     ) -> None:
         self._page, self._scene, self._source = page, scene, source
-        self._state, self._take, self._draw, self._note, self._theme = state, take, draw, note, theme
+        self._state, self._take, self._draw, self._note = state, take, draw, note
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -100,6 +97,5 @@ class ViewSettings:
         """Dark becomes light, and light dark."""
         state = self._state()
         self._take(replace(state, dark=not state.dark))
-        self._theme(not state.dark)
         self.show_context()
         self._draw()
