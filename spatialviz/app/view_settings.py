@@ -8,10 +8,10 @@ from dataclasses import replace
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.scene_mesh import fuse_context
 from pipeline.system.errors import FrameUnusable, MissingExtra
-from spatialviz.app import left
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import CameraMode, ColorMode, State
+from spatialviz.app.toolbar import FLAGS, scene_tools_html
 
 MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
 
@@ -69,13 +69,13 @@ class ViewSettings:
         state = self._state()
         if mode in modes and state.loaded is not None:
             self._take(replace(state, camera=modes[mode]))
-            self._page.show("controls", left.controls_html(self._state()))
+            self._page.show("scene-tools", scene_tools_html(self._state()))
             self._scene.viewpoint.fly(mode)
 
     def toggle(self, flag: str) -> None:
         """Show or hide something."""
         state = self._state()
-        if flag in left.FLAGS:
+        if flag in FLAGS:
             self._take(replace(state, flags=replace(state.flags, **{flag: not getattr(state.flags, flag)})))
             if flag == "context":
                 self.show_context()
