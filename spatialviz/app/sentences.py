@@ -87,7 +87,6 @@ class Sentences:
             return
         names = [c.id for c in view.expressions]
         at = names.index(view.expression) + step if view.expression in names else 0
-        self._page.call("tab", "Answer")
         self.select(names[at % len(names)])
 
     def select_object(self, number: int) -> None:
@@ -111,7 +110,6 @@ class Sentences:
         if judged is not None:
             self._take(_of_case(state, view, judged))
         self._draw()
-        self._page.call("tab", "Answer")
 
     # ---- edits ------------------------------------------------------------------------
 
