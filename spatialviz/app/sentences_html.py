@@ -84,7 +84,9 @@ def _chip(state: State, view: LabelView, card: ExpressionCard, number: int, smal
     }
     name = f"{card.names.get(number) or 'gone'}·{number}"
     said = "true of it" if sure else "may be true of it"
-    drop = h.button("×", do=f"true-of:no:{number}", title="not true of it", aria_label=f"{name}: not true of it")
+    drop = h.button(
+        "×", cls="drop", do=f"true-of:no:{number}", title="not true of it", aria_label=f"{name}: not true of it"
+    )
     return h.span(
         h.button(name, do=f"number:{number}", title=f"{said}; click selects"),
         None if small else drop,
