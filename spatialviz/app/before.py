@@ -8,44 +8,50 @@ from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.counted import counted
 from spatialviz.app.failures import verdict_chip
+from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import dot, safe
+from spatialviz.app.text import named
 
 CHANGED = 0.005
 """Numbers are shown with two digits; one that differs by less is the same."""
 
 
-def before_html(state: State) -> str:
-    """What was answered without the edits, in one line; empty where nothing is edited."""
+def before_html(state: State) -> Element | None:
+    """What was answered without the edits, in one line; None where nothing is edited."""
     edited = state.edited
     if edited is None:
-        return ""
+        return None
     trace, colors = edited.before.trace, palette(state.dark)
     reason = why_no_answer(trace)
-    if reason is not None or trace.ranking is None:
-        said, p = f'<span class="dim">{safe(reason or "no answer")}</span>', ""
-    else:
+    answer: list[Child] = [h.span(reason or "no answer", cls="dim")]
+    if reason is None and trace.ranking is not None:
         best = trace.ranking.pairs[0]
-        ends = [i for i in (best.reference, best.second_reference) if i is not None]
-        names = [safe(state.named(edited.before.keys[i])) for i in (best.target, *ends)]
-        references = " ".join(f"{dot(colors['reference'])}{name}" for name in names[1:])
-        said = f"{dot(colors['target'])}{names[0]} {references}"
-        lead = told(trace, lambda i: state.named(edited.before.keys[i])).lead
-        said = f'<span class="dim">{lead.strip()}</span> {said}' if lead else said
-        p = f'<b title="P(relation)">{probability(best.relation_probability)}</b>'
-    verdict = ""
-    if isinstance(edited.judged, Diagnosis):
-        verdict = verdict_chip(edited.judged.verdict)
+        target, *ends = (
+            state.named(edited.before.keys[i])
+            for i in (best.target, best.reference, best.second_reference)
+            if i is not None
+        )
+        lead = told(trace, lambda i: state.named(edited.before.keys[i])).lead.strip()
+        names = [named(colors["target"], target), *(named(colors["reference"], name) for name in ends)]
+        p = h.b(probability(best.relation_probability), title="P(relation)")
+        answer = [h.span(lead, cls="dim") if lead else None, *names, p]
+    verdict = verdict_chip(edited.judged.verdict) if isinstance(edited.judged, Diagnosis) else None
     count = len(each_edit(state.edits))
-    hint = f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back"
-    return (
-        f'<div class="before" style="--c:{hex_color(colors["edited"])}" title="{hint}"><span class="dim">before</span>'
-        f'<span class="said1">{said}</span>{verdict}{p}</div>'
+    return h.div(
+        h.span("before", cls="dim"),
+        h.span(answer, cls="said"),
+        verdict,
+        cls="before",
+        css={"--c": hex_color(colors["edited"])},
+        title=f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back",
     )
 
 
-def changed(now: float, was: float | None) -> tuple[str, str]:
-    """(class, title) of a cell: marked where the number was another one; both begin with a blank or are empty."""
-    if was is None or abs(now - was) < CHANGED:
-        return "", ""
-    return " chg", f' title="was {was:.2f}"'
+def was(now: float, before: float | None) -> str | None:
+    """What is said of a number that the edits changed; None where it is the same."""
+    return None if before is None or abs(now - before) < CHANGED else f"was {before:.2f}"
+
+
+def cell(content: Child, hint: str | None = None, cls: str = "n") -> Element:
+    """A cell of a table, marked where its number was another one."""
+    return h.td(content, cls=f"{cls} chg".strip() if hint else cls, title=hint)

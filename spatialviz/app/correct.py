@@ -13,7 +13,7 @@ from pipeline.corrections.label_editor import LabelEditor, Outcome
 from pipeline.corrections.object_card import expression_cards
 from pipeline.corrections.scene import ASKED_BEYOND_M, PairCard, RelationLine, labelled_objects, pair_card
 from pipeline.corrections.wording import consequences, events_text, outcome_text
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from spatialviz.app.label_view import LabelView, Target
 from spatialviz.app.layout import Page
 from spatialviz.app.review_html import pair_html, review_head_html
@@ -58,7 +58,7 @@ class Correct:
         self._open_frame = open_frame
         self._desks: dict[str, LabelEditor] = {}
         self._author = ""
-        self.keeps_name = False
+        self.keeps_name = self._token_name = False
         self.on_conflict: Callable[[], None] = lambda: None
         self.on_doubt: Callable[[PairCard, RelationLine, int], None] = lambda card, line, state: None
         self._wanted: Target | None = None
@@ -99,6 +99,11 @@ class Correct:
         except InputError as error:
             self._note(str(error))
 
+    def signed_as(self, author: str) -> None:
+        """Correct under the name of whoever's token it is; the page cannot change it."""
+        self.sign(author)
+        self.keeps_name = self._token_name = True
+
     @property
     def open_desk(self) -> LabelEditor | None:
         """The desk of the source that is looked at, where it was needed before; any thread may ask."""
@@ -112,6 +117,7 @@ class Correct:
     def sign(self, author: str) -> None:
         """Save what follows under another name; raises as `LabelEditor.sign`."""
         name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
+        require(not self._token_name, "corrections are under the name of your token", got=name, expected=self._author)
         # All of them, or none.
         for desk in self._desks.values():
             desk.check_name(name)

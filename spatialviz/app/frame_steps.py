@@ -6,9 +6,9 @@ import threading
 from collections.abc import Callable
 
 from pipeline.datasets import moves
-from spatialviz.app import bottom
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.layout import Page
+from spatialviz.app.picture import frames_html, window
 from spatialviz.app.state import State
 
 BROWSED = 6
@@ -74,13 +74,13 @@ class FrameSteps:
         """Fill the grid of small pictures bit by bit, behind whatever the user does."""
         ids, state = self._ids, self._state()
         current = (state.source, state.frame_id)
-        total = len(bottom.window(ids, ids.index(state.frame_id)))
+        total = len(window(ids, ids.index(state.frame_id)))
 
         def fill(ready: int) -> None:
             now = self._state()
             if (now.source, now.frame_id) != current or self._closed.is_set():
                 return
-            self._page.frames.content = bottom.frames_html(now, ids, self._store, ready)
+            self._page.show("frames", frames_html(now, ids, self._store, ready))
             if ready < total:
                 self._post(lambda: fill(min(ready + BROWSED, total)))
 

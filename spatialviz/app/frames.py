@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
@@ -19,6 +18,7 @@ from pipeline.datasets.settings import Vector
 from pipeline.datasets.up import with_frame_up
 from pipeline.system.errors import InputError
 from spatialviz.app.cloud import Cloud, cloud_of
+from spatialviz.app.images import IMAGES, jpeg
 
 KEPT_FRAMES = 4
 THUMB_WIDTH = 160
@@ -60,14 +60,14 @@ class LoadedFrame:
     problem: str = ""
     beside: Beside | None = None
     told: ToldUp | None = None
-    _thumbs: dict[bytes, str] = field(default_factory=dict, repr=False, compare=False)
+    _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
 
     def thumb(self, bbox: np.ndarray) -> str:
-        """A small picture of an object as a data URL, made when it is first needed."""
+        """Where the page finds a small picture of an object, made when it is first needed."""
         where = bbox.tobytes()
         if where not in self._thumbs:
             self._thumbs[where] = object_thumb(self.context.frame.rgb, bbox)
-        return self._thumbs[where]
+        return IMAGES.url(self._thumbs[where], "jpg") if self._thumbs[where] else ""
 
     @cached_property
     def cloud(self) -> Cloud:
@@ -81,7 +81,7 @@ class FrameStore:
     def __init__(self, sources: dict[str, Pipeline]) -> None:
         self.sources = sources
         self._loaded: OrderedDict[tuple[str, str], LoadedFrame] = OrderedDict()
-        self._thumbs: dict[tuple[str, str], tuple[str, str]] = {}
+        self._thumbs: dict[tuple[str, str], bytes | str] = {}
         self._lock = threading.Lock()
         self.told: dict[str, ToldUp] = {}
         """By source what was said last of its up."""
@@ -115,7 +115,7 @@ class FrameStore:
             self._loaded[key] = loaded
             while len(self._loaded) > KEPT_FRAMES:
                 self._loaded.popitem(last=False)
-        self._thumbs[key] = (jpeg_url(_small(context.frame.rgb)), "")
+        self._thumbs[key] = jpeg(_small(context.frame.rgb))
         return loaded
 
     def tell_up(self, source: str, told: ToldUp | None) -> None:
@@ -134,15 +134,15 @@ class FrameStore:
                 del self._loaded[key]
 
     def thumb(self, source: str, frame_id: str) -> tuple[str, str]:
-        """(data URL, "") of a small picture, or ("", reason) for a broken frame."""
+        """(where the page finds a small picture, ""), or ("", reason) for a broken frame."""
         key = (source, frame_id)
         if key not in self._thumbs:
             try:
-                rgb = self.sources[source].dataset.load(frame_id).rgb
-                self._thumbs[key] = (jpeg_url(_small(rgb)), "")
+                self._thumbs[key] = jpeg(_small(self.sources[source].dataset.load(frame_id).rgb))
             except InputError as error:
-                self._thumbs[key] = ("", str(error))
-        return self._thumbs[key]
+                self._thumbs[key] = str(error)
+        kept = self._thumbs[key]
+        return ("", kept) if isinstance(kept, str) else (IMAGES.url(kept, "jpg"), "")
 
 
 def _small(rgb: np.ndarray) -> np.ndarray:
@@ -150,14 +150,8 @@ def _small(rgb: np.ndarray) -> np.ndarray:
     return cv2.resize(rgb, (THUMB_WIDTH, height), interpolation=cv2.INTER_AREA)
 
 
-def jpeg_url(rgb: np.ndarray, quality: int = 82) -> str:
-    """A picture ((H, W, 3) uint8) as a data URL."""
-    data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
-
-
-def object_thumb(rgb: np.ndarray, bbox: np.ndarray, pixels: int = 68) -> str:
-    """A square picture around an object, as a data URL."""
+def object_thumb(rgb: np.ndarray, bbox: np.ndarray, pixels: int = 68) -> bytes:
+    """A square picture around an object as JPEG; empty where it lies outside the picture."""
     height, width = rgb.shape[:2]
     x0, y0, x1, y1 = (float(v) for v in bbox)
     half = max(x1 - x0, y1 - y0) * 0.58 + 2
@@ -166,7 +160,7 @@ def object_thumb(rgb: np.ndarray, bbox: np.ndarray, pixels: int = 68) -> str:
     right, bottom = int(min(cx + half + 1, width)), int(min(cy + half + 1, height))
     crop = rgb[top:bottom, left:right]
     if not crop.size:
-        return ""
+        return b""
     scale = pixels / max(crop.shape[:2])
     size = (max(1, round(crop.shape[1] * scale)), max(1, round(crop.shape[0] * scale)))
-    return jpeg_url(cv2.resize(crop, size, interpolation=cv2.INTER_AREA), 78)
+    return jpeg(cv2.resize(crop, size, interpolation=cv2.INTER_AREA), 78)

@@ -43,10 +43,14 @@ IMAGES = Images()
 """Of this program. A name says nothing of what it shows, and nobody finds one without having the picture."""
 
 
+def jpeg(rgb: np.ndarray, quality: int = 82) -> bytes:
+    """A picture ((H, W, 3) uint8, RGB), encoded."""
+    return cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
 def jpeg_url(rgb: np.ndarray, quality: int = 82) -> str:
     """Where the page finds a picture ((H, W, 3) uint8, RGB)."""
-    data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return IMAGES.url(data.tobytes(), "jpg")
+    return IMAGES.url(jpeg(rgb, quality), "jpg")
 
 
 def png_url(bgra: np.ndarray) -> str:

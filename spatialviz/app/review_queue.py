@@ -319,8 +319,9 @@ class ReviewQueue:
 
     def _doubt(self, card: PairCard, line: RelationLine, state: int) -> None:
         """Ask before a judgement is saved that geometry contradicts."""
-        save = h.button(f"Save {letter(state)} all the same", do="settle-sure")
-        self._dialog.show(DOUBT_TITLE, doubt_html(card, line, state), save)
+        self._dialog.show(
+            DOUBT_TITLE, doubt_html(card, line, state), h.button(f"Save {letter(state)} all the same", do="settle-sure")
+        )
 
     def _sure(self) -> None:
         """Save what was asked about."""

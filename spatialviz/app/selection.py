@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from pipeline.geometry.boxes import Box3D
-from spatialviz.app import bottom
 from spatialviz.app.label_view import paired
+from spatialviz.app.picture import object_at, second_at
 from spatialviz.app.state import State
 
 
@@ -68,7 +68,7 @@ class Selection:
         if pixel is not None:
             frame = state.loaded.context.frame
             at = (pixel[0] + 0.5) / frame.width, (pixel[1] + 0.5) / frame.height
-            found = bottom.object_at(state, *at)
+            found = object_at(state, *at)
             if found is None and self._select_second(*at):
                 return
         if found is None and boxes:
@@ -92,7 +92,7 @@ class Selection:
             height, width = state.loaded.context.frame.depth.shape
             if self._taken(min(int(x * width), width - 1), min(int(y * height), height - 1)):
                 return
-        found = bottom.object_at(state, x, y)
+        found = object_at(state, x, y)
         if found is None and self._select_second(x, y):
             return
         self._select_other(found)
@@ -100,7 +100,7 @@ class Selection:
     def _select_second(self, x: float, y: float) -> bool:
         """Select what only the second detector has at a point of the picture."""
         state = self._state()
-        found = bottom.second_at(state, x, y)
+        found = second_at(state, x, y)
         if found is not None:
             self._take(replace(state, selected=None, second=found))
             self._draw()

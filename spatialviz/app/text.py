@@ -16,6 +16,11 @@ def dot(color: RGB) -> Element:
     return h.span(cls="dot", css={"--c": hex_color(color)})
 
 
+def named(color: RGB, name: str) -> Element:
+    """The name of an object, in the colour of its role."""
+    return h.span(dot(color), h.b(name), cls="name", title=name)
+
+
 def words(reason: Pixel) -> str:
     """What became of a pixel, in words."""
     return reason.name.lower().replace("_", " ")

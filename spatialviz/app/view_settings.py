@@ -11,7 +11,7 @@ from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import CameraMode, ColorMode, State
-from spatialviz.app.toolbar import FLAGS, scene_tools_html
+from spatialviz.app.toolbar import FLAGS
 
 MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
 
@@ -32,6 +32,8 @@ class ViewSettings:
     draw : callable
     note : callable
         Writes a line of the log.
+    theme : callable
+        Makes the page and the scene's frame dark, or light.
     """
 
     def __init__(
@@ -43,9 +45,10 @@ class ViewSettings:
         take: Callable[[State], None],
         draw: Callable[[], None],
         note: Callable[[str], None],
+        theme: Callable[[bool], None],
     ) -> None:
         self._page, self._scene, self._source = page, scene, source
-        self._state, self._take, self._draw, self._note = state, take, draw, note
+        self._state, self._take, self._draw, self._note, self._theme = state, take, draw, note, theme
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -69,7 +72,7 @@ class ViewSettings:
         state = self._state()
         if mode in modes and state.loaded is not None:
             self._take(replace(state, camera=modes[mode]))
-            self._page.show("scene-tools", scene_tools_html(self._state()))
+            self._draw()
             self._scene.viewpoint.fly(mode)
 
     def toggle(self, flag: str) -> None:
@@ -97,5 +100,6 @@ class ViewSettings:
         """Dark becomes light, and light dark."""
         state = self._state()
         self._take(replace(state, dark=not state.dark))
+        self._theme(not state.dark)
         self.show_context()
         self._draw()

@@ -1,59 +1,72 @@
-"""The right dock's lower part: the image with its overlay, the frames to browse, the log."""
+"""The picture with what is drawn over it, the small pictures of the frames, and the log."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from pipeline.answering.objects import SceneObject
+from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.palette import hex_color, palette
 from spatialviz.app.beside_html import name_tag, second_overlay
-from spatialviz.app.frames import FrameStore, jpeg_url
+from spatialviz.app.frames import FrameStore
+from spatialviz.app.images import jpeg_url
+from spatialviz.app.markup import Element, h
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
-from spatialviz.app.text import note, panel, safe
+from spatialviz.app.text import chosen, note, panel
 from spatialviz.report.picture import box_edges_2d, tinted
 
 IMAGE_WIDTH = 720
 SHOWN_FRAMES = 24
-CLICK = (
-    "if(event.shiftKey)return;const b=this.getBoundingClientRect();"
-    "sv('image:'+((event.clientX-b.left)/b.width).toFixed(5)+','+((event.clientY-b.top)/b.height).toFixed(5))"
-)
-"""Sends where a picture was clicked, as fractions of its width and height."""
 
 
-def image_html(state: State) -> str:
+def image_html(state: State) -> Element:
     """The frame's picture with masks, boxes and names; a click selects the object under it."""
     if state.loaded is None:
-        return panel(note(state.problem or "no frame"))
+        return panel(note(state.problem or "no frame"), cls="picture")
     frame = state.loaded.context.frame
     if state.colors == "rgb":
         picture = tinted(frame.rgb, state.shown.objects, state.roles if state.own_layer else {})
     else:
         picture = frame_colors(state.colors, state.loaded, state.roles, state.dark)
     step = max(1, round(frame.width / IMAGE_WIDTH))
-    url = jpeg_url(picture[::step, ::step])
-    band = "edit:mask:rectangle:" if state.labels is None else "px-new:"
+    roles = (f"{role} {state.shown.names[i]}" for i, role in state.roles.items())
+    marks = h.svg(
+        overlay_marks(state),
+        viewBox=f"0 0 {frame.width} {frame.height}",
+        preserveAspectRatio="none",
+        aria_hidden="true",
+        id="overlay",
+    )
+    alt = ", ".join((f"frame {frame.id}", *roles))
     return panel(
         pixel_row_html(state),
-        f'<div class="pic" style="--wh:{frame.width / frame.height:.3f}" onclick="{safe(CLICK)}" '
-        f"onmousedown=\"svPaint(this,event,'{band}')\">"
-        f'<img src="{url}"><svg viewBox="0 0 {frame.width} {frame.height}" preserveAspectRatio="none">'
-        f"{overlay_marks(state)}</svg></div>",
-        style="padding-top:.6em",
+        h.div(
+            h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false"),
+            marks,
+            cls="pic",
+            css={"--wh": f"{frame.width / frame.height:.3f}"},
+            point="image:",
+            band="edit:mask:rectangle:" if state.labels is None else "px-new:",
+        ),
+        cls="picture",
     )
 
 
-def overlay_marks(state: State) -> str:
+def overlay_marks(state: State) -> list[Element]:
     """What is drawn over the picture: boxes and names, as elements of SVG in pixels of the frame."""
     if state.loaded is None:
-        return ""
+        return []
     frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
     unit = frame.width / 360
-    parts = []
+    marks: list[Element] = []
+
+    def draw_box(box: Box3D, **look: object) -> None:
+        marks.extend(_lines(box_edges_2d(box, frame.camera), **look))
+
     own = range(len(state.shown.objects)) if state.own_layer else range(0)
     order = sorted(own, key=lambda i: (i in roles, i == state.selected))
     for i in order:
@@ -63,34 +76,29 @@ def overlay_marks(state: State) -> str:
         if not strong and not state.flags.boxes:
             continue
         color = "#ffffff" if i == state.selected and role == "other" else hex_color(colors[role])
-        x0, y0, x1, y1 = (float(v) for v in entry.bbox)
         if strong and entry.lifted.box is not None:
-            for (ax, ay), (bx, by) in box_edges_2d(entry.lifted.box, frame.camera):
-                parts.append(
-                    f'<line x1="{ax:.1f}" y1="{ay:.1f}" x2="{bx:.1f}" y2="{by:.1f}" '
-                    f'stroke="{color}" stroke-width="{1.3 * unit:.2f}"/>'
-                )
+            draw_box(entry.lifted.box, stroke=color, stroke_width=f"{1.3 * unit:.2f}")
         else:
-            parts.append(
-                f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}" fill="none" '
-                f'stroke="{color}" stroke-width="{0.7 * unit:.2f}" opacity=".75"/>'
-            )
+            x0, y0, x1, y1 = (float(v) for v in entry.bbox)
+            place = {"x": f"{x0:.1f}", "y": f"{y0:.1f}", "width": f"{x1 - x0:.1f}", "height": f"{y1 - y0:.1f}"}
+            marks.append(h.rect(**place, fill="none", stroke=color, stroke_width=f"{0.7 * unit:.2f}", opacity=".75"))
     for ghost in state.ghosts if state.flags.ghosts else ():
+        dashes = f"{3 * unit:.1f} {2 * unit:.1f}"
         color = hex_color(colors[ghost.role])
-        parts += [
-            f'<line x1="{ax:.1f}" y1="{ay:.1f}" x2="{bx:.1f}" y2="{by:.1f}" stroke="{color}" '
-            f'stroke-width="{1.1 * unit:.2f}" stroke-dasharray="{3 * unit:.1f} {2 * unit:.1f}"/>'
-            for (ax, ay), (bx, by) in box_edges_2d(ghost.box, frame.camera)
-        ]
-    parts += second_overlay(state, unit)
+        draw_box(ghost.box, stroke=color, stroke_width=f"{1.1 * unit:.2f}", stroke_dasharray=dashes)
+    marks += second_overlay(state, unit)
     for i in order:
         if i not in roles and i != state.selected:
             continue
-        color = hex_color(colors[roles.get(i, "other")])
-        text = state.shown.names[i]
         x0, y0 = _name_place(state, i)
-        parts.append(name_tag(text, x0, y0 - 14 * unit, (frame.height, frame.width), unit, color))
-    return "".join(parts)
+        shape, color = (frame.height, frame.width), hex_color(colors[roles.get(i, "other")])
+        marks += name_tag(state.shown.names[i], x0, y0 - 14 * unit, shape, unit, color)
+    return marks
+
+
+def _lines(edges: np.ndarray, **look: object) -> Iterator[Element]:
+    for (ax, ay), (bx, by) in edges:
+        yield h.line(x1=f"{ax:.1f}", y1=f"{ay:.1f}", x2=f"{bx:.1f}", y2=f"{by:.1f}", **look)
 
 
 def _name_place(state: State, i: int) -> tuple[float, float]:
@@ -130,23 +138,21 @@ def window(ids: Sequence[str], current: int) -> range:
     return range(start, min(start + SHOWN_FRAMES, len(ids)))
 
 
-def frames_html(state: State, ids: Sequence[str], store: FrameStore, ready: int | None = None) -> str:
+def frames_html(state: State, ids: Sequence[str], store: FrameStore, ready: int | None = None) -> Element:
     """Small pictures of the frames around the current one; those beyond `ready` are still to come."""
     current = ids.index(state.frame_id)
     cells = []
     places = window(ids, current)
     for number, i in enumerate(places):
         url, reason = store.thumb(state.source, ids[i]) if ready is None or number < ready else ("", "…")
-        body = f'<img src="{url}">' if url else f'<span class="none">{safe(reason[:120])}</span>'
-        cells.append(
-            f'<div class="cell{" sel" if i == current else ""}" onclick="sv(\'frame:{i}\')" title="{safe(ids[i])}">'
-            f"{body}<div>{safe(ids[i])}</div></div>"
-        )
+        image = h.img(src=url, alt="", loading="lazy") if url else h.span(reason, cls="none", title=reason)
+        more = chosen(i == current, "cell")
+        cells.append(h.button(image, h.span(ids[i]), do=f"frame:{i}", id=f"frame-{i}", title=ids[i], **more))
     more = f"frames {places.start + 1}–{places.stop} of {len(ids)}" if len(ids) > len(places) else f"{len(ids)} frames"
-    return panel(f'<div class="dim" style="padding:.4em 0">{more}</div><div class="grid">{"".join(cells)}</div>')
+    return h.div(h.p(more, cls="dim"), h.div(cells, cls="grid"), cls="frames")
 
 
-def log_html(entries: Sequence[tuple[str, str]]) -> str:
+def log_html(entries: Sequence[tuple[str, str]]) -> Element:
     """What happened, latest first."""
-    rows = "".join(f'<div><span class="dim">{safe(t)}</span> {safe(text)}</div>' for t, text in reversed(entries))
-    return panel(f'<div class="log">{rows or "nothing yet"}</div>', style="padding-top:.5em")
+    rows = [h.li(h.span(time, cls="dim"), " ", text) for time, text in reversed(entries)]
+    return h.ol(rows or h.li("nothing yet", cls="dim"), cls="log")

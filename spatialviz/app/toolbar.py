@@ -1,0 +1,106 @@
+"""What is pressed around the scene: how it is painted and looked at, steps between frames, examples, what to keep."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+
+from pipeline.geometry.palette import DROPPED
+from spatialviz.app.beside_html import layers_html
+from spatialviz.app.keys import MOVE_KEYS
+from spatialviz.app.markup import Element, h
+from spatialviz.app.state import State
+from spatialviz.app.text import dot, segments, words
+
+COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
+CAMERAS = {"sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
+MOVE_MARKS = {
+    "rotate_ccw": ("↶", "turn left"),
+    "forward": ("↑", "forward"),
+    "rotate_cw": ("↷", "turn right"),
+    "left": ("←", "left"),
+    "backward": ("↓", "back"),
+    "right": ("→", "right"),
+}
+FLAGS = {
+    "cloud": "cloud",
+    "boxes": "boxes",
+    "labels": "all names",
+    "pairs": "pairs",
+    "ghosts": "labelled",
+    "truth": "exact boxes",
+    "axes": "axes",
+    "region": "region",
+    "context": "room",
+    "camera": "camera",
+}
+KEPT = (
+    ("copy-state", "Copy view", "the view as a string, into the clipboard (Shift+C)"),
+    ("paste-state", "Paste view", "open a view from its string (Shift+V)"),
+    ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)"),
+    ("report", "Report", "one page of this answer, as a download (Shift+P)"),
+)
+
+
+def scene_tools_html(state: State) -> Element:
+    """How the scene is coloured, seen from where, and what is shown in it."""
+    flags = asdict(state.flags)
+    exact = state.loaded is not None and any(a.box is not None for a in state.loaded.context.frame.annotations)
+    toggles = (
+        h.button(label, cls="toggle", do=f"flag:{key}", aria_pressed=str(flags[key]).lower())
+        for key, label in FLAGS.items()
+        if key != "truth" or exact
+    )
+    legend = (h.span(dot(color), words(reason)) for reason, color in DROPPED.items())
+    return h.div(
+        segments("color", COLORS, state.colors, "paint"),
+        segments("camera", CAMERAS, state.camera, "look from"),
+        layers_html(state),
+        h.div(toggles, cls="toggles", role="group", aria_label="shown in the scene"),
+        h.div(legend, cls="legend") if state.colors == "evidence" else None,
+        cls="tools",
+    )
+
+
+def frame_nav_html(place: int, count: int, leads: Mapping[str, str] | None = None) -> Element:
+    """Which frame of how many, with steps to its neighbours; below it the moves of a dataset that has moves."""
+    return h.div(
+        h.div(
+            _step(-1, "‹ previous", "previous frame (P)", place > 0),
+            h.span(f"{place + 1} of {count}", cls="dim"),
+            _step(1, "next ›", "next frame (N)", place + 1 < count),
+            cls="nav",
+        ),
+        None if leads is None else h.div((_move(leads, *key) for key in MOVE_KEYS), cls="moves"),
+        cls="framenav",
+    )
+
+
+def _step(by: int, label: str, hint: str, possible: bool) -> Element:
+    return h.button(label, cls="try", do=f"next-frame:{by}", title=hint, id=f"step{by}", disabled=not possible)
+
+
+def _move(leads: Mapping[str, str], key: str, label: str, message: str) -> Element:
+    """A button as the keys lie; a move that is not possible cannot be pressed."""
+    move = message.partition(":")[2]
+    mark, word = MOVE_MARKS[move]
+    hint = f"{label} ({key}): {leads.get(move, 'there is no picture')}"
+    return h.button(h.i(mark), word, do=message, title=hint, id=f"move-{move}", disabled=move not in leads)
+
+
+def keep_html() -> Element:
+    """Buttons for what one may want to keep."""
+    return h.div((h.button(label, cls="try", do=do, title=hint) for do, label, hint in KEPT), cls="keep")
+
+
+def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None:
+    """What one could ask of the frame; None where there is nothing to suggest."""
+    if state.loaded is not None and state.labels is None and state.loaded.context.viewer.up_source == "assumed":
+        return h.p("No example: it would rest on an assumed up.", cls="dim")
+    if not suggestions:
+        return None
+    tries = (
+        h.li(h.button(text, cls="try on" if text == state.text else "try", do=f"try:{i}"))
+        for i, text in enumerate(suggestions)
+    )
+    return h.ul(tries, cls="suggestions")
