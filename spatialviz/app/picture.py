@@ -47,7 +47,7 @@ def image_html(state: State) -> Element:
     return panel(
         pixel_row_html(state),
         h.div(
-            h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false", id="picture"),
+            h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false", id="photo"),
             marks,
             cls="pic",
             css={"--wh": f"{frame.width / frame.height:.3f}"},
