@@ -17,8 +17,10 @@ def objects_html(state: State) -> Element | None:
         return panel(heading("Objects"), note(reason), cls="objects")
     count = len(state.shown.objects)
     # Rows that change places would be sent again, all of them.
-    pair = h.tbody((_row(state, i, "of-pair") for i in dict.fromkeys(state.pair or ())), id="of-pair")
-    table = h.table(pair, h.tbody(_row(state, i, "object") for i in range(count)), cls="objects")
+    pair = [_row(state, i, "of-pair") for i in dict.fromkeys(state.pair or ())]
+    head = [h.tr(h.th(words, colspan=4)) for words in ("of the pair", "all")] if pair else [None, None]
+    every = (_row(state, i, "object") for i in range(count))
+    table = h.table(h.tbody(head[0], pair, id="of-pair"), h.tbody(head[1], every), cls="objects")
     return panel(heading(f"Objects{' of A' if state.beside else ''} ({count})"), table)
 
 
