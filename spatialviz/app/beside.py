@@ -12,8 +12,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.palette import RGB, hex_color, second_color
 from spatialviz.app.beside_html import chosen_row, second_name
-from spatialviz.app.bridge import Tag
-from spatialviz.app.scene import GHOST_GROWTH, SceneView
+from spatialviz.app.scene import GHOST_GROWTH, SceneView, Tag, half_size, triple
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import Layers, State
 from spatialviz.report.picture import dashed

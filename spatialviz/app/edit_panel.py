@@ -63,14 +63,19 @@ def edit_html(state: State, source: Pipeline, editable: bool, found: DecisionMap
     """Everything that can be edited; `editable` says whether the selected object is among it."""
     if state.trace is None:
         return None
-    return panel(
-        row("Handles", segments("edit-mode", MODES, state.mode, "Handles")),
-        _object(state, editable),
-        _pair(state),
-        _map(state, editable, found),
-        _settings(state, source),
-        _list(state),
+    return in_parts(
+        handles=row("Handles", segments("edit-mode", MODES, state.mode, "Handles")),
+        object=_object(state, editable),
+        pair=_pair(state),
+        map=_map(state, editable, found),
+        settings=_settings(state, source),
+        list=_list(state),
     )
+
+
+def in_parts(**parts: Child) -> Element:
+    """A panel of parts that are sent one by one when they change."""
+    return panel(h.div(part, id=f"edit-{name}") for name, part in parts.items())
 
 
 def row(label: str, *parts: Child, **more: object) -> Element:

@@ -90,7 +90,7 @@ class LabelObject:
         return {
             "class": self.name_class,
             "class-typed": self._complete,
-            "class-focus": lambda _: self._page.call("focusClass", None),
+            "class-focus": lambda _: self._page.call("focusClass"),
             "object-status": self.set_status,
             "object-back": self.bring_back,
             "box-set": self._set_number,
@@ -293,9 +293,9 @@ class LabelObject:
         gone = rejected_html(view.frame.left_out)
         if chosen is None or state.selected is None:
             hint = "Select an object: click its row, its pixels or its box."
-            self._page.show("edit", (panel(h.div(hint, cls="dim")), gone))
+            self._page.show("edit", panel(h.div(hint, cls="dim")), gone)
             return
         card = object_card(view.frame, chosen[1])
         color = palette(state.dark)[state.roles.get(state.selected, "other")]
         name = state.shown.names[state.selected]
-        self._page.show("edit", (object_html(card, name, color, state.mode, desk.author), gone))
+        self._page.show("edit", object_html(card, name, color, state.mode, desk.author), gone)

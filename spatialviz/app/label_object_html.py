@@ -12,9 +12,9 @@ from pipeline.geometry.palette import RGB
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
-from spatialviz.app.edit_panel import AXES, MODES, field, row
+from spatialviz.app.edit_panel import AXES, MODES, field, in_parts, row
 from spatialviz.app.markup import Child, Element, h
-from spatialviz.app.text import BAD, DOUBT, GOOD, button, dot, heading, note, panel, segments
+from spatialviz.app.text import BAD, DOUBT, GOOD, button, dot, heading, joined, note, panel, segments
 
 STATUS_WORDS = {
     "accepted": ("accept", GOOD, "Y"), "unsure": ("unsure", DOUBT, "Shift+U"),
@@ -56,8 +56,7 @@ def _moved(moved: Moved) -> Child:
         for line in moved.card.lines
         if line.relation in moved.changed
     ]
-    listed = [(", " if k else None, one) for k, one in enumerate(would)]
-    return listed or "no relation of the pair changes", f" · {moved.seconds * 1000:.1f} ms"
+    return joined(would, ", ") if would else "no relation of the pair changes", f" · {moved.seconds * 1000:.1f} ms"
 
 
 def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str) -> Element:
@@ -66,16 +65,17 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str)
     asked = counted(card.expressions, "expression")
     counts = " ".join(f"{n} {state}" for state, n in card.states.items())
     added = f" · added by {card.added_by}" if card.added_by else ""
-    return panel(
-        heading(h.b(dot(color), name), " · ".join(facts)),
-        h.div(f"relations {counts} · in {asked}{added}", cls="dim"),
-        row("Class", h.div(_class_field(card), h.div(cls="offers"), cls="cls")),
-        _status_row(card, author),
-        note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
-        row("Handles", segments("edit-mode", MODES, mode, "Handles"), title="Shift+E"),
-        h.div(_box_rows(card), cls="tight"),
-        heading("Where it comes from"),
-        (_from(line, card) for line in card.fields),
+    return in_parts(
+        head=(
+            heading(h.b(dot(color), name), " · ".join(facts)),
+            h.div(f"relations {counts} · in {asked}{added}", cls="dim"),
+        ),
+        label=row("Class", _class_field(card)),
+        status=_status_row(card, author),
+        concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
+        handles=row("Handles", segments("edit-mode", MODES, mode, "Handles"), title="Shift+E"),
+        box=h.div(_box_rows(card), cls="tight"),
+        sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
     )
 
 

@@ -38,7 +38,6 @@ from spatialviz.report.picture import box_edges_2d
 TOOLS = ("select", "brush", "erase", "polygon", "rectangle", "depth", "cut")
 LONGEST = 400_000
 """Characters of a message."""
-CLOSED = {"on": False}
 
 
 class Pixels:
@@ -72,7 +71,6 @@ class Pixels:
         self._page, self._correct, self._selection = page, correct, selection
         self._state, self._take, self._draw, self._note = state, take, draw, note
         self._scene = PixelScene(client, scene)
-        self._sent: dict[str, dict[str, Any]] = {"pixels": CLOSED}
         self._drafts: dict[tuple[str, str], Draft] = {}
         self._open: tuple[str, str] | None = None
         self._canvas: tuple[tuple[str, str], Canvas] | None = None
@@ -281,7 +279,7 @@ class Pixels:
         self._label, self._saving = label, True
         if not stay:
             # Closed at once: drawing the whole page takes longer than saving.
-            self._send("pixels", CLOSED)
+            self._page.call("pixels", {"on": False})
         try:
             outcome = self._correct.save(lambda _: made)
         finally:
@@ -359,7 +357,7 @@ class Pixels:
         draft = self._draft
         if draft is None or view is None or state.loaded is None:
             self._scene.clear()
-            self._send("pixels", CLOSED)
+            self._page.call("pixels", {"on": False})
             return
         selected = self._selected()
         if draft.number is not None and draft.number not in view.frame.objects:
@@ -386,7 +384,7 @@ class Pixels:
         else:
             self._scene.clear()
             picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
-            self._send("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
+            self._page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
         fresh = draft.number is None
         row = None if draft.number is None else view.frame.objects[draft.number]
         data: dict[str, Any] = {
@@ -415,13 +413,7 @@ class Pixels:
             "bad": self._bad,
             "info": told_of(draft, lifted, parts),
         }
-        self._send("pixels", data)
-
-    def _send(self, name: str, data: dict[str, Any]) -> None:
-        """Give the editor in the page what it shows, where that is new."""
-        if self._sent.get(name) != data:
-            self._sent[name] = data
-            self._page.call(name, data)
+        self._page.call("pixels", data)
 
 
 def _rectangle(corners: list[str], draft: Draft) -> Gesture:

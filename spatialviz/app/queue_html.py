@@ -12,7 +12,7 @@ from pipeline.corrections.review.worklist import Worklist
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.markup import Child, Element, h
-from spatialviz.app.text import BAD, DOUBT, GOOD, button, heading, note, panel, segments
+from spatialviz.app.text import BAD, DOUBT, GOOD, button, chosen, heading, note, panel, segments
 
 ROWS = 40
 SKIPPED = 8
@@ -116,7 +116,11 @@ def _busy(making: QueueProgress) -> Child:
         share = done / of if of else 0.0
         if done < of:
             what = f"asking network {done + 1} of {of}" if kind == "networks" else f"detector: frame {done + 1} of {of}"
-    return h.progress(cls="prog", value=f"{share:.2f}", max=1, aria_label=what), h.div(what, cls="dim")
+    bar = h.div(
+        h.i(css={"width": f"{share:.0%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
+        aria_label=what,
+    )  # fmt: skip
+    return bar, h.div(what, cls="dim")
 
 
 def _known(made: Mapping[str, Any] | None) -> Element | None:
@@ -163,8 +167,7 @@ def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> Elem
         # It is cut at its left, written from right to left, where its ends must not move.
         h.em(f"\u200e{row['frame']}\u200e"),
         id=f"item-{place}",
-        cls="q",
-        aria_current=item is not None and key == item.plain and "true",
+        **chosen(item is not None and key == item.plain, "q"),
         do=f"item:{place}",
         title=reason or None,
     )

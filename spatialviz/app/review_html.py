@@ -11,7 +11,7 @@ from pipeline.relations.relations import F, T, U, letter
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.markup import Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import BAD, DOUBT, GOOD, button, dot, heading, note, panel
+from spatialviz.app.text import BAD, DOUBT, GOOD, button, chosen, dot, heading, note, panel
 
 STATES = {T: ("T", GOOD, "true"), U: ("U", DOUBT, "undecided"), F: ("F", "#8a919c", "false")}
 MARKS = {"auto": "", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
@@ -23,7 +23,7 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
     `desk` is None until labels are shown for the first time.
     """
     if not opened:
-        return panel(h.div("No labels are open (--labels).", cls="dim empty"))
+        return panel(h.div("No labels are open (--labels).", cls="dim hint"))
     on = state.labels is not None
     show = button("labels are shown" if on else "show the labels", "labels", "Shift+L", aria_pressed=str(on).lower())
     parts = [h.div(show, _reviewer(desk), cls="nav")]
@@ -99,9 +99,8 @@ def _line(card: PairCard, line: RelationLine, focused: bool) -> Element:
         h.span(margin, cls="n dim"),
         h.span(mark, cls="dim"),
         id=f"label-{line.relation}",
-        cls="lab",
+        **chosen(focused, "lab"),
         role="group",
-        aria_current=focused and "true",
         do=f"relation-row:{line.relation}",
         title=f"{now}: {line.origin}",
     )

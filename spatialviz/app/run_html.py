@@ -20,8 +20,8 @@ from pipeline.metrics.intervals import Estimate
 from spatialviz.app.failures import MEANING, searches, verdict_chip
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.run_figures import STANDS_IN, RunFigures
+from spatialviz.app.stage_verdict import ORACLE_WORDS
 from spatialviz.app.text import heading, note, panel, segments
-from spatialviz.app.why import ORACLE_WORDS
 
 CUTS = {
     "relation": "relation", "class": "class", "distance": "distance", "size": "size", "occlusion": "occlusion",

@@ -59,7 +59,7 @@ class Sentences:
             "mark": self.mark,
             "expression-status": self.status,
             "expression-text": self.reword,
-            "edit-text": lambda _: self._page.call("sentence", None),
+            "edit-text": lambda _: self._page.call("sentence"),
             "undo-group": lambda group: self._correct.taken_back("undo", group),
             "mend": lambda _: self.mend(),
             "author": self.sign,
@@ -88,8 +88,6 @@ class Sentences:
         names = [c.id for c in view.expressions]
         at = names.index(view.expression) + step if view.expression in names else 0
         self.select(names[at % len(names)])
-        self._page.call("tab", "Answer")
-        self._page.call("shown", None)
 
     def select_object(self, number: int) -> None:
         """Select an object by its number in the labels."""
@@ -112,7 +110,6 @@ class Sentences:
         if judged is not None:
             self._take(_of_case(state, view, judged))
         self._draw()
-        self._page.call("tab", "Answer")
 
     # ---- edits ------------------------------------------------------------------------
 

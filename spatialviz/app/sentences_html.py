@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from pipeline.corrections.label_editor import EventLine
 from pipeline.corrections.object_card import ExpressionCard
 from pipeline.corrections.wording import ref_text, value_text
@@ -12,7 +10,7 @@ from pipeline.language.relation_names import PHRASE
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import BAD, DOUBT, GOOD, button, dot, heading, note, panel
+from spatialviz.app.text import BAD, DOUBT, GOOD, button, chosen, dot, heading, joined, note, panel
 from spatialviz.app.up_html import up_chip
 
 ORIGINS = {"auto": "auto", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
@@ -34,7 +32,7 @@ def sentence_html(state: State) -> Element | None:
             if view.expressions
             else "The labels have no expressions of this frame."
         )
-        return panel(h.div(what, cls="dim empty"), said, chip)
+        return panel(h.div(what, cls="dim hint"), said, chip)
     colors = palette(state.dark)
     means = h.span(
         (dot(colors["target"]), f"{card.target}·{card.target_object} "),
@@ -86,7 +84,9 @@ def _chip(state: State, view: LabelView, card: ExpressionCard, number: int, smal
     }
     name = f"{card.names.get(number) or 'gone'}·{number}"
     said = "true of it" if sure else "may be true of it"
-    drop = h.button("×", do=f"true-of:no:{number}", title="not true of it", aria_label=f"{name}: not true of it")
+    drop = h.button(
+        "×", cls="drop", do=f"true-of:no:{number}", title="not true of it", aria_label=f"{name}: not true of it"
+    )
     return h.span(
         h.button(name, do=f"number:{number}", title=f"{said}; click selects"),
         None if small else drop,
@@ -167,19 +167,14 @@ def _row(state: State, view: LabelView, card: ExpressionCard) -> Element:
     tags += sorted({ORIGINS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {"auto"})
     out = h.div(card.withdrawn, cls="dim") if card.withdrawn else None
     return h.div(
-        h.div(h.span(card.text, cls="say"), h.span(_joined(tags), cls="tags")),
+        h.div(h.span(card.text, cls="say"), h.span(joined(tags), cls="tags")),
         out or _answers(state, view, card, small=True),
         id=f"expression-{card.id}",
-        cls="ex out" if card.withdrawn else "ex",
+        **chosen(card.id == view.expression, "ex out" if card.withdrawn else "ex"),
         role="group",
-        aria_current=card.id == view.expression and "true",
         do=f"expression:{card.id}",
         title=f"left out: {card.withdrawn}" if card.withdrawn else card.text,
     )
-
-
-def _joined(parts: Sequence[Child]) -> Child:
-    return [(" · " if k else None, part) for k, part in enumerate(parts)]
 
 
 def history_html(state: State) -> Element | None:
@@ -210,7 +205,7 @@ def _event(view: LabelView, line: EventLine) -> Element:
     return h.div(
         h.div(f"{what}: {before} → ", h.b(after), cls="" if line.undone is None else "gone"),
         undo,
-        h.div(_joined(told), cls="dim"),
+        h.div(joined(told), cls="dim"),
         cls="ev",
         title=f"{what}: {before} -> {after}",
     )

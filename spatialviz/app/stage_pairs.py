@@ -12,9 +12,8 @@ from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color, palette
 from spatialviz.app.before import cell, was
 from spatialviz.app.markup import Child, Element, h
-from spatialviz.app.objects import chosen
 from spatialviz.app.state import State
-from spatialviz.app.text import named
+from spatialviz.app.text import chosen, named
 
 SHOWN_PAIRS = 30
 MATRIX_LIMIT = 14
@@ -39,8 +38,7 @@ def _ranked(state: State) -> list[Child]:
     ]
     head = h.tr(
         h.th("#", cls="n"),
-        h.th("target"),
-        h.th("reference"),
+        h.th("target, reference"),
         (h.th("tgt" if name == "target" else name, cls="n", title=title) for name, title in names),
     )
     rows = (_row(state, i, pair, fit) for i, pair in enumerate(state.ranked[:SHOWN_PAIRS]))
@@ -68,8 +66,11 @@ def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
         cells.append(cell("–" if empty else f"{p:.2f}", was(p, o), "n low" if low else "n"))
     return h.tr(
         cell(i + 1, None if rank in (None, i + 1) else f"was rank {rank}", "n dim"),
-        h.td(named(colors["target"], state.shown.names[target]), cls="w"),
-        h.td(None if pair.reference is None else named(colors["reference"], ends), cls="w"),
+        h.td(
+            h.div(named(colors["target"], state.shown.names[target])),
+            None if pair.reference is None else h.div(named(colors["reference"], ends)),
+            cls="w",
+        ),
         cells,
         cell(h.b(f"{posterior:.2f}"), was(posterior, old[-1])),
         id=f"pair-{i}",
@@ -91,7 +92,7 @@ def _against(state: State) -> list[Child]:
     rows = []
     for name, share in shares.items():
         above, right = needed.get(name), getattr(d.right, f"p_{name}")
-        css = {"--c": hex_color(COLORS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale:.1%}"}
+        css = {"--c": hex_color(COLORS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale / 2:.1%}"}
         bar = h.i(cls="for" if share >= 0 else "against", css=css)
         rows.append(
             h.tr(
@@ -110,7 +111,7 @@ def _against(state: State) -> list[Child]:
         h.td(),
         h.th("answer", cls="n"),
         h.th("right", cls="n"),
-        h.th("for the right · for the answer"),
+        h.th("right · answer", title="which of the two the factor favours"),
         h.th("Δ log", cls="n"),
         h.th("needed", cls="n", title=hint),
     )
