@@ -59,6 +59,14 @@ def hex_color(color: RGB) -> str:
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
+def ink_on(color: str) -> str:
+    """Black or white, whichever is read better on a colour ("#rrggbb"): never under 4.58 to 1 (WCAG)."""
+    parts = (int(color[at : at + 2], 16) / 255 for at in (1, 3, 5))
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    luminance = float(np.dot((0.2126, 0.7152, 0.0722), linear))
+    return "#000000" if (luminance + 0.05) ** 2 > 1.05 * 0.05 else "#ffffff"
+
+
 def instance_colors(count: int) -> np.ndarray:
     """(count, 3) uint8: one calm, distinct colour for each object, golden-ratio hues."""
     import cv2
@@ -68,15 +76,22 @@ def instance_colors(count: int) -> np.ndarray:
     return cv2.cvtColor(hsv[None], cv2.COLOR_HSV2RGB)[0] if count else np.zeros((0, 3), np.uint8)
 
 
-def depth_colors(depth: np.ndarray) -> np.ndarray:
-    """(..., 3) uint8 turbo colours of depths in metres, near red to far blue over the 2nd to 98th percentile.
+def depth_ends(depth: np.ndarray) -> tuple[float, float]:
+    """Where the colours of depths in metres end: the 2nd and the 98th percentile of those that were measured."""
+    valid = depth > 0
+    low, high = np.percentile(depth[valid], [2, 98]) if valid.any() else (0.0, 1.0)
+    return float(low), float(high)
+
+
+def depth_colors(depth: np.ndarray, ends: tuple[float, float] | None = None) -> np.ndarray:
+    """(..., 3) uint8 turbo colours of depths in metres, near red to far blue between `ends`, by default `depth_ends`.
 
     Pixels without depth are dark grey.
     """
     import cv2
 
     valid = depth > 0
-    low, high = np.percentile(depth[valid], [2, 98]) if valid.any() else (0.0, 1.0)
+    low, high = ends or depth_ends(depth)
     level = 255 - np.clip((depth - low) / max(high - low, 1e-6), 0, 1) * 255
     flat = cv2.applyColorMap(np.ascontiguousarray(level.astype(np.uint8).reshape(-1, 1)), cv2.COLORMAP_TURBO)
     colors = flat[:, 0, ::-1].reshape(*depth.shape, 3).copy()

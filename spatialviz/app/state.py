@@ -13,6 +13,7 @@ from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Edits
 from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.palette import Role
 from spatialviz.app.edited import Edited
 from spatialviz.app.frames import LoadedFrame
@@ -25,6 +26,7 @@ from spatialviz.app.scene import Ghost, SceneFlags
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
 Layers = Literal["both", "a", "b"]
 CameraMode = Literal["sensor", "orbit", "top"]
+Tool = Literal["", "level", "measure"]
 
 
 @dataclass(frozen=True)
@@ -117,8 +119,12 @@ class State:
         Whose boxes are shown where there is a second detector.
     second : int or None
         The selected object of the second detector, where it is not the one that stands for `selected`.
-    picking : bool
-        The next click names a level surface.
+    picking : str
+        What the next click on a surface is for, "level" or "measure"; "" selects.
+    marks : tuple of (int, int)
+        The pixels, none to two, between which is measured.
+    point_size : float
+        Of the cloud, as a factor.
     evaluating : bool
         The run is looked at, rather than one answer.
     stage : str
@@ -149,7 +155,9 @@ class State:
     correctable: bool = False
     layers: Layers = "both"
     second: int | None = None
-    picking: bool = False
+    picking: Tool = ""
+    marks: tuple[tuple[int, int], ...] = ()
+    point_size: float = 1.0
     evaluating: bool = False
     stage: str = ""
 
@@ -261,6 +269,14 @@ class State:
                     text = f"{self.other.name}: {entry.label}"
                     found.append(Ghost(f"other-{name}", text, entry.lifted.box, "edited"))
         return found
+
+    @property
+    def measured(self) -> Measurement | None:
+        """What lies between the two marked pixels."""
+        if self.loaded is None or len(self.marks) < 2:
+            return None
+        context = self.loaded.context
+        return measure(context.frame.depth, context.frame.camera, context.viewer, *self.marks[:2])
 
     @property
     def paint_key(self) -> tuple[object, ...]:

@@ -3,6 +3,8 @@
 import {byId, calls, connect, el, fields, go, locals, patch, send, sceneWindow, typing} from './core.mjs';
 import './fields.mjs';
 import './pixels.mjs';
+import './scale.mjs';
+import './shot.mjs';
 import './tags.mjs';
 
 const kept = (name, value) => {
@@ -156,10 +158,12 @@ const pressed = e => {
     if (!f.matches('a, button, summary, select')) { e.preventDefault(); act(f, e); }
     return;
   }
-  const name = named(e);
+  const name = named(e), large = byId('stage').dataset.max;
+  if (name === 'Escape' && large) locals.maximise(null, large);
   if (e.key === '/') { e.preventDefault(); byId('ask-text').focus(); byId('ask-text').select(); }
   else if (e.key === '?') { e.preventDefault(); send('help'); }
-  else if (keys.has(name)) { e.preventDefault(); send('key:' + name); }
+  // viser's own keys, which move its camera, are without Shift.
+  else if (keys.has(name)) { e.preventDefault(); e.stopPropagation(); send('key:' + name); }
 };
 window.addEventListener('keydown', pressed);
 
@@ -224,6 +228,11 @@ locals.drawer = () => byId('drawer').classList.toggle('closed');
 locals.maximise = (_, which) => {
   const stage = byId('stage');
   if (stage.dataset.max === which) delete stage.dataset.max; else stage.dataset.max = which;
+  for (const button of stage.querySelectorAll('.large')) {
+    const own = button.dataset.local === 'maximise:' + stage.dataset.max;
+    button.setAttribute('aria-pressed', own);
+    button.textContent = own ? 'Back (Esc)' : 'Large';
+  }
 };
 locals.share = () => navigator.clipboard?.writeText(location.href).then(
   () => calls.toast({title: 'Copied', text: 'the address of this view'}), () => {});
