@@ -42,7 +42,7 @@ def verdict_chip_of(judged: Diagnosis) -> Element:
 
 
 def verdict_html(state: State) -> Element | None:
-    """The verdict, whole; its chip opens the stage that failed, or what the labels say."""
+    """The verdict; its chip opens the stage that failed, which has its sentence; where none did it stands here."""
     judged = state.judged
     if judged is None:
         return None
@@ -50,7 +50,8 @@ def verdict_html(state: State) -> Element | None:
         return h.div(h.p(f"No verdict: {judged}", cls="dim sentence"), cls="verdict")
     stage = MODULE_OF.get(judged.verdict, "" if judged.verdict == "COMPOUND" else "LABEL")
     button = h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why")
-    return h.div(button, h.p(judged.text, cls="sentence"), cls="verdict")
+    said = None if state.task == "explain" and judged.verdict in MODULE_OF else h.p(judged.text, cls="sentence")
+    return h.div(button, said, cls="verdict")
 
 
 def mend_button(state: State) -> Element | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from spatialviz.app.layout import listed
 from spatialviz.app.markup import Element, h
@@ -22,9 +22,7 @@ TOOLS = (
 )
 
 
-def where_html(
-    state: State, sources: Sequence[str], ids: Sequence[str], leads: Mapping[str, str] | None
-) -> list[Element]:
+def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list[Element]:
     """Which dataset and which frame of it, with steps to its neighbours."""
     place = ids.index(state.frame_id)
     made = []
@@ -38,7 +36,7 @@ def where_html(
         autocomplete="off", spellcheck="false",
     )  # fmt: skip
     offered = h.datalist((h.option(value=one) for one in listed(ids, state.frame_id)), id="frame-ids")
-    return [*made, field, offered, frame_nav_html(place, len(ids), leads)]
+    return [*made, field, offered, frame_nav_html(place, len(ids))]
 
 
 def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | None:

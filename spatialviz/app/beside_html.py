@@ -27,14 +27,14 @@ def layers_html(state: State) -> Element | None:
 def second_overlay(state: State, unit: float) -> list[Element]:
     """The second detector's 2D boxes as parts of an SVG: dashed, faint where the own one found the same."""
     beside = state.beside
-    if beside is None or not state.second_layer or not (state.flags.boxes or state.second_selected is not None):
+    if beside is None or not state.second_layer or not (state.boxes_shown or state.second_selected is not None):
         return []
     color, tag = hex_color(second_color(True)), hex_color(second_color(False))
     alike = set(beside.found.pairs[beside.found.same, 1].tolist())
     parts = []
     for j, entry in enumerate(beside.objects):
         chosen = j == state.second_selected
-        if not chosen and not state.flags.boxes:
+        if not chosen and not state.boxes_shown:
             continue
         x0, y0, x1, y1 = (float(v) for v in entry.bbox)
         faint = j in alike and state.layers == "both"

@@ -15,7 +15,7 @@ from spatialviz.app.picture import image_html, log_html
 from spatialviz.app.shared import Shared
 from spatialviz.app.stages import stages_html
 from spatialviz.app.state import State
-from spatialviz.app.toolbar import scene_tools_html
+from spatialviz.app.toolbar import moves_html, scene_tools_html, suggestions_html
 
 
 def fill_page(
@@ -25,6 +25,7 @@ def fill_page(
     *,
     dataset: Dataset,
     can_ask: bool,
+    suggestions: Sequence[str],
     log: Sequence[tuple[str, str]],
 ) -> None:
     """Fill all regions at once. What would not change sends nothing."""
@@ -33,7 +34,10 @@ def fill_page(
     page.call("task", state.task)
     page.call("working", "")
     with page.together():
-        page.show("where", where_html(state, tuple(shared.store.sources), dataset.frame_ids, leads))
+        page.show("where", where_html(state, tuple(shared.store.sources), dataset.frame_ids))
+        page.show("moves", moves_html(leads))
+        asked = state.trace is not None or state.labels is not None
+        page.show("suggestions", None if asked and not state.error else suggestions_html(state, suggestions))
         page.show("tasks", tasks_html(state, bool(shared.runs), bool(shared.journals)))
         page.show("tools", tools_html())
         page.show("problem", problem_html(state))

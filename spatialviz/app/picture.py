@@ -74,7 +74,7 @@ def overlay_marks(state: State) -> list[Element]:
         color = hex_color(colors[roles[i]]) if i in roles else "#ffffff"
         drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
         marks.append(h.path(d=drawn, fill="none", stroke=color, stroke_width=f"{1.3 * unit:.2f}"))
-    if quiet and state.flags.boxes:
+    if quiet and state.boxes_shown:
         look = {"stroke": hex_color(colors["other"]), "stroke_width": f"{0.7 * unit:.2f}", "opacity": ".75"}
         marks.insert(0, h.path(d="".join(quiet), fill="none", **look))
     for ghost in state.ghosts if state.flags.ghosts else ():

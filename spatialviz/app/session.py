@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from datetime import datetime
 
+import numpy as np
 import viser
 
 from pipeline.answering.ask import Trace
@@ -194,6 +195,7 @@ class Session:
             "again": lambda: self._ask(self.state.text),
             "data": lambda: self._go(Place(argument)),
             "clear": self._clear,
+            "hover": lambda: self._hover(number),
             "stage": lambda: self._open_stage(argument),
             "task": lambda: self._turn_to(argument),
             "ask-typed": lambda: self._complete(argument),
@@ -282,6 +284,13 @@ class Session:
         """Open the evidence of a module, or close it."""
         self.state = replace(self.state, stage="-" if self.state.stage == name else name)
         self._draw()
+
+    def _hover(self, number: int) -> None:
+        """Show the box and the name of the object whose row the mouse is over; -1 for none."""
+        hovered = number if 0 <= number < len(self.state.shown.objects) else None
+        if hovered != self.state.hovered:
+            self.state = replace(self.state, hovered=hovered)
+            self._draw_scene()
 
     def _turn_to(self, task: str) -> None:
         """Explain, evaluate, or label: what the page is for now."""
@@ -451,13 +460,29 @@ class Session:
             self._shared,
             dataset=dataset,
             can_ask=self._source().detector is not None,
+            suggestions=self._suggestions,
             log=self._log,
         )
         self._runs.follow()
         self._labels.follow()
+        about = self._about()
+        other = self.scene.viewpoint.look_about(about)
         self._cloud.follow(state)
+        if other and about is not None and state.camera == "pair" and self.scene.viewpoint.untouched:
+            self.scene.viewpoint.place("pair")
         self._draw_scene()
         self._say_address()
+
+    def _about(self) -> np.ndarray | None:
+        """Corners of the chosen pair's boxes, and of those that the labels have in their place."""
+        state = self.state
+        if state.pair is None or state.loaded is None:
+            return None
+        boxes = [state.shown.objects[i].lifted.box for i in state.roles] + [ghost.box for ghost in state.ghosts]
+        viewer = state.loaded.context.viewer
+        to_show = np.stack([viewer.right, viewer.forward, viewer.up])
+        corners = [box.corners @ to_show.T for box in boxes if box is not None]
+        return np.concatenate(corners) if corners else None
 
     def _draw_scene(self, live: bool = False) -> None:
         """Boxes, pair lines and names, and what belongs to the edits; `live` follows a drag."""
@@ -469,11 +494,11 @@ class Session:
                 shown.objects,
                 shown.names,
                 state.roles,
-                state.selected,
+                state.selected if state.hovered is None else state.hovered,
                 state.pair_lines,
                 truth,
                 state.ghosts,
-                state.flags,
+                replace(state.flags, boxes=state.boxes_shown),
                 state.dark,
             )
             self.page.call("tags", [asdict(t) for t in tags + self._beside.follow(live)])

@@ -46,6 +46,7 @@ def _candidates(state: State, number: int, name: str, found: Candidates) -> Elem
                 None if raw is None else h.td(f"{raw[k]:.2f}", cls="n dim"),
                 id=f"candidate-{number}-{i}",
                 do=f"object:{place}",
+                hover=f"hover:{place}",
                 **chosen(place == state.selected, "r"),
             )
         )

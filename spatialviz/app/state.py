@@ -24,7 +24,7 @@ from spatialviz.app.scene import Ghost, SceneFlags
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
 Layers = Literal["both", "a", "b"]
-CameraMode = Literal["sensor", "orbit", "top"]
+CameraMode = Literal["pair", "sensor", "orbit", "top"]
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,8 @@ class State:
         The selected object of the second detector, where it is not the one that stands for `selected`.
     picking : bool
         The next click names a level surface.
+    hovered : int or None
+        The object whose row the mouse is over, as a place in `shown.objects`.
     evaluating : bool
         The run is looked at, rather than one answer.
     stage : str
@@ -136,7 +138,7 @@ class State:
     pair: tuple[int, ...] | None = None
     selected: int | None = None
     colors: ColorMode = "rgb"
-    camera: CameraMode = "orbit"
+    camera: CameraMode = "pair"
     flags: SceneFlags = field(default_factory=SceneFlags)
     dark: bool = True
     judged: Diagnosis | str | None = None
@@ -151,6 +153,7 @@ class State:
     second: int | None = None
     picking: bool = False
     evaluating: bool = False
+    hovered: int | None = None
     stage: str = ""
 
     @property
@@ -162,7 +165,7 @@ class State:
     def unasked(self) -> State:
         """The same without any answer."""
         return replace(
-            self, trace=None, pair=None, selected=None, error="", judged=None, other=None, edited=None, labels=None,
+            self, trace=None, pair=None, selected=None, hovered=None, error="", judged=None, other=None, edited=None, labels=None,
             second=None, stage="",
         )  # fmt: skip
 
@@ -170,6 +173,11 @@ class State:
     def beside(self) -> Beside | None:
         """What a second detector finds, where that is looked at."""
         return None if self.loaded is None or self.labels is not None else self.loaded.beside
+
+    @property
+    def boxes_shown(self) -> bool:
+        """Whether the boxes of all objects are shown: where they are wanted, and where there is no pair to look at."""
+        return self.flags.boxes or not self.roles
 
     @property
     def own_layer(self) -> bool:

@@ -128,6 +128,17 @@ document.addEventListener('pointerdown', e => {
   }, {once: true});
 });
 
+let hovered = '', hovering = 0;
+const hover = e => {
+  const now = (e.target instanceof Element && e.target.closest('[data-hover]')?.dataset.hover) || '';
+  if (now === hovered) return;
+  const left = hovered;
+  hovered = now;
+  clearTimeout(hovering);
+  hovering = setTimeout(() => send(now || left.replace(/:.*/, ':-1')), 80);
+};
+for (const kind of ['mouseover', 'focusin']) document.addEventListener(kind, hover);
+
 // ---- keys
 
 let keys = new Set();
