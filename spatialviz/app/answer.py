@@ -83,7 +83,7 @@ def _pair(state: State) -> list[Child]:
     answer = told(trace, lambda place: state.shown.names[state.shown.place[place]], pair)
     # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
     absent = note(_capital(answer.lead.strip())) if pair is best and answer.lead else None
-    fails = h.div("; ".join((answer.numbers, *answer.fails)), cls="dim") if answer.fails else None
+    fails = h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None
     return [absent, _names(state, pair), _headline(pair), fails, h.div(answer.below, cls="dim")]
 
 

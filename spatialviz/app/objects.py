@@ -7,23 +7,24 @@ from spatialviz.app.markup import Element, h
 from spatialviz.app.state import State
 from spatialviz.app.text import chosen, heading, named, note, panel
 
-ROLE_ORDER = {"target": 0, "reference": 1, "other": 2}
-
 
 def objects_html(state: State) -> Element | None:
-    """The objects, those of the chosen pair first; a click selects one."""
+    """The objects as they are numbered, and above them those of the chosen pair once more; a click selects one."""
     if state.loaded is None:
         return None
     if not state.shown.objects:
         reason = state.loaded.problem or "Nothing is annotated or detected in this frame."
         return panel(heading("Objects"), note(reason), cls="objects")
     count = len(state.shown.objects)
-    order = sorted(range(count), key=lambda i: ROLE_ORDER[state.roles.get(i, "other")])
-    rows = h.tbody(_row(state, i) for i in order)
-    return panel(heading(f"Objects{' of A' if state.beside else ''} ({count})"), h.table(rows, cls="objects"))
+    # Rows that change places would be sent again, all of them.
+    pair = [_row(state, i, "of-pair") for i in dict.fromkeys(state.pair or ())]
+    head = [h.tr(h.th(words, colspan=4)) for words in ("of the pair", "all")] if pair else [None, None]
+    every = (_row(state, i, "object") for i in range(count))
+    table = h.table(h.tbody(head[0], pair, id="of-pair"), h.tbody(head[1], every), cls="objects")
+    return panel(heading(f"Objects{' of A' if state.beside else ''} ({count})"), table)
 
 
-def _row(state: State, i: int) -> Element:
+def _row(state: State, i: int, kind: str) -> Element:
     assert state.loaded is not None
     entry, color = state.shown.objects[i], palette(state.dark)[state.roles.get(i, "other")]
     box, quality = entry.lifted.box, entry.lifted.quality
@@ -34,9 +35,9 @@ def _row(state: State, i: int) -> Element:
         h.td(named(color, state.shown.names[i]), h.div(size, cls="dim"), cls="w"),
         h.td("" if box is None else f"{quality.distance:.1f} m", cls="n dim"),
         h.td(score(entry.score), h.span("!", cls="low", title=doubts, aria_label=doubts) if doubts else "", cls="n"),
-        id=f"object-{i}",
+        id=f"{kind}-{i}",
         do=f"object:{i}",
-        **chosen(i == state.selected, "r"),
+        **chosen(i == state.selected and kind == "object", "r"),
     )
 
 

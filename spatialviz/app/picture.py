@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import Camera
 from pipeline.geometry.palette import hex_color, palette
 from spatialviz.app.beside_html import name_tag, second_overlay
 from spatialviz.app.frames import FrameStore
@@ -45,7 +46,7 @@ def image_html(state: State) -> Element:
     return panel(
         pixel_row_html(state),
         h.div(
-            h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false"),
+            h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false", id="photo"),
             marks,
             cls="pic",
             css={"--wh": f"{frame.width / frame.height:.3f}"},
@@ -62,30 +63,24 @@ def overlay_marks(state: State) -> list[Element]:
         return []
     frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
     unit = frame.width / 360
-    marks: list[Element] = []
-
-    def draw_box(box: Box3D, **look: object) -> None:
-        marks.extend(_lines(box_edges_2d(box, frame.camera), **look))
-
     own = range(len(state.shown.objects)) if state.own_layer else range(0)
+    quiet, marks = [], []
     order = sorted(own, key=lambda i: (i in roles, i == state.selected))
     for i in order:
         entry = state.shown.objects[i]
-        role = roles.get(i, "other")
-        strong = role != "other" or i == state.selected
-        if not strong and not state.flags.boxes:
+        if i not in roles and i != state.selected:
+            quiet.append(_rectangle(entry.bbox))
             continue
-        color = "#ffffff" if i == state.selected and role == "other" else hex_color(colors[role])
-        if strong and entry.lifted.box is not None:
-            draw_box(entry.lifted.box, stroke=color, stroke_width=f"{1.3 * unit:.2f}")
-        else:
-            x0, y0, x1, y1 = (float(v) for v in entry.bbox)
-            place = {"x": f"{x0:.1f}", "y": f"{y0:.1f}", "width": f"{x1 - x0:.1f}", "height": f"{y1 - y0:.1f}"}
-            marks.append(h.rect(**place, fill="none", stroke=color, stroke_width=f"{0.7 * unit:.2f}", opacity=".75"))
+        color = hex_color(colors[roles[i]]) if i in roles else "#ffffff"
+        drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
+        marks.append(h.path(d=drawn, fill="none", stroke=color, stroke_width=f"{1.3 * unit:.2f}"))
+    if quiet and state.flags.boxes:
+        look = {"stroke": hex_color(colors["other"]), "stroke_width": f"{0.7 * unit:.2f}", "opacity": ".75"}
+        marks.insert(0, h.path(d="".join(quiet), fill="none", **look))
     for ghost in state.ghosts if state.flags.ghosts else ():
-        dashes = f"{3 * unit:.1f} {2 * unit:.1f}"
-        color = hex_color(colors[ghost.role])
-        draw_box(ghost.box, stroke=color, stroke_width=f"{1.1 * unit:.2f}", stroke_dasharray=dashes)
+        look = {"stroke_width": f"{1.1 * unit:.2f}", "stroke_dasharray": f"{3 * unit:.1f} {2 * unit:.1f}"}
+        drawn = _edges(ghost.box, frame.camera)
+        marks.append(h.path(d=drawn, fill="none", stroke=hex_color(colors[ghost.role]), **look))
     marks += second_overlay(state, unit)
     for i in order:
         if i not in roles and i != state.selected:
@@ -96,9 +91,13 @@ def overlay_marks(state: State) -> list[Element]:
     return marks
 
 
-def _lines(edges: np.ndarray, **look: object) -> Iterator[Element]:
-    for (ax, ay), (bx, by) in edges:
-        yield h.line(x1=f"{ax:.1f}", y1=f"{ay:.1f}", x2=f"{bx:.1f}", y2=f"{by:.1f}", **look)
+def _rectangle(bbox: np.ndarray) -> str:
+    x0, y0, x1, y1 = (float(v) for v in bbox)
+    return f"M{x0:.1f} {y0:.1f}H{x1:.1f}V{y1:.1f}H{x0:.1f}Z"
+
+
+def _edges(box: Box3D, camera: Camera) -> str:
+    return "".join(f"M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}" for (ax, ay), (bx, by) in box_edges_2d(box, camera))
 
 
 def _name_place(state: State, i: int) -> tuple[float, float]:

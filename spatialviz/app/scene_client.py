@@ -76,7 +76,7 @@ class RetainedScene:
         def add(*args: Any, **kwargs: Any) -> Node:
             bound = signature.bind(None, *args, **kwargs)
             bound.apply_defaults()
-            values = {k: v for k, v in bound.arguments.items() if k != "self"}
+            values = {k: v for k, v in bound.arguments.items() if k not in ("self", "_deprecated_kwargs")}
             node = self.nodes[values["name"]] = Node(self, make, values)
             if self.shown is not None:
                 node.attach(self.shown)

@@ -26,7 +26,7 @@ def candidates_evidence(state: State, trace: Trace) -> list[Child]:
 
 def _candidates(state: State, number: int, name: str, found: Candidates) -> Element:
     judged = state.judged if isinstance(state.judged, Diagnosis) else None
-    raw = found.raw_scores
+    raw = None if found.raw_scores is None or np.allclose(found.raw_scores, found.scores) else found.raw_scores
     rows = []
     for k in np.argsort(-found.scores, kind="stable").tolist():
         i = int(found.index[k])
@@ -39,26 +39,25 @@ def _candidates(state: State, number: int, name: str, found: Candidates) -> Elem
                 h.td(
                     named(palette(state.dark)[state.roles.get(place, "other")], state.shown.names[place]),
                     h.div(f"as {called}", cls="dim") if called else None,
+                    h.div(mark, cls=f"mark {cls}".strip()) if mark else None,
                     cls="w",
                 ),
                 h.td(score(float(found.scores[k])), cls="n"),
                 None if raw is None else h.td(f"{raw[k]:.2f}", cls="n dim"),
-                h.td(mark, cls=f"mark {cls}".strip()),
                 id=f"candidate-{number}-{i}",
                 do=f"object:{place}",
                 **chosen(place == state.selected, "r"),
             )
         )
     if judged is not None and judged.missed is not None and judged.missed_name == name:
-        rows.append(h.tr(h.td(_missed(judged.missed, name), colspan=5), cls="missed"))
+        rows.append(h.tr(h.td(_missed(judged.missed, name), colspan=4), cls="missed"))
     if not rows:
-        rows = [h.tr(h.td("nothing of this name was found", cls="dim", colspan=5))]
+        rows = [h.tr(h.td("nothing of this name was found", cls="dim", colspan=4))]
     head = h.tr(
         h.td(),
         h.th("candidate"),
         h.th("score", cls="n", title=f"P(object | {name})"),
         None if raw is None else h.th("raw", cls="n", title="the detector's own score, before calibration"),
-        h.th("by the labels") if judged is not None else h.td(),
     )
     return h.table(h.caption(f"“{name}”"), h.thead(head), h.tbody(rows), cls="candidates")
 
@@ -74,7 +73,7 @@ def _mark(judged: Diagnosis, i: int) -> tuple[str, str]:
     if role is not None:
         return f"labelled {role}", "ok"
     truth = judged.truth
-    return ("right, too", "ok") if labelled in case.acceptable else (f"another object: {truth.labels[labelled]}", "")
+    return ("right, too", "ok") if labelled in case.acceptable else (f"labelled {truth.labels[labelled]}", "")
 
 
 def _missed(missed: Missed, name: str) -> str:

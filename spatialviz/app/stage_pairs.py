@@ -17,6 +17,7 @@ from spatialviz.app.text import chosen, named
 
 SHOWN_PAIRS = 30
 MATRIX_LIMIT = 14
+NEEDED = "needed: the right pair wins as soon as its factor is above this, all else as it is"
 
 
 def pairs_evidence(state: State, trace: Trace) -> list[Child]:
@@ -38,8 +39,7 @@ def _ranked(state: State) -> list[Child]:
     ]
     head = h.tr(
         h.th("#", cls="n"),
-        h.th("target"),
-        h.th("reference"),
+        h.th("target, reference"),
         (h.th("tgt" if name == "target" else name, cls="n", title=title) for name, title in names),
     )
     rows = (_row(state, i, pair, fit) for i, pair in enumerate(state.ranked[:SHOWN_PAIRS]))
@@ -67,8 +67,11 @@ def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
         cells.append(cell("–" if empty else f"{p:.2f}", was(p, o), "n low" if low else "n"))
     return h.tr(
         cell(i + 1, None if rank in (None, i + 1) else f"was rank {rank}", "n dim"),
-        h.td(named(colors["target"], state.shown.names[target]), cls="w"),
-        h.td(None if pair.reference is None else named(colors["reference"], ends), cls="w"),
+        h.td(
+            h.div(named(colors["target"], state.shown.names[target])),
+            None if pair.reference is None else h.div(named(colors["reference"], ends)),
+            cls="w",
+        ),
         cells,
         cell(h.b(f"{posterior:.2f}"), was(posterior, old[-1])),
         id=f"pair-{i}",
@@ -90,28 +93,26 @@ def _against(state: State) -> list[Child]:
     rows = []
     for name, share in shares.items():
         above, right = needed.get(name), getattr(d.right, f"p_{name}")
-        css = {"--c": hex_color(COLORS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale:.1%}"}
+        css = {"--c": hex_color(COLORS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale / 2:.1%}"}
+        wanted = None if above is None else h.div(f"> {threshold(above, right)[0]}", cls="dim", title=NEEDED)
         bar = h.i(cls="for" if share >= 0 else "against", css=css)
         rows.append(
             h.tr(
                 h.th(name, scope="row"),
                 h.td(f"{getattr(d.winner, f'p_{name}'):.2f}", cls="n"),
-                h.td(f"{right:.2f}", cls="n"),
+                h.td(f"{right:.2f}", wanted, cls="n"),
                 h.td(h.div(bar, cls="diverge")),
                 h.td(f"{share:+.2f}", cls="n"),
-                h.td("" if above is None else f"> {threshold(above, right)[0]}", cls="n dim"),
             )
         )
     total = d.winner.log_score - d.right.log_score
-    rows.append(h.tr(h.th("sum", scope="row"), h.td(colspan=3), h.td(h.b(f"{total:+.2f}"), cls="n"), h.td(), cls="sum"))
-    hint = "the right pair wins as soon as its factor is above this, all else as it is"
+    rows.append(h.tr(h.th("sum", scope="row"), h.td(colspan=3), h.td(h.b(f"{total:+.2f}"), cls="n"), cls="sum"))
     head = h.tr(
         h.td(),
         h.th("answer", cls="n"),
         h.th("right", cls="n"),
-        h.th("for the right · for the answer"),
+        h.th("right · answer", title="which of the two the factor favours"),
         h.th("Δ log", cls="n"),
-        h.th("needed", cls="n", title=hint),
     )
     colors = palette(state.dark)
 

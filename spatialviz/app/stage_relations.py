@@ -122,7 +122,7 @@ def attributes_evidence(state: State, trace: Trace) -> list[Child]:
             h.tr(
                 h.td(h.b(factor.text), h.span(f" {factor.kind}", cls="dim")),
                 h.td(named(color, state.shown.names[place]), cls="w"),
-                h.td(level(factor.probability)),
+                h.td(level(factor.probability), css={"--c": hex_color(color)}),
                 h.td(f"{factor.probability:.2f}", cls="n" if factor.holds else "n low"),
             )
         )

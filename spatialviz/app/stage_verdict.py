@@ -9,7 +9,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.boxes import iou_2d
-from spatialviz.app.answer import mend_button, verdict_chip_of
+from spatialviz.app.answer import verdict_chip_of
 from spatialviz.app.markup import Child, h
 from spatialviz.app.state import State
 from spatialviz.app.text import note
@@ -24,12 +24,11 @@ UNKNOWN = "No verdict: nothing is known of the truth in this frame. It needs lab
 
 
 def verdict_evidence(state: State, trace: Trace) -> list[Child]:
-    """The verdict, what would mend it, and the other run's answer."""
+    """What would mend the answer, and what the other run answers; the verdict itself stands above."""
     judged = state.judged
     if not isinstance(judged, Diagnosis):
-        return [h.p(UNKNOWN if judged is None else f"No verdict: {judged}.", " ", mend_button(state), cls="dim")]
-    head = h.p(verdict_chip_of(judged), " ", judged.text, " ", mend_button(state))
-    return [head, _other(state, trace), _oracles(judged)]
+        return [h.p(UNKNOWN if judged is None else f"No verdict: {judged}.", cls="dim")]
+    return [_other(state, trace), _oracles(judged)]
 
 
 def _oracles(d: Diagnosis) -> list[Child]:

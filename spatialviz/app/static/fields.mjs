@@ -4,7 +4,7 @@ A field that an element names by data-field gets its events from page.mjs. A key
 `defaultPrevented`: whoever comes after leaves it alone. The commands that are sent: `ask-typed:`, `ask:`,
 `class-typed:`, `class:`, `complete:`, `find:`. */
 
-import {calls, el, fields, fill, locals, send, typing} from './core.mjs';
+import {calls, el, fields, fill, locals, send} from './core.mjs';
 
 const TYPED_MS = 60, COMPLETE_MS = 90;
 
@@ -39,14 +39,14 @@ function activate(at) {
 function open(field, offers, note, take) {
   close();
   if (!offers.length && !note) return;
-  const list = offered.list ??= Object.assign(el('div', 'offers'), {id: 'offers', popover: 'manual'});
+  const list = offered.list ??= Object.assign(el('div', 'suggestions-list'), {id: 'suggested', popover: 'manual'});
   const parent = field.closest('dialog') ?? document.body;
   if (list.parentElement !== parent) parent.append(list);
   list.setAttribute('role', 'listbox');
   list.setAttribute('aria-label', 'suggestions');
   const rows = offers.map((offer, i) => {
     const row = el('div', 'offer');
-    row.id = `offer-${i}`;
+    row.id = `suggested-${i}`;
     row.setAttribute('role', 'option');
     row.setAttribute('aria-selected', 'false');
     row.append(...offer.parts.filter(part => part[2]).map(part => el(...part)));
@@ -68,7 +68,7 @@ function open(field, offers, note, take) {
   list.style.maxHeight = `${Math.min(360, (above ? box.top : below) - 12)}px`;
   list.showPopover();
   field.setAttribute('role', 'combobox');
-  field.setAttribute('aria-controls', 'offers');
+  field.setAttribute('aria-controls', 'suggested');
   field.setAttribute('aria-autocomplete', 'list');
   field.setAttribute('aria-expanded', 'true');
   Object.assign(offered, {field, rows, at: -1, take});
@@ -298,7 +298,7 @@ fields.commands = {
   },
 };
 
-/* Dialogs: their text is copied or sent, their choices are sent, and their buttons have keys. */
+/* Dialogs: their text is copied or sent, and their choices are sent. */
 
 const TEXT = 'textarea, input:not([type=radio], [type=checkbox], [type=range])';
 
@@ -339,16 +339,6 @@ calls.copy = () => {
   if (content) locals.copy(content);
 };
 
-window.addEventListener('keydown', event => {
-  const dialog = document.querySelector('dialog[open]');
-  if (!dialog || typing(document.activeElement) || event.ctrlKey || event.metaKey || event.altKey) return;
-  const button = dialog.querySelector(`[aria-keyshortcuts="${CSS.escape(event.key.toUpperCase())}"]`);
-  if (!button) return;
-  event.preventDefault();
-  event.stopImmediatePropagation();
-  button.click();
-}, true);
-
 /* What changes many times a second: numbers of a box that is dragged, the drawing over the picture. */
 
 calls.numbers = numbers => {
@@ -364,7 +354,7 @@ calls.overlay = marks => {
 };
 
 calls.shown = () => setTimeout(() => {
-  document.querySelector('.ex[aria-current=true]')?.scrollIntoView({block: 'nearest'});
+  document.querySelector('.ex.sel')?.scrollIntoView({block: 'nearest'});
 }, 60);
 
 calls.sentence = () => {

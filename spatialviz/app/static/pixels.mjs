@@ -70,9 +70,9 @@ function build() {
   surface.append(hotName(
     button('', '', 'only what the depth and colour in the rectangle say (F)', toggleSurface), 'surface only', 'f'));
   tools.append(
-    choice('tools', 'tools', TOOLS.map(([tool, name, key]) => [tool, name, `${name} (${key.toUpperCase()})`]), take,
+    choice('pens', 'tools', TOOLS.map(([tool, name, key]) => [tool, name, `${name} (${key.toUpperCase()})`]), take,
       Object.fromEntries(TOOLS.map(([tool, , key]) => [tool, key]))),
-    choice('mode', 'add or remove', [['add', 'add', 'M'], ['remove', 'remove', 'M']], mode => adds(mode === 'add')),
+    choice('adding', 'add or remove', [['add', 'add', 'M'], ['remove', 'remove', 'M']], mode => adds(mode === 'add')),
     range('size', 'size', -7, -1.6, v => { S.radius = Math.exp(v); show(); }, tell),
     range('tol', 'alike', Math.log(0.001), Math.log(0.05), v => { S.tol = Math.exp(v); show(); }, tell),
     surface,
@@ -113,17 +113,17 @@ function show() {
   q('.title').textContent = d.title || '';
   q('.title').title = d.title || '';
   press('views', S.view);
-  press('tools', tool);
-  press('mode', S.adds ? 'add' : 'remove');
+  press('pens', tool);
+  press('adding', S.adds ? 'add' : 'remove');
   press('pict', S.picture);
   q('.surf button').setAttribute('aria-pressed', String(S.surface));
   const seen = {
-    '.cls': d.fresh, '.tools': !scene, '.pict': !scene, '.zoom': !scene,
+    '.cls': d.fresh, '.pens': !scene, '.pict': !scene, '.zoom': !scene,
     '.size': !scene && (tool === 'brush' || tool === 'erase'),
     '.tol': scene || tool === 'depth',
     '.surf': !scene && tool === 'rectangle',
     '.apart': !scene && tool === 'cut',
-    '.mode': scene || ['polygon', 'rectangle', 'depth'].includes(tool),
+    '.adding': scene || ['polygon', 'rectangle', 'depth'].includes(tool),
   };
   for (const [selector, on] of Object.entries(seen)) q(selector).hidden = !on;
   q('.size input').value = Math.log(S.radius);

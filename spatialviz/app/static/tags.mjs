@@ -10,6 +10,8 @@ const GAP = 6, RINGS = [GAP, 30, 64];
 const LEAD_FROM = 12;
 /* What places cost, in pixels squared of covered strong boxes: a ring farther out; a place other than the last. */
 const RING_COST = 400, MOVE_COST = 500, SIDE_COST = 15;
+/* A weak tag covers no more than this share of itself of a strong box, save of one that takes half of the scene. */
+const COVERED = 0.15;
 const CORNERS = [0, 1, 2, 3, 4, 5, 6, 7].map(k => [k & 1 ? 1 : -1, k & 2 ? 1 : -1, k & 4 ? 1 : -1]);
 const EDGES = CORNERS.flatMap((_, a) => [1, 2, 4].filter(bit => !(a & bit)).map(bit => [a, a | bit]));
 
@@ -70,13 +72,15 @@ function anywhere([x0, y0, x1, y1], w, h, W, H, free) {
    place: `rect` (null: hidden) and `place`, the candidate that was taken, which is kept while it is free. */
 export function arrange(items, W, H) {
   const put = [], strong = items.filter(item => item.strong).map(item => item.box);
+  const kept = strong.filter(box => overlap(box, [0, 0, W, H]) < (W * H) / 2);
   for (const item of items) {
     const free = rect => rect[0] >= 0 && rect[1] >= 0 && rect[2] <= W && rect[3] <= H
       && !overlap(rect, item.box) && put.every(other => !overlap(rect, other));
     let least = Infinity;
     item.rect = null;
     candidates(item.box, item.w, item.h, W, H).forEach(({ring, side, rect}, place) => {
-      if (!free(rect)) return;
+      const covers = box => overlap(rect, box) > COVERED * item.w * item.h;
+      if (!free(rect) || (!item.strong && kept.some(covers))) return;
       let cost = ring * RING_COST + side * SIDE_COST + (place === item.place ? 0 : MOVE_COST);
       for (const box of strong) if (box !== item.box) cost += overlap(rect, box);
       if (cost >= least) return;
@@ -153,7 +157,7 @@ let layer = null, lines = null, tags = [], size = [0, 0], hooked = null;
 
 function layers() {
   if (layer?.isConnected) return;
-  layer = el('div', 'tags');
+  layer = el('div', 'scene-tags');
   lines = document.createElementNS(SVG, 'svg');
   layer.setAttribute('aria-hidden', 'true');
   layer.append(lines);
