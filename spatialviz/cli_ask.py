@@ -46,15 +46,19 @@ class View:
     """Under whose name labels are corrected. Default: the name that the browser's tab used last, else that of the
     login."""
     state: str | None = None
-    """A view as a string, "sv1:...", as the page copies it: what is opened, and what is looked at first. No link can
-    carry it: the page's address has no room for it."""
+    """A view as a string, "sv1:...", as the page copies it: what is opened, and what is looked at first. It holds
+    edits, too, which the page's address does not."""
     also: str | None = None
     """A second detector, NAME or NAME=MODEL, whose boxes are shown beside those of the first; it answers nothing."""
     source: OmitArgPrefixes[SourceOptions] = SourceOptions()
     port: int = 8080
     """Port; if it is taken, the next free one is used."""
     host: str = "127.0.0.1"
-    """Address to listen on. Anything but this machine's own is open to others: there is no password."""
+    """Address to listen on. One that others reach needs the token that is printed."""
+    tokens: Path | None = None
+    """A file with a line NAME TOKEN for each person who may open the page; corrections are by that name."""
+    max_clients: int = 24
+    """Pages that may be open at once."""
     theme: Literal["dark", "light"] = "dark"
     """Colours of the page."""
     open_browser: bool = True

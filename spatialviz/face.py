@@ -94,6 +94,7 @@ def show(
         sources = {name: opened.pipeline}
         view["labels"] = {} if opened.labels is None else {name: opened.labels}
 
+    from spatialviz.app.access import Access
     from spatialviz.app.server import announce, serve, start
 
     if block is None:
@@ -101,8 +102,9 @@ def show(
     if block:
         serve(sources, host=host, port=port, dark=dark, open_browser=open_browser, **view)
         return None
-    server = start(sources, host=host, port=port, dark=dark, **view)
-    announce(server, sources, host, port, open_browser, "stop()")
+    access = Access.of(host)
+    server = start(sources, host=host, port=port, dark=dark, access=access, **view)
+    announce(server, access, sources, host, port, open_browser, "stop()")
     return server
 
 

@@ -15,6 +15,7 @@ from pipeline.diagnosis.whatif.state import ViewState, decode
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.system.errors import InputError, require
+from spatialviz.app.access import Access
 from spatialviz.app.server import serve
 from spatialviz.cli_ask import View
 from spatialviz.options import SourceOptions, warn
@@ -75,6 +76,8 @@ def run_view(command: View) -> None:
         port=command.port,
         dark=command.theme == "dark",
         open_browser=command.open_browser,
+        access=Access.of(command.host, command.tokens),
+        max_clients=command.max_clients,
     )
 
 

@@ -7,14 +7,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import viser
 
 from pipeline.answering.objects import SceneObject
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.palette import RGB, hex_color, second_color
 from spatialviz.app.beside_html import chosen_row, second_name
-from spatialviz.app.bridge import Tag
-from spatialviz.app.scene import GHOST_GROWTH, SceneView
+from spatialviz.app.scene import GHOST_GROWTH, SceneView, Tag, half_size, triple
+from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import Layers, State
 from spatialviz.report.picture import dashed
 
@@ -29,7 +28,7 @@ class BesideLayer:
 
     Parameters
     ----------
-    client : viser.ClientHandle
+    client : SceneClient
     scene : SceneView
         Says where a box stands in the scene.
     state : callable
@@ -41,7 +40,7 @@ class BesideLayer:
 
     def __init__(
         self,
-        client: viser.ClientHandle,
+        client: SceneClient,
         scene: SceneView,
         state: Callable[[], State],
         take: Callable[[State], None],
@@ -52,7 +51,7 @@ class BesideLayer:
         self._lines: dict[str, Any] = {}
         self._drawn: tuple[object, ...] = ()
         self._tags: list[Tag] = []
-        self._anchor: viser.FrameHandle | None = None
+        self._anchor: Any = None
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -157,14 +156,13 @@ class BesideLayer:
             return []
         entry = state.beside.objects[chosen]
         assert entry.lifted.box is not None
-        low = self._scene.shown_box(entry.lifted.box)
+        box = self._scene.shown_box(entry.lifted.box)
         if self._anchor is None:
             self._anchor = self._client.scene.add_frame(ANCHOR, show_axes=False)
-        x, y = (float(v) for v in low.center[:2])
-        self._anchor.position = (x, y, float(low.corners[:, 2].min()))
+        self._anchor.position = triple(box.center)
         detail = "" if entry.score >= 0.9995 else f"{entry.score:.2f}"
         name, color = second_name(state.beside, chosen), hex_color(second_color(state.dark))
-        return [Tag(ANCHOR, f"B {name}", detail, color, True)]
+        return [Tag(ANCHOR, f"B {name}", detail, color, True, extent=half_size(box))]
 
 
 def _faint(color: RGB, dark: bool) -> RGB:

@@ -5,14 +5,9 @@ from __future__ import annotations
 from pipeline.answering.agreement.agreement import MIN_IOU
 from pipeline.answering.agreement.frames import Beside
 from pipeline.geometry.palette import hex_color, palette, second_color
+from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import DOUBT, GOOD, dot, heading, note, panel, safe, segments
-
-SHOW_CHOSEN = (
-    "const s=this.parentElement.querySelector('.scroll'),r=s&&s.querySelector('tr.sel');"
-    "if(r&&(r.offsetTop<s.scrollTop||r.offsetTop+r.offsetHeight>s.scrollTop+s.clientHeight))"
-    "s.scrollTop=r.offsetTop-s.clientHeight/2"
-)
+from spatialviz.app.text import DOUBT, GOOD, dot, heading, note, panel, segments
 
 
 def second_name(beside: Beside, j: int) -> str:
@@ -20,17 +15,16 @@ def second_name(beside: Beside, j: int) -> str:
     return f"{beside.objects[j].label}·{j}"
 
 
-def layers_html(state: State) -> str:
+def layers_html(state: State) -> Element | None:
     """Whose boxes are shown; nothing without a second detector."""
     if state.beside is None:
-        return ""
+        return None
     a, b = state.beside.names
-    cells = segments("layer", {"both": "Both", "a": "A", "b": "B"}, state.layers)
-    hint = safe(f"A: {a}, solid; B: {b}, dashed (Shift+B)")
-    return f'<div class="row" title="{hint}"><label>Boxes</label>{cells}</div>'
+    cells = segments("layer", {"both": "Both", "a": "A", "b": "B"}, state.layers, "Boxes")
+    return h.div(h.span("Boxes", cls="label"), cells, cls="row", title=f"A: {a}, solid; B: {b}, dashed (Shift+B)")
 
 
-def second_overlay(state: State, unit: float) -> list[str]:
+def second_overlay(state: State, unit: float) -> list[Element]:
     """The second detector's 2D boxes as parts of an SVG: dashed, faint where the own one found the same."""
     beside = state.beside
     if beside is None or not state.second_layer or not (state.flags.boxes or state.second_selected is not None):
@@ -47,54 +41,58 @@ def second_overlay(state: State, unit: float) -> list[str]:
         width = 1.8 if chosen else 0.8 if faint else 1.2
         opacity = 1.0 if chosen else 0.5 if faint else 0.95
         parts.append(
-            f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}" fill="none" '
-            f'stroke="{color}" stroke-width="{width * unit:.2f}" opacity="{opacity}" '
-            f'stroke-dasharray="{3.2 * unit:.1f} {2.2 * unit:.1f}"/>'
-        )
+            h.rect(
+                x=f"{x0:.1f}", y=f"{y0:.1f}", width=f"{x1 - x0:.1f}", height=f"{y1 - y0:.1f}", fill="none",
+                stroke=color, stroke_width=f"{width * unit:.2f}", opacity=opacity,
+                stroke_dasharray=f"{3.2 * unit:.1f} {2.2 * unit:.1f}",
+            )
+        )  # fmt: skip
         if chosen:
-            parts.append(name_tag(f"B {second_name(beside, j)}", x0, y1, entry.mask.shape, unit, tag))
+            parts += name_tag(f"B {second_name(beside, j)}", x0, y1, entry.mask.shape, unit, tag)
     return parts
 
 
-def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> str:
+def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> tuple[Element, Element]:
     """A name on its colour in the picture, its upper left corner at (x, y) or as near as the picture's `shape` lets."""
     width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
-    x, y = min(x, max(shape[1] - width, 0)), min(max(y, 0), shape[0] - height)
+    x, y = max(min(x, shape[1] - width), 0), min(max(y, 0), shape[0] - height)
     return (
-        f'<rect x="{max(x, 0):.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" '
-        f'rx="{2 * unit:.1f}" fill="{color}"/>'
-        f'<text x="{max(x, 0) + 4 * unit:.1f}" y="{y + 10.4 * unit:.1f}" font-size="{10.5 * unit:.1f}" '
-        f'font-weight="600" fill="#fff" font-family="system-ui,sans-serif">{safe(text)}</text>'
-    )
+        h.rect(
+            x=f"{x:.1f}", y=f"{y:.1f}", width=f"{width:.1f}", height=f"{height:.1f}", rx=f"{2 * unit:.1f}", fill=color
+        ),
+        h.text(
+            text, x=f"{x + 4 * unit:.1f}", y=f"{y + 10.4 * unit:.1f}", font_size=f"{10.5 * unit:.1f}",
+            font_weight=600, fill="#fff", font_family="system-ui,sans-serif",
+        ),
+    )  # fmt: skip
 
 
-def agreement_html(state: State) -> str:
+def agreement_html(state: State) -> Element:
     """Counts, figures, and a row for each disagreement; a click selects what it is about."""
     beside = state.beside
     if beside is None:
         reason = "The detectors are compared beside an answer, not beside labels."
         return panel(note(reason if state.labels is not None else "There is nothing to compare in this frame."))
     sums, a, b = beside.sums, *beside.names
-    second = hex_color(second_color(state.dark))
-    other = hex_color(palette(state.dark)["other"])
-    whose = f"{dot(palette(state.dark)['other'])}A {safe(a)} &emsp;{hollow(second)}B {safe(b)}"
-    whose = f'<span title="{safe(f"A: {a}, B: {b}")}">{whose}</span>'
-    title = heading("Agreement", whose)
+    second, other = hex_color(second_color(state.dark)), hex_color(palette(state.dark)["other"])
+    whose = (dot(palette(state.dark)["other"]), f"A {a} \u2003", hollow(second), f"B {b}")
+    title = heading("Agreement", h.span(whose, title=f"A: {a}, B: {b}"))
     if not sums.a + sums.b:
-        return panel(title, '<div class="dim">Neither finds anything that the other knows.</div>', _beyond(beside))
+        nothing = h.div("Neither finds anything that the other knows.", cls="dim")
+        return panel(title, nothing, _beyond(beside))
     shares = (
         (sums.both, GOOD, "alike", ""),
         (sums.otherwise, DOUBT, "named otherwise", ""),
         (sums.only_a, other, "only A", ""),
         (sums.only_b, second, "only B", "second"),
     )
-    bar = "".join(
-        f'<i class="{kind}" style="--c:{color};flex:{count}" title="{count} {name}"></i>'
+    bar = (
+        h.i(cls=kind, css={"--c": color, "flex": str(count)}, title=f"{count} {name}")
         for count, color, name, kind in shares
         if count
     )
-    legend = "".join(
-        f'<span><span class="{"hollow" if kind else "dot"}" style="--c:{color}"></span>{count} {name}</span>'
+    legend = (
+        h.span(h.span(cls="hollow" if kind else "dot", css={"--c": color}), f"{count} {name}")
         for count, color, name, kind in shares
     )
     figures = (
@@ -103,12 +101,12 @@ def agreement_html(state: State) -> str:
         ("mean IoU", sums.mean_iou, "of what both found"),
         ("scores ρ", sums.score_correlation, "rank correlation of the scores of what both found"),
     )
-    cells = "".join(
-        f'<span class="dim" title="{safe(hint)}"><b>{_figure(value)}</b>{name}</span>' for name, value, hint in figures
-    )
+    cells = (h.span(h.b(_figure(value)), name, cls="dim", title=hint) for name, value, hint in figures)
     return panel(
         title,
-        f'<div class="agree">{bar}</div><div class="legend">{legend}</div><div class="kappas">{cells}</div>',
+        h.div(bar, cls="agree"),
+        h.div(legend, cls="legend"),
+        h.div(cells, cls="kappas"),
         _rows(state, beside),
         _beyond(beside),
     )
@@ -118,21 +116,20 @@ def _figure(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}".replace("-", "−")
 
 
-def _rows(state: State, beside: Beside) -> str:
-    color = second_color(state.dark)
+def _rows(state: State, beside: Beside) -> Child:
+    color = hex_color(second_color(state.dark))
     grey = palette(state.dark)
     iou = {(int(i), int(j)): float(v) for (i, j), v in zip(beside.found.pairs, beside.found.iou, strict=True)}
     rows = []
     for i, j in beside.disagreements:
-        own = other = '<td class="none">–</td><td></td>'
+        own = other = (h.td("–", cls="none"), h.td())
         if i is not None:
             mark = dot(grey[state.roles.get(i, "other")])
             # The question may name it otherwise than the detector does where it is asked for everything.
             number = state.shown.names[i].rpartition("·")[2]
-            own = _cell(mark, f"{beside.found.labels_a[i]}·{number}", float(beside.found.scores_a[i]))
+            own = _cells(mark, f"{beside.found.labels_a[i]}·{number}", float(beside.found.scores_a[i]))
         if j is not None:
-            other = _cell(hollow(hex_color(color)), second_name(beside, j), float(beside.found.scores_b[j]))
-        chosen = (i, j) == chosen_row(state)
+            other = _cells(hollow(color), second_name(beside, j), float(beside.found.scores_b[j]))
         if i is not None and j is not None:
             overlap, hint = iou[i, j], "overlap of the two"
         else:
@@ -140,21 +137,20 @@ def _rows(state: State, beside: Beside) -> str:
             overlap = float(near[i if i is not None else j])
             why = "which stands for another already" if overlap >= MIN_IOU else "too little"
             hint = f"overlap with the nearest of the other detector, {why}"
-        message = f"sv('beside:{-1 if i is None else i},{-1 if j is None else j}')"
+        ends = ",".join(str(-1 if k is None else k) for k in (i, j))
         rows.append(
-            f'<tr class="r{" sel" if chosen else ""}" onclick="{message}">{own}{other}'
-            f'<td class="n dim" title="{hint}">{overlap:.2f}</td></tr>'
-        )
+            h.tr(
+                own, other, h.td(f"{overlap:.2f}", cls="n dim", title=hint), id=f"apart-{ends.replace(',', '-')}",
+                cls="r", do=f"beside:{ends}", aria_current="true" if (i, j) == chosen_row(state) else None,
+            )
+        )  # fmt: skip
     if not rows:
-        return '<div class="dim">They disagree on nothing.</div>'
-    score = '<th class="n" title="the detector\'s own">score</th>'
-    head = f'<tr><th>A</th>{score}<th>B</th>{score}<th class="n">IoU</th></tr>'
-    widths = '<colgroup><col><col class="s"><col><col class="s"><col class="s"></colgroup>'
-    height = 192 if not beside.sums.beyond_a + beside.sums.beyond_b else 218
+        return h.div("They disagree on nothing.", cls="dim")
+    score = h.th("score", cls="n s", title="the detector's own")
+    head = h.tr(h.th("A"), score, h.th("B"), score, h.th("IoU", cls="n s"))
     return (
-        heading(f"Disagreements ({len(rows)})", "<kbd>Shift</kbd> <kbd>J</kbd> next")
-        + f'<div class="scroll" style="--mh:max(150px, calc(50vh - {height}px))"><table class="apart">{widths}{head}'
-        f'{"".join(rows)}</table></div><img src="" style="display:none" onerror="{safe(SHOW_CHOSEN)}">'
+        heading(f"Disagreements ({len(rows)})", h.kbd("Shift"), " ", h.kbd("J"), " next"),
+        h.div(h.table(head, rows, cls="apart"), cls="scroll disagreements"),
     )
 
 
@@ -169,20 +165,19 @@ def chosen_row(state: State) -> tuple[int | None, int | None]:
     return state.selected, second
 
 
-def _cell(mark: str, name: str, score: float) -> str:
-    said = "" if score >= 0.9995 else f"{score:.2f}"
-    hint = safe(name)
-    return f'<td title="{hint}"><span class="name">{mark}<b>{hint}</b></span></td><td class="n dim">{said}</td>'
+def _cells(mark: Element, name: str, score: float) -> tuple[Element, Element]:
+    shown = "" if score >= 0.9995 else f"{score:.2f}"
+    return h.td(h.span(mark, h.b(name), cls="name"), title=name), h.td(shown, cls="n dim")
 
 
-def hollow(color: str) -> str:
+def hollow(color: str) -> Element:
     """The dashed square that marks the second detector's objects."""
-    return f'<span class="hollow" style="--c:{color}"></span>'
+    return h.span(cls="hollow", css={"--c": color})
 
 
-def _beyond(beside: Beside) -> str:
+def _beyond(beside: Beside) -> Element | None:
     sums = beside.sums
     if not sums.beyond_a + sums.beyond_b:
-        return ""
+        return None
     parts = [f"{n} of {name}" for n, name in ((sums.beyond_a, "A"), (sums.beyond_b, "B")) if n]
-    return f'<div class="dim small">Not counted, of classes that the other does not know: {", ".join(parts)}.</div>'
+    return h.div(f"Not counted, of classes that the other does not know: {', '.join(parts)}.", cls="dim small")

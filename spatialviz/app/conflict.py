@@ -12,7 +12,7 @@ from pipeline.corrections.wording import ref_text, value_text
 from pipeline.system.errors import InputError
 from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
-from spatialviz.app.text import safe
+from spatialviz.app.markup import Element, h
 
 
 class Conflicts:
@@ -43,11 +43,11 @@ class Conflicts:
             return
         frame = self._correct.frame_of(conflict)
         found = disputes(conflict, desk.corrector.setting)
-        self._dialog.show(
-            "Somebody was faster", conflict_html(found, frame),
-            *([] if len(found) > 1 else [("Mine instead (M)", "sv('decide:0')"), ("Keep theirs (T)", "sv('decide:')")]),
-            *([("Save as chosen", "svDecide()")] if len(found) > 1 else []),
-        )  # fmt: skip
+        mine = h.button("Mine instead (M)", do="decide:0", aria_keyshortcuts="M")
+        theirs = h.button("Keep theirs (T)", do="decide:", aria_keyshortcuts="T")
+        save = h.button("Save as chosen", local="checked:decide:")
+        buttons = (save,) if len(found) > 1 else (mine, theirs)
+        self._dialog.show("Somebody was faster", conflict_html(found, frame), *buttons)
 
     def decide(self, mine: str) -> None:
         """Save one's own in the disputes that are named: "0,2"."""
@@ -69,37 +69,47 @@ class Conflicts:
             self.show()
 
 
-def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> str:
+def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> Element:
     """Each disputed field: who made it what and when, and what one wanted."""
     rows = []
     for k, dispute in enumerate(found):
         rival = dispute.rivals[0]
         event, cell, edit = rival.event, rival.edit.ref, rival.edit
+        what = ref_text(cell, frame)
         if event is None:
             theirs, who = "not what you saw", "It was taken back in the meantime"
         else:
             theirs = value_text(cell, event.after, frame)
-            who = f"<b>{safe(event.author)}</b> changed it {safe(_when(event.time))}"
-            who += f" · {safe(event.reason)}" if event.reason else ""
-        buttons = ""
-        if len(found) > 1:
-            click = "for(const s of this.parentNode.children)s.classList.toggle('on',s===this)"
-            buttons = (
-                f'<div class="seg pick" data-k="{k}"><span class="on" onclick="{click}">keep theirs</span>'
-                f'<span data-mine="1" onclick="{click}">mine instead</span></div>'
-            )
+            reason = f" · {event.reason}" if event.reason else ""
+            who = (h.b(event.author), f" changed it {_when(event.time)}{reason}")
+        values = (
+            ("you saw", value_text(cell, edit.before, frame)),
+            ("theirs", theirs),
+            ("yours", value_text(cell, edit.after, frame)),
+        )
         rows.append(
-            f'<div class="dispute"><div class="what">{safe(ref_text(cell, frame))}</div><div class="dim">{who}</div>'
-            f'<div class="two"><span>you saw</span><b>{safe(value_text(cell, edit.before, frame))}</b>'
-            f"<span>theirs</span><b>{safe(theirs)}</b>"
-            f"<span>yours</span><b>{safe(value_text(cell, edit.after, frame))}</b></div>{buttons}</div>"
+            h.div(
+                h.div(what, cls="what"),
+                h.div(who, cls="dim"),
+                h.div(((h.span(whose), h.b(value)) for whose, value in values), cls="two"),
+                _choice(k, what) if len(found) > 1 else None,
+                cls="dispute",
+            )
         )
     said = (
         "Nothing of yours was saved, and nothing of theirs is lost."
         if len(found) == 1
         else ("Nothing of yours was saved yet, and nothing of theirs is lost. Choose for each field.")
     )
-    return f'<div class="conflict"><div>{said}</div>{"".join(rows)}</div>'
+    return h.div(h.div(said), rows, cls="conflict")
+
+
+def _choice(k: int, what: str) -> Element:
+    """Theirs or one's own of a disputed field; what is checked is sent when all is decided."""
+    name = f"dispute-{k}"
+    theirs = h.label(h.input(type="radio", name=name, value="", checked=True), "keep theirs")
+    mine = h.label(h.input(type="radio", name=name, value=k), "mine instead")
+    return h.fieldset(h.legend(what, cls="unseen"), theirs, mine, cls="seg pick")
 
 
 def _when(time: datetime) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-import viser
-
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
@@ -15,10 +13,9 @@ from pipeline.corrections.label_editor import LabelEditor, Outcome
 from pipeline.corrections.object_card import expression_cards
 from pipeline.corrections.scene import ASKED_BEYOND_M, PairCard, RelationLine, labelled_objects, pair_card
 from pipeline.corrections.wording import consequences, events_text, outcome_text
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from spatialviz.app.label_view import LabelView, Target
 from spatialviz.app.layout import Page
-from spatialviz.app.place import Place
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.state import Shown, State
 
@@ -28,7 +25,6 @@ class Correct:
 
     Parameters
     ----------
-    client : viser.ClientHandle
     page : Page
     desks : mapping of str to callable
         By name of the source: opens this client's desk.
@@ -47,7 +43,6 @@ class Correct:
 
     def __init__(
         self,
-        client: viser.ClientHandle,
         page: Page,
         desks: Mapping[str, Callable[[], LabelEditor]],
         *,
@@ -58,12 +53,12 @@ class Correct:
         open_frame: Callable[[str], None],
         note: Callable[[str], None],
     ) -> None:
-        self._client, self._page, self._openers = client, page, desks
+        self._page, self._openers = page, desks
         self._state, self._take, self._draw, self._ask, self._note = state, take, draw, ask, note
         self._open_frame = open_frame
         self._desks: dict[str, LabelEditor] = {}
         self._author = ""
-        self.keeps_name = False
+        self.keeps_name = self._token_name = False
         self.on_conflict: Callable[[], None] = lambda: None
         self.on_doubt: Callable[[PairCard, RelationLine, int], None] = lambda card, line, state: None
         self._wanted: Target | None = None
@@ -96,15 +91,18 @@ class Correct:
             self._desks[name].author = self._author or self._desks[name].author
         return self._desks.get(name)
 
-    def signed(self, said: str) -> str:
-        """Take the name that a browser has kept, unless one was given; the rest of what it says comes back."""
-        rest, author = Place.signed(said)
+    def greeted(self, author: str) -> None:
+        """Take the name that a browser has kept, unless one was given."""
         try:
             if author and not self.keeps_name:
                 self.sign(author)
         except InputError as error:
             self._note(str(error))
-        return rest
+
+    def signed_as(self, author: str) -> None:
+        """Correct under the name of whoever's token it is; the page cannot change it."""
+        self.sign(author)
+        self.keeps_name = self._token_name = True
 
     @property
     def open_desk(self) -> LabelEditor | None:
@@ -119,6 +117,7 @@ class Correct:
     def sign(self, author: str) -> None:
         """Save what follows under another name; raises as `LabelEditor.sign`."""
         name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
+        require(not self._token_name, "corrections are under the name of your token", got=name, expected=self._author)
         # All of them, or none.
         for desk in self._desks.values():
             desk.check_name(name)
@@ -239,12 +238,11 @@ class Correct:
 
     def follow(self) -> None:
         """Bring the Review tab up to the state."""
-        if self._page.review_head is None or self._page.review_pair is None:
+        if not self._openers:
             return
         state = self._state()
-        opened = self._openers.get(state.source) is not None
-        self._page.review_head.content = review_head_html(state, opened, self.open_desk)
-        self._page.review_pair.content = pair_html(state)
+        self._page.show("review-head", review_head_html(state, state.source in self._openers, self.open_desk))
+        self._page.show("review-pair", pair_html(state))
 
     # ---- edits ------------------------------------------------------------------------
 
@@ -337,7 +335,7 @@ class Correct:
         if view is not None:
             self._take(replace(self._state(), labels=replace(view, said=said, bad=bad)))
         elif said:
-            self._client.add_notification("Labels", said, auto_close_seconds=8)
+            self._page.toast("Labels", said)
         self._note(said)
         if draw:
             self._draw()
@@ -414,7 +412,7 @@ class Correct:
     def refuse(self, problem: str) -> None:
         """Say why something was not done."""
         self._note(f"not done: {problem}")
-        self._client.add_notification("Not done", problem, auto_close_seconds=8)
+        self._page.toast("Not done", problem)
 
 
 def _looking_at(

@@ -1,21 +1,20 @@
-"""One dialog of a client at a time: HTML over the page, closed by its button or by Escape."""
+"""One dialog of a client at a time, closed by its button or by Escape."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
-import viser
-
-from spatialviz.app.text import BAD, note, panel
+from spatialviz.app.layout import Page
+from spatialviz.app.markup import Child, Element, h
+from spatialviz.app.text import BAD, note
 
 
 class Dialog:
-    """Shows HTML over a client's page.
+    """Shows something over a client's page.
 
     Parameters
     ----------
-    client : viser.ClientHandle
+    page : Page
 
     Attributes
     ----------
@@ -23,43 +22,43 @@ class Dialog:
         Of the dialog that is open; empty where none is.
     """
 
-    def __init__(self, client: viser.ClientHandle) -> None:
-        self._client = client
-        self._modal: Any = None
+    def __init__(self, page: Page) -> None:
+        self._page = page
         self.title = ""
-        self._said: viser.GuiHtmlHandle | None = None
+        self._parts: tuple[Element, Element] = h.div(), h.div()
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
         return {"close-dialog": lambda _: self.close()}
 
-    def show(self, title: str, content: str, *buttons: tuple[str, str]) -> None:
-        """Show HTML, with buttons as (label, JavaScript as it stands in an attribute), and one to close.
+    def show(self, title: str, content: Child, *buttons: Element) -> None:
+        """Show content, with buttons and one more to close; the last of them does what the dialog is for."""
+        row = [b.with_(cls="try go" if k == len(buttons) else "try") for k, b in enumerate(buttons, start=1)]
+        close = h.button("Close", cls="try", do="close-dialog")
+        self.title, self._parts = title, (h.div(content, cls="content"), h.div(row, close, cls="buttons"))
+        self._draw()
 
-        The last one does what the dialog is for.
-        """
-        self.close()
-        self._modal, self.title = self._client.gui.add_modal(title), title
-        row = "".join(
-            f'<span class="try{" go" if k == len(buttons) else ""}" role="button" onclick="{script}">{label}</span>'
-            for k, (label, script) in enumerate(buttons, start=1)
-        )
-        close = '<span class="try" role="button" onclick="sv(\'close-dialog\')">Close</span>'
-        with self._modal:
-            self._client.gui.add_html(panel(content, style="padding:0"))
-            self._said = self._client.gui.add_html("")
-            self._client.gui.add_html(panel(f'<div class="buttons">{row}{close}</div>', style="padding:0"))
+    def copy(self) -> None:
+        """Put the text of its field into the clipboard."""
+        self._page.call("copy")
 
     def refuse(self, problem: str) -> None:
         """Say why something cannot be done: in the open dialog, else in the corner of the page."""
-        if self._said is not None:
-            self._said.content = panel(note(problem, BAD), style="padding:0")
+        if self.title:
+            self._draw(note(problem, BAD))
         else:
-            self._client.add_notification("Not possible", problem, color="red", auto_close_seconds=12)
+            self._page.toast("Not possible", problem, bad=True)
 
     def close(self) -> None:
         """Hide it."""
-        if self._modal is not None:
-            self._modal.close()
-        self._modal = self._said = None
         self.title = ""
+        self._page.show("dialog")
+
+    def _draw(self, problem: Element | None = None) -> None:
+        content, buttons = self._parts
+        # What is refused changes the remark alone: what was typed stays.
+        remark = h.div(problem, id="dialog-problem", role="alert")
+        title = h.h2(self.title, id="dialog-title")
+        self._page.show(
+            "dialog", h.dialog(title, content, remark, buttons, id="dialog-window", aria_labelledby="dialog-title")
+        )

@@ -18,8 +18,9 @@ from pipeline.relations.installed import installed_networks
 from pipeline.relations.relations import Profile
 from spatialviz.app.edit_messages import PROFILE_SETTINGS, WEIGHTS, partners
 from spatialviz.app.edit_scene import map_colors
+from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import dot, heading, panel, safe, segments
+from spatialviz.app.text import button, dot, heading, panel, segments
 
 MODES = {"off": "Off", "move": "Move", "turn": "Turn", "resize": "Resize"}
 AXES = {
@@ -40,72 +41,81 @@ SETTING_NAMES = {
 }
 
 
-def cost_html(state: State, undos: int) -> str:
+def cost_html(state: State, undos: int) -> Element:
     """What the last answer cost, and the way back."""
     edits = each_edit(state.edits)
+    said: Child
     if not edits:
         said = "nothing is edited" if state.trace is not None else "ask something: edits are of a question"
     else:
         assert state.edited is not None or state.trace is None
         cost = "" if state.edited is None else f" · recomputed in {state.edited.seconds * 1000:.1f} ms"
-        said = f"<b>{counted(len(edits), 'edit')}</b>{cost}"
-    undo = button("undo", "sv('edit-undo')", "take the last edit back (Ctrl+Z)", bool(undos))
-    reset = button("reset all", "sv('edit-reset')", "take all edits back (0)", bool(edits))
+        said = h.b(counted(len(edits), "edit")), cost
+    undo = button("undo", "edit-undo", "take the last edit back (Ctrl+Z)", disabled=not undos)
+    reset = button("reset all", "edit-reset", "take all edits back (0)", disabled=not edits)
     return panel(
-        f'<div class="mode">what if · nothing is saved</div><div class="nav"><span class="dim">{said}</span>'
-        f'<span class="chips" style="flex:none">{undo}{reset}</span></div>'
+        h.div("what if · nothing is saved", cls="mode"),
+        h.div(h.span(said, cls="dim"), h.span(undo, reset, cls="chips"), cls="nav"),
     )
 
 
-def edit_html(state: State, source: Pipeline, editable: bool, found: DecisionMap | None) -> str:
+def edit_html(state: State, source: Pipeline, editable: bool, found: DecisionMap | None) -> Element | None:
     """Everything that can be edited; `editable` says whether the selected object is among it."""
     if state.trace is None:
-        return ""
-    return panel(
-        f'<div class="row"><label>Handles</label>{segments("edit-mode", MODES, state.mode)}</div>',
-        _object(state, editable),
-        _pair(state),
-        _map(state, editable, found),
-        _settings(state, source),
-        _list(state),
+        return None
+    return in_parts(
+        handles=row("Handles", segments("edit-mode", MODES, state.mode, "Handles")),
+        object=_object(state, editable),
+        pair=_pair(state),
+        map=_map(state, editable, found),
+        settings=_settings(state, source),
+        list=_list(state),
     )
 
 
-def _object(state: State, editable: bool) -> str:
+def in_parts(**parts: Child) -> Element:
+    """A panel of parts that are sent one by one when they change."""
+    return panel(h.div(part, id=f"edit-{name}") for name, part in parts.items())
+
+
+def row(label: str, *parts: Child, **more: object) -> Element:
+    """A line of the panel under a name at its left."""
+    return h.div(h.span(label, cls="label"), parts, cls="row", **more)
+
+
+def _object(state: State, editable: bool) -> Child:
     i = state.selected
     if i is None or i >= len(state.shown.objects):
-        return heading("Object") + '<div class="dim">Select one: click its row, its pixels or its box.</div>'
+        return heading("Object"), h.div("Select one: click its row, its pixels or its box.", cls="dim")
     entry = state.shown.objects[i]
-    color = palette(state.dark)[state.roles.get(i, "other")]
-    name = f"<b>{dot(color)}{safe(state.shown.names[i])}</b>"
+    name = h.b(dot(palette(state.dark)[state.roles.get(i, "other")]), state.shown.names[i])
     if not editable:
-        return heading(name) + '<div class="dim">Not a candidate of this question: nothing depends on it.</div>'
+        return heading(name), h.div("Not a candidate of this question: nothing depends on it.", cls="dim")
     hidden = f"#{entry.id}" in state.edits.hidden
-    hide = button("show it again" if hidden else "hide it", "sv('edit:hide')", "as if it had not been found")
+    hide = button("show it again" if hidden else "hide it", "edit:hide", "as if it had not been found")
     head = heading(name, hide)
     if hidden:
-        return head + '<div class="dim">Hidden: as if the detector had not found it.</div>'
-    return head + _numbers(state, i) + _confidences(state, i) + _mask_row(state, entry.mask)
+        return head, h.div("Hidden: as if the detector had not found it.", cls="dim")
+    return head, _numbers(state, i), _confidences(state, i), _mask_row(state, entry.mask)
 
 
-def _numbers(state: State, i: int) -> str:
+def _numbers(state: State, i: int) -> Child:
     box = state.shown.objects[i].lifted.box
     if box is None or state.loaded is None:
-        return '<div class="dim">No 3D box: there is no depth in its pixels.</div>'
+        return h.div("No 3D box: there is no depth in its pixels.", cls="dim")
     numbers = box_numbers(box, state.loaded.context.viewer)
     rows = []
     for kind, label in (("center", "Centre"), ("size", "Size")):
-        cells = "".join(
+        cells = (
             field(f"edit:{kind}:{axis}", getattr(numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01", name=word)
             for axis, (word, unit) in enumerate(AXES[kind])
         )
-        rows.append(f'<div class="row"><label>{label}</label><div class="fields">{cells}</div></div>')
+        rows.append(row(label, h.div(cells, cls="fields")))
     turn = field("edit:yaw", numbers.yaw, hint="degrees, from right towards forward", step="1", name="yaw °", digits=1)
-    rows.append(f'<div class="row"><label>Turn</label><div class="fields">{turn}<span></span><span></span></div></div>')
-    return "".join(rows)
+    return rows, row("Turn", h.div(turn, cls="fields"))
 
 
-def _confidences(state: State, i: int) -> str:
+def _confidences(state: State, i: int) -> Child:
     assert state.trace is not None
     rows = []
     for number, (name, candidates) in enumerate(state.trace.candidates.items()):
@@ -117,139 +127,131 @@ def _confidences(state: State, i: int) -> str:
                     f"the detector's confidence that this is “{name}”",
                 )
             )  # fmt: skip
-    return "".join(rows)
+    return rows
 
 
-def _mask_row(state: State, mask: np.ndarray) -> str:
+def _mask_row(state: State, mask: np.ndarray) -> Child:
     buttons = [
-        button(f"{pixels:+d} px".replace("-", "−"), f"sv('edit:mask:grow:{pixels}')", "grow or shrink its pixels")
+        button(f"{pixels:+d} px".replace("-", "−"), f"edit:mask:grow:{pixels}", "grow or shrink its pixels")
         for pixels in GROWTHS
     ]
     if isinstance(state.judged, Diagnosis):
-        buttons.append(button("labelled", "sv('edit:mask:label')", "the pixels of the label in place of its own"))
+        buttons.append(button("labelled", "edit:mask:label", "the pixels of the label in place of its own"))
     if state.pair is not None and state.selected is not None and len(set(state.pair[:2]) - {state.selected}):
         other = state.shown.names[partners(state)[1]]
         hint = f"this one gets the pixels of {other}, and that one its own"
-        buttons.append(button(f"⇄ {other}", "sv('edit:mask:swap')", hint))
+        buttons.append(button(f"⇄ {other}", "edit:mask:swap", hint))
     hint = "Shift and drag over the picture in the Image tab to put a rectangle in place of its pixels."
-    return (
-        f'<div class="row" title="{hint}"><label>Mask</label><div class="chips">{"".join(buttons)}</div></div>'
-        f'<div class="dim" style="font-size:11px;padding-left:60px">{int(mask.sum()):,} pixels · Shift-drag in the '
-        "picture: a rectangle</div>"
-    )
+    size = f"{int(mask.sum()):,} pixels · Shift-drag in the picture: a rectangle"
+    return row("Mask", h.div(buttons, cls="chips"), title=hint), h.div(size, cls="dim under-row")
 
 
-def _pair(state: State) -> str:
+def _pair(state: State) -> Child:
     pair, trace = state.chosen, state.trace
     if pair is None or trace is None or pair.reference is None or pair.second_reference is not None:
-        return ""
+        return None
     relation = trace.relation
     ends = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
     a, b = (state.shown.place[k] for k in ends)
-    names = [safe(state.shown.names[k]) for k in (a, b)]
-    return heading("Chosen pair", f"{names[0]} {PHRASE[relation]} {names[1]}") + _slider(
+    return heading("Chosen pair", f"{state.shown.names[a]} {PHRASE[relation]} {state.shown.names[b]}"), _slider(
         f"relation:{a}:{b}", f"P({PHRASE[relation]})", pair.p_relation,
         "the probability of the asked relation for this pair",
     )  # fmt: skip
 
 
-def _map(state: State, editable: bool, found: DecisionMap | None) -> str:
-    label = "hide the map" if found is not None else "show it"
+def _map(state: State, editable: bool, found: DecisionMap | None) -> Child:
     name = "the selected object"
     if found is not None:
         name = state.named(found.key)
     elif editable and state.selected is not None:
         name = state.shown.names[state.selected]
-    name = safe(name)
     hint = "colours the floor by the answer that would win if the object stood there"
-    head = heading("Decision map", button(label, "sv('edit-map')", hint, found is not None or editable))
+    label = "hide the map" if found is not None else "show it"
+    head = heading("Decision map", button(label, "edit-map", hint, disabled=found is None and not editable))
     if found is None:
-        return head + f'<div class="dim">Which answer wins if {name} stands elsewhere.</div>'
+        return head, h.div(f"Which answer wins if {name} stands elsewhere.", cls="dim")
     colors = map_colors(found)
     winners, counts = np.unique(found.winner, return_counts=True)
-    rows = "".join(
-        f"<span>{dot((int(colors[w][0]), int(colors[w][1]), int(colors[w][2])) if w >= 0 else (150, 150, 150))}"
-        f"{safe(state.named(found.keys[w])) if w >= 0 else 'no pair'} {n / found.winner.size:.0%}"
-        f' <span class="dim">{n:,} cells</span></span>'
+    rows = (
+        h.span(
+            dot((int(colors[w][0]), int(colors[w][1]), int(colors[w][2])) if w >= 0 else (150, 150, 150)),
+            f"{state.named(found.keys[w]) if w >= 0 else 'no pair'} {n / found.winner.size:.0%} ",
+            h.span(f"{n:,} cells", cls="dim"),
+        )
         for n, w in sorted(zip(counts.tolist(), winners.tolist(), strict=True), reverse=True)
     )
-    return (
-        head
-        + f'<div class="dim">Who wins where {name} stands; paler: by less. {found.seconds * 1000:.0f} ms</div>'
-        + f'<div class="legend">{rows}</div>'
-    )
+    cost = f"{found.seconds * 1000:.0f} ms"
+    return head, h.div(f"Who wins where {name} stands; paler: by less. {cost}", cls="dim"), h.div(rows, cls="legend")
 
 
-def _settings(state: State, source: Pipeline) -> str:
+def _settings(state: State, source: Pipeline) -> Child:
     edits, config = state.edits, source.config
     rank, profile = replace(config.rank, **edits.rank), replace(Profile(), **edits.profile)
-    fields = []
+    detector = None
     if not state.trace or not state.trace.exact:
-        for name, value, step in (("k", edits.k or config.k, "1"), ("min_score", edits.min_score or 0.0, "0.01")):
-            fields.append(_setting(name, value, step))
+        fields = _setting("k", edits.k or config.k, "1"), _setting("min_score", edits.min_score or 0.0, "0.01")
+        detector = row("OPM", h.div(fields, cls="fields"))
     weights = [_setting(name, getattr(rank, name), "0.1") for name in WEIGHTS]
     thresholds = [_setting(n, getattr(profile, n), "1" if "cone" in n else "0.01") for n in PROFILE_SETTINGS]
-    scorers = {"own": f"own: {safe(source.scorer.name)}", "trained": "trained", "rule": "rule"}
+    scorers = {"own": f"own: {source.scorer.name}", "trained": "trained", "rule": "rule"}
     own = {n.name: n.name for n in installed_networks()}
     aggregates = {"max": "best pair", "marginal": "sum of pairs"}
-    installed = ""
-    if own:
-        installed = f'<div class="row"><label></label>{segments("edit:set:scorer", own, edits.scorer or "")}</div>'
-    detector = f'<div class="row"><label>OPM</label><div class="fields">{"".join(fields)}<span></span></div></div>'
     return (
-        heading("Settings")
-        + (detector if fields else "")
-        + f'<div class="row"><label>PRM</label><div class="fields">{"".join(weights)}</div></div>'
-        + f'<div class="row"><label></label>{segments("edit:set:aggregate", aggregates, rank.aggregate)}</div>'
-        + f'<div class="row"><label>SRM</label>{segments("edit:set:scorer", scorers, edits.scorer or "own")}</div>'
-        + installed
-        + f'<div class="row"><label>Rule</label><div class="fields four">{"".join(thresholds)}</div></div>'
+        heading("Settings"),
+        detector,
+        row("PRM", h.div(weights, cls="fields")),
+        row("", segments("edit:set:aggregate", aggregates, rank.aggregate, "The best pair, or the sum of pairs")),
+        row("SRM", segments("edit:set:scorer", scorers, edits.scorer or "own", "Relation scorer")),
+        row("", segments("edit:set:scorer", own, edits.scorer or "", "Installed networks")) if own else None,
+        row("Rule", h.div(thresholds, cls="fields four")),
     )
 
 
-def _setting(name: str, value: float, step: str) -> str:
+def _setting(name: str, value: float, step: str) -> Element:
     label, hint = SETTING_NAMES[name]
     return field(f"edit:set:{name}", value, hint=hint, step=step, name=label, digits=None)
 
 
-def _list(state: State) -> str:
+def _list(state: State) -> Child:
     found = each_edit(state.edits, state.named)
     if not found:
-        return ""
+        return None
     color = hex_color(palette(state.dark)["edited"])
-    rows = "".join(
-        f'<div class="edit" style="--c:{color}"><span title="{safe(edit.text)}">{safe(edit.text)}</span>'
-        f'<span class="try" data-id="{safe(edit.id)}" onclick="sv(\'edit-remove:\'+this.dataset.id)" '
-        f'title="take this edit back">×</span></div>'
+    rows = (
+        h.div(
+            h.span(edit.text, title=edit.text),
+            button("×", f"edit-remove:{edit.id}", "take this edit back", aria_label=f"take back: {edit.text}"),
+            cls="edit",
+            css={"--c": color},
+        )
         for edit in found
     )
-    return heading(f"Edits ({len(found)})") + rows
+    return heading(f"Edits ({len(found)})"), rows
 
 
-def button(label: str, click: str, hint: str, possible: bool = True) -> str:
-    way = f'role="button" onclick="{safe(click)}"' if possible else 'aria-disabled="true"'
-    return f'<span class="try" {way} title="{safe(hint)}">{safe(label)}</span>'
-
-
-def field(kind: str, value: float, *, hint: str, step: str, name: str, digits: int | None = 2) -> str:
+def field(kind: str, value: float, *, hint: str, step: str, name: str, digits: int | None = 2) -> Element:
     """A number; Enter, or leaving it, sends "kind:value". One that is not taken falls back to what is."""
     said = f"{value:g}" if digits is None else f"{value:.{digits}f}"
-    back = "const v=this.value;setTimeout(()=>{if(this.value===v)this.value=this.defaultValue},900)"
-    return (
-        f'<label class="field" title="{safe(hint)}"><i>{safe(name)}</i><input type="number" step="{step}" '
-        f'data-of="{kind}" value="{said}" onchange="sv(\'{kind}:\'+this.value);{safe(back)}"></label>'
+    return h.label(
+        h.span(name),
+        h.input(type="number", step=step, value=said, change=kind),
+        id=f"field-{kind}",
+        cls="field",
+        title=hint,
     )
 
 
-def _slider(kind: str, label: str, value: float, hint: str) -> str:
+def _slider(kind: str, label: str, value: float, hint: str) -> Element:
     """A probability; the answer follows while it is dragged."""
-    follow = (
-        "this.style.setProperty('--v',this.value);this.nextElementSibling.textContent=(+this.value).toFixed(2);"
-        f"svLive('edit-live:{kind}:'+this.value)"
-    )
-    done = f"svLive(null);sv('edit:{kind}:'+this.value)"
-    return (
-        f'<div class="slide" title="{safe(hint)}"><span>{safe(label)}</span>'
-        f'<input type="range" min="0" max="1" step="0.01" value="{value:.4f}" style="--v:{value:.4f}" '
-        f'oninput="{safe(follow)}" onchange="{safe(done)}"><b>{value:.2f}</b></div>'
-    )
+    shown = f"{value:.4f}"
+    return h.label(
+        h.span(label),
+        h.input(
+            type="range", min=0, max=1, step="0.01", value=shown, css={"--v": shown},
+            live=f"edit-live:{kind}", change=f"edit:{kind}",
+        ),
+        h.output(f"{value:.2f}"),
+        id=f"slide-{kind}",
+        cls="slide",
+        title=hint,
+    )  # fmt: skip

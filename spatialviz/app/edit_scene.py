@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import viser
 
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
 from pipeline.diagnosis.whatif.region import Region
@@ -17,6 +16,7 @@ from pipeline.relations.relations import letter
 from spatialviz.app.glb import unlit_glb
 from spatialviz.app.relation_region import REACH, asked_pair
 from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import State
 
 HOLDS: RGB = (38, 166, 154)
@@ -38,7 +38,7 @@ def map_colors(found: DecisionMap) -> np.ndarray:
 class EditScene:
     """Draws into one client's scene, beside what `SceneView` draws."""
 
-    def __init__(self, client: viser.ClientHandle, scene: SceneView) -> None:
+    def __init__(self, client: SceneClient, scene: SceneView) -> None:
         self._client, self._scene = client, scene
         self._lines: dict[str, Any] = {}
         self._region: list[Any] = []

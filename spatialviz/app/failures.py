@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color
+from spatialviz.app.markup import Element, h
 from spatialviz.app.run_browser import PAGE, Listing
-from spatialviz.app.text import BAD, note, panel, safe
+from spatialviz.app.text import BAD, heading, note, panel
 
 MEANING = {
     "CORRECT": "the answer is the labelled target",
@@ -24,21 +24,11 @@ MEANING = {
     "COMPOUND": "several modules together",
 }
 """What each verdict says, in a few words."""
-
-
+MARGIN = "S of the best acceptable pair less S of the best other one"
 SORTED = {
-    "margin": "sort by how far the right pair is behind (S of the best acceptable pair less S of the best other one)",
+    "margin": f"sort by how far the right pair is behind ({MARGIN})",
     "verdict": "sort by verdict",
 }
-
-
-def verdict_chip(verdict: str, detail: str | None = None) -> str:
-    """A verdict in its colour, with its detail."""
-    color = hex_color(COLORS[verdict])
-    more = f" <i>{safe(detail.lower().replace('_', ' '))}</i>" if detail else ""
-    return f'<span class="vd" style="--c:{color}" title="{safe(MEANING[verdict])}">{safe(verdict)}{more}</span>'
-
-
 SYNTAX = 'verdict:SRM  class:"trash can",bin  margin<0.1  -lucky  sort:margin'
 SYNTAX_HINT = (
     "All terms must hold; a comma means or, a minus not. field:value, field:none, * for anything; numbers take < <= > "
@@ -47,134 +37,115 @@ SYNTAX_HINT = (
 )
 
 
-def sends(message: str) -> str:
-    """JavaScript that sends a message, as it stands in an attribute."""
-    return safe(f"sv({json.dumps(message)})")
+def verdict_chip(verdict: str, detail: str | None = None) -> Element:
+    """A verdict in its colour, with its detail."""
+    more = (" ", h.i(detail.lower().replace("_", " "))) if detail else None
+    return h.span(verdict, more, cls="vd", css={"--c": hex_color(COLORS[verdict])}, title=MEANING[verdict])
 
 
-def searches(query: str) -> str:
-    """An attribute by which a click lists what a search finds."""
-    return f"onclick=\"event.stopPropagation();svTab('Failures');{sends(f'find:{query}')}\""
+def searches(query: str) -> dict[str, str]:
+    """Attributes by which a click lists what a search finds."""
+    return {"local": "tab:Failures", "do": f"find:{query}"}
 
 
-def search_html(query: str) -> str:
-    """The search field. It is drawn once, so that nothing is lost while one types."""
-    return panel(
-        f'<input class="find runs" value="{safe(query)}" title="{safe(SYNTAX_HINT)}" spellcheck="false" '
-        'autocomplete="off" '
-        'placeholder="search" '
-        'oninput="svTyped(this)" onkeydown="svKey(event,this)">',
-        style="padding:.5em .8em 0",
-    )
+def search_html(query: str) -> Element:
+    """The search field."""
+    field = h.input(
+        cls="find runs", field="find", value=query, title=SYNTAX_HINT, spellcheck="false", autocomplete="off",
+        placeholder="search", aria_label="Search the expressions of the run",
+    )  # fmt: skip
+    return panel(field, cls="search")
 
 
-def offers_html(offered: Sequence[str], query: str | None = None) -> str:
-    """Words that the last one of the search may become, and below how a search is written.
-
-    With `query` the field takes this text.
-    """
-    words = "".join(
-        f'<span class="{"" if k else "on"}" data-w="{safe(word)}" '
-        f'onmousedown="event.preventDefault();svTake(this.dataset.w)">{safe(word)}</span>'
+def offers_html(offered: Sequence[str]) -> Element:
+    """Words that the last one of the search may become, and below how a search is written."""
+    words = (
+        h.button(word, role="option", aria_selected=str(not k).lower(), tabindex="-1", local=f"take:{word}")
         for k, word in enumerate(offered)
     )
-    put = (
-        "" if query is None else (f'<img src="" style="display:none" onerror="{safe(f"svFind({json.dumps(query)})")}">')
-    )
     return panel(
-        f'<div class="cmp">{words}</div>' if words else "",
-        f'<div class="syntax dim" title="{safe(SYNTAX_HINT)}">{safe(SYNTAX)}</div>{put}',
-        style="padding-bottom:.2em",
+        h.div(words, cls="cmp", role="listbox", aria_label="Words to go on with") if offered else None,
+        h.div(SYNTAX, cls="syntax dim", title=SYNTAX_HINT),
+        cls="offered",
     )
 
 
-def no_run_html() -> str:
+def no_run_html() -> Element:
     """What stands there without a run."""
-    return panel(
-        '<div class="dim" style="padding:.7em 0">No run is open. <code>spatialviz eval</code> writes one; open it '
-        "with <code>spatialviz view --run RUN</code>.</div>"
-    )
+    view = h.code("spatialviz view --run RUN")
+    hint = ("No run is open. ", h.code("spatialviz eval"), " writes one; open it with ", view, ".")
+    return panel(h.div(hint, cls="dim hint"))
 
 
-def listing_html(listing: Listing | None, thumbs: dict[str, str]) -> str:
+def listing_html(listing: Listing | None, thumbs: Mapping[str, str]) -> Element:
     """Verdicts of the run as a bar and chips, then the expressions that match the search."""
     if listing is None:
         return no_run_html()
-    error = note(listing.error, BAD) if listing.error else ""
+    error = note(listing.error, BAD) if listing.error else None
     return panel(_verdicts(listing), error, _head(listing), _rows(listing, thumbs))
 
 
-def _verdicts(listing: Listing) -> str:
+def _verdicts(listing: Listing) -> tuple[Element, Element]:
     asked = {word[8:] for word in listing.query.split() if word.startswith("verdict:")}
     bars, chips = [], []
     for verdict in VERDICTS:
         count = listing.counts.get(verdict, 0)
         if not count:
             continue
-        color, share = hex_color(COLORS[verdict]), count / listing.total
+        color, share, on = hex_color(COLORS[verdict]), count / listing.total, verdict in asked
         # The same chip again shows all failures.
-        search = "" if verdict in asked else f"verdict:{verdict}"
-        click = f"sv('find:{search}')"
+        search = "find:" if on else f"find:verdict:{verdict}"
         hint = f"{verdict}: {count} of {listing.total} ({share:.1%}): {MEANING[verdict]}"
-        bars.append(f'<i style="--c:{color};width:{100 * share:.2f}%" onclick="{click}" title="{safe(hint)}"></i>')
+        bars.append(h.i(css={"--c": color, "width": f"{share:.2%}"}, do=search, tabindex="-1", title=hint))
         chips.append(
-            f'<span class="vc{" on" if verdict in asked else ""}" style="--c:{color}" onclick="{click}" '
-            f'title="{safe(hint)}">{verdict} <b>{count}</b></span>'
-        )
-    bar = f'<div class="stack" style="height:12px;cursor:pointer">{"".join(bars)}</div>'
-    return f'{bar}<div class="vcs">{"".join(chips)}</div>'
+            h.button(
+                f"{verdict} ", h.b(count), cls="vc", css={"--c": color}, do=search, title=hint,
+                aria_pressed=str(on).lower(),
+            )
+        )  # fmt: skip
+    return h.div(bars, cls="stack tall"), h.div(chips, cls="vcs")
 
 
-def _head(listing: Listing) -> str:
+def _head(listing: Listing) -> Element:
     place = "" if listing.place is None else f"{listing.place + 1} of "
     first = listing.page * PAGE + 1 if listing.keys else 0
     last = min(first + PAGE - 1, len(listing.keys))
-    pages = (
-        ""
-        if listing.pages == 1
-        else (
-            f'<span class="try" onclick="sv(\'find-page:{listing.page - 1}\')">‹</span> {first}–{last} '
-            f'<span class="try" onclick="sv(\'find-page:{listing.page + 1}\')">›</span>'
-        )
-    )
-    return (
-        f'<div class="h" style="text-transform:none;letter-spacing:0"><b>{place}{len(listing.keys)} found</b>'
-        f"<span>{_orders(listing.query)} &nbsp;{pages}</span></div>"
-    )
+    turned = (("‹", listing.page - 1, "Page before"), ("›", listing.page + 1, "Next page"))
+    back, forth = (h.button(t, cls="try", do=f"find-page:{to}", aria_label=name) for t, to, name in turned)
+    pages = None if listing.pages == 1 else ("\u00a0", back, f" {first}–{last} ", forth)
+    return heading(h.b(f"{place}{len(listing.keys)} found"), _orders(listing.query), pages)
 
 
-def _orders(query: str) -> str:
+def _orders(query: str) -> list[Element | str]:
     """What the list may be sorted by; the same again turns the order round, and once more leaves it."""
     words = query.split()
     plain = [word for word in words if not word.startswith("sort:")]
     now = next((word for word in words if word.startswith("sort:")), "")
-    chips = []
+    chips: list[Element | str] = []
     for name, hint in SORTED.items():
         then = {f"sort:{name}": f"sort:-{name}", f"sort:-{name}": ""}.get(now, f"sort:{name}")
         mark = {f"sort:{name}": " ↑", f"sort:-{name}": " ↓"}.get(now, "")
-        click = safe(f"sv({json.dumps('find:' + ' '.join([*plain, then]).strip())})")
-        on = " on" if mark else ""
-        chips.append(f'<span class="try{on}" title="{safe(hint)}" onclick="{click}">{name}{mark}</span>')
-    return " ".join(chips)
+        search = f"find:{' '.join([*plain, then]).strip()}"
+        on = str(bool(mark)).lower()
+        chips += [h.button(f"{name}{mark}", cls="try", title=hint, do=search, aria_pressed=on), " "]
+    return chips
 
 
-def _rows(listing: Listing, thumbs: dict[str, str]) -> str:
+def _rows(listing: Listing, thumbs: Mapping[str, str]) -> Element:
     rows = []
-    for k, row in enumerate(listing.rows):
-        place = listing.page * PAGE + k
-        here = (row["frame"], row["id"]) == listing.at
-        picture = thumbs.get(row["frame"], "")
-        image = f'<img class="thumb wide" src="{picture}">' if picture else '<span class="thumb wide"></span>'
+    for place, row in enumerate(listing.rows, start=listing.page * PAGE):
+        picture = thumbs.get(row["frame"])
+        image = h.img(src=picture, alt="", cls="thumb wide") if picture else h.span(cls="thumb wide")
         margin = "" if row["margin"] is None else f"{row['margin']:+.2f}"
         luck = " · luck" if row["lucky"] else ""
+        chip = verdict_chip(row["verdict"], row["detail"])
         rows.append(
-            f'<tr class="r{" sel" if here else ""}" onclick="sv(\'failure:{place}\')" title="{safe(row["said"])}">'
-            f'<td style="width:52px">{image}</td>'
-            f'<td class="w" style="width:100%"><b>{safe(row["text"])}</b><div class="dim" style="font-size:11px">'
-            f"{safe(row['frame'])}{luck}</div></td>"
-            f'<td class="n">{verdict_chip(row["verdict"], row["detail"])}<div class="dim" style="font-size:11px" '
-            f'title="S of the best acceptable pair less S of the best other one">{margin}</div></td></tr>'
-        )
-    if not rows:
-        rows = ['<tr><td class="dim">Nothing matches.</td></tr>']
-    return f'<table class="found">{"".join(rows)}</table>'
+            h.tr(
+                h.td(image, cls="shot"),
+                h.td(h.b(row["text"]), h.div(row["frame"], luck, cls="dim small"), cls="w all"),
+                h.td(chip, h.div(margin, cls="dim small", title=MARGIN), cls="n"),
+                id=f"failure-{place}", cls="r", do=f"failure:{place}", title=row["said"],
+                aria_current="true" if (row["frame"], row["id"]) == listing.at else None,
+            )
+        )  # fmt: skip
+    return h.table(rows or h.tr(h.td("Nothing matches.", cls="dim")), cls="found")

@@ -1,53 +1,54 @@
-"""Bring every panel of the page up to a state."""
+"""Bring every region of the page up to a state."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 
 from pipeline.datasets import Dataset, has_moves, moves
-from spatialviz.app import beside_html, bottom, left, right, sentences_html, why
+from spatialviz.app import sentences_html
+from spatialviz.app.answer import answer_html
+from spatialviz.app.bar import problem_html, tasks_html, tools_html, where_html
+from spatialviz.app.beside_html import agreement_html
 from spatialviz.app.layout import Page
+from spatialviz.app.objects import objects_html
+from spatialviz.app.picture import image_html, log_html
+from spatialviz.app.shared import Shared
+from spatialviz.app.stages import stages_html
 from spatialviz.app.state import State
+from spatialviz.app.toolbar import scene_tools_html
 
 
 def fill_page(
     page: Page,
     state: State,
+    shared: Shared,
     *,
     dataset: Dataset,
     can_ask: bool,
-    suggestions: Sequence[str],
     log: Sequence[tuple[str, str]],
-    atomic: Callable[[], AbstractContextManager[None]],
 ) -> None:
-    """Fill all panels at once. Handles whose content would not change send nothing."""
+    """Fill all regions at once. What would not change sends nothing."""
     leads = moves(dataset, state.frame_id) if has_moves(dataset) else None
-    with atomic():
-        page.ask.disabled = not can_ask
-        place, count = dataset.frame_ids.index(state.frame_id), len(dataset.frame_ids)
-        page.steps.content = left.frame_html(place, count, leads)
-        page.parse.content = left.parse_html(state, suggestions)
-        page.controls.content = left.controls_html(state)
-        page.objects.content = left.objects_html(state, moving=leads is not None)
+    page.call("theme", "dark" if state.dark else "light")
+    page.call("task", state.task)
+    page.call("working", "")
+    with page.together():
+        page.show("where", where_html(state, tuple(shared.store.sources), dataset.frame_ids, leads))
+        page.show("tasks", tasks_html(state, bool(shared.runs), bool(shared.journals)))
+        page.show("tools", tools_html())
+        page.show("problem", problem_html(state))
+        page.show("scene-tools", scene_tools_html(state))
+        page.show("objects", objects_html(state))
         fill_answer(page, state, can_ask)
-        page.object.content = right.object_html(state)
-        if page.agreement is not None:
-            page.agreement.content = beside_html.agreement_html(state)
-        page.image.content = bottom.image_html(state)
-        page.log.content = bottom.log_html(log)
+        page.show("agreement", agreement_html(state))
+        page.show("image", image_html(state))
+        page.show("log", log_html(log))
 
 
 def fill_answer(page: Page, state: State, can_ask: bool = True) -> None:
     """Fill what follows a box that is dragged."""
-    page.modules.content = left.modules_html(state)
-    if state.labels is not None:
-        page.answer.content = sentences_html.sentence_html(state)
-        page.pairs.content = sentences_html.expressions_html(state)
-        page.relations.content = sentences_html.history_html(state)
-        page.why.content = why.why_html(state)
-        return
-    page.answer.content = right.answer_html(state, can_ask)
-    page.pairs.content = right.pairs_html(state)
-    page.relations.content = right.relations_html(state)
-    page.why.content = why.why_html(state)
+    labels = state.labels is not None
+    page.show("answer", sentences_html.sentence_html(state) if labels else answer_html(state, can_ask))
+    page.show("stages", None if labels else stages_html(state, state.stage))
+    page.show("expressions", sentences_html.expressions_html(state) if labels else None)
+    page.show("history", sentences_html.history_html(state) if labels else None)

@@ -6,11 +6,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import viser
-
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import State
 
 WORDS_SECONDS = 0.05
@@ -22,13 +21,13 @@ class FrameCloud:
 
     Parameters
     ----------
-    client : viser.ClientHandle
+    client : SceneClient
     scene : SceneView
     show_context : callable
         Shows the room around another frame.
     """
 
-    def __init__(self, client: viser.ClientHandle, scene: SceneView, show_context: Callable[[], None]) -> None:
+    def __init__(self, client: SceneClient, scene: SceneView, show_context: Callable[[], None]) -> None:
         self._client, self._scene, self._show_context = client, scene, show_context
         self._loaded: LoadedFrame | None = None
         self._painted: tuple[Any, ...] = ()

@@ -10,11 +10,11 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-import viser
 import viser.transforms as vtf
 
 from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
+from spatialviz.app.scene_client import SceneClient
 
 EditMode = Literal["off", "move", "turn", "resize"]
 MODES: tuple[EditMode, ...] = ("off", "move", "turn", "resize")
@@ -26,7 +26,7 @@ class BoxGizmo:
 
     Parameters
     ----------
-    client : viser.ClientHandle
+    client : SceneClient
     dragged : callable
         Gets the box as it is now, and whether the handle was let go. It is called on viser's own loop, in order, and
         must return at once.
@@ -34,7 +34,7 @@ class BoxGizmo:
         Scene node under which they stand.
     """
 
-    def __init__(self, client: viser.ClientHandle, dragged: Callable[[Box3D, bool], None], root: str = "/edit") -> None:
+    def __init__(self, client: SceneClient, dragged: Callable[[Box3D, bool], None], root: str = "/edit") -> None:
         self._client, self._dragged, self._root = client, dragged, root
         self._main: Any = None
         self._faces: list[Any] = []

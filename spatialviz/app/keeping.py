@@ -8,8 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import viser
-
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.answer import Answer
@@ -22,8 +20,9 @@ from pipeline.evaluation.shared_makers import shares_of_answer
 from pipeline.system.errors import InputError
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.judging import Judge
+from spatialviz.app.layout import Page
+from spatialviz.app.markup import h
 from spatialviz.app.state import State
-from spatialviz.app.text import safe
 from spatialviz.report import Subject, failure_page
 
 CASES = "cases"
@@ -41,7 +40,7 @@ class Keeping:
 
     Parameters
     ----------
-    client : viser.ClientHandle
+    page : Page
     dialog : Dialog
     sources : mapping of str to Source
     runs : mapping of str to Run
@@ -59,7 +58,7 @@ class Keeping:
 
     def __init__(
         self,
-        client: viser.ClientHandle,
+        page: Page,
         dialog: Dialog,
         sources: Mapping[str, Pipeline],
         runs: Mapping[str, Run],
@@ -70,7 +69,7 @@ class Keeping:
         view: Callable[[], ViewState],
         note: Callable[[str], None],
     ) -> None:
-        self._client, self._dialog, self._sources, self._runs, self._judge = client, dialog, sources, runs, judge
+        self._page, self._dialog, self._sources, self._runs, self._judge = page, dialog, sources, runs, judge
         self._opened_by, self._state, self._view, self._note = tuple(opened_by), state, view, note
 
     def commands(self) -> dict[str, Callable[[str], None]]:
@@ -88,15 +87,19 @@ class Keeping:
             self._fail(InputError("there is no answer to save", cause="ask something first"))
             return
         name = folder_name(f"{state.text}-{state.frame_id}")
+        field = h.input(
+            cls="find", value=name, enter="save-case", autofocus=True, spellcheck="false", autocomplete="off",
+            aria_label="Name of the folder",
+        )  # fmt: skip
+        hint = (
+            "A small folder with the picture, the detections and the answer. ",
+            h.code("spatialviz replay"),
+            " runs it again and says whether the answer is still the same.",
+        )
         self._dialog.show(
             "Save this answer as a case",
-            f'<div class="field"><span class="dim">{CASES}/</span><input class="find" value="{safe(name)}" '
-            'spellcheck="false" autocomplete="off" '
-            "onkeydown=\"if(event.key==='Enter')svSend(this,'save-case:')\"></div>"
-            '<div class="dim small">A small folder with the picture, the detections and the answer. '
-            "<code>spatialviz replay</code> runs it again and says whether the answer is still the same.</div>"
-            '<img src="" style="display:none" onerror="svFocus(this)">',
-            ("Save", "svSend(this,'save-case:')"),
+            (h.div(h.span(f"{CASES}/", cls="dim"), field, cls="case"), h.div(hint, cls="dim small")),
+            h.button("Save", local="send:save-case:"),
         )
 
     def save(self, name: str) -> None:
@@ -120,28 +123,28 @@ class Keeping:
         self._note(f"case saved: {replay}")
         self._dialog.show(
             "Saved",
-            f"<div>The case is in <code>{safe(folder.resolve())}</code>. Run it again with</div>"
-            f'<textarea class="state" rows="2" readonly spellcheck="false">{safe(replay)}</textarea>'
-            '<div class="copied" role="status"></div>',
-            ("Copy the command", "svCopy(this)"),
+            (
+                h.div("The case is in ", h.code(str(folder.resolve())), ". Run it again with"),
+                h.textarea(replay, cls="state", rows=2, readonly=True, spellcheck="false", aria_label="Command"),
+                h.div(cls="copied", role="status"),
+            ),
+            h.button("Copy the command", local="copy"),
         )
 
     def report(self) -> None:
         """Send the answer as one page that holds all it needs."""
         from spatialviz.report.scene import scene_html
 
-        working = self._client.add_notification("Report", "The page is being made.", loading=True)
+        self._page.toast("Report", "The page is being made.")
         try:
             source, context, state, given = self._given()
             answered = answer(source, context, state.text, **given)
-            page = failure_page(answered, source, context, self._subject(answered), scene_html(answered, context))
+            report = failure_page(answered, source, context, self._subject(answered), scene_html(answered, context))
         except InputError as error:
             self._fail(error)
             return
-        finally:
-            working.remove()
         name = f"{folder_name(f'{state.text}-{state.frame_id}') or 'answer'}.html"
-        self._client.send_file_download(name, page.encode("utf-8", "replace"), save_immediately=True)
+        self._page.download(name, report.encode("utf-8", "replace"))
         self._note(f"report made: {name}")
 
     def _given(self) -> tuple[Pipeline, PreparedFrame, State, dict[str, Any]]:

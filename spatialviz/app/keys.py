@@ -1,98 +1,122 @@
-"""Keys for everything, and the page that lists them."""
+"""Keys for everything, the list of them, and the search for a command."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping
 
-import viser
+from spatialviz.app.dialog import Dialog
+from spatialviz.app.layout import Page
+from spatialviz.app.markup import Element, h
 
-from spatialviz.app.text import safe
+Rows = tuple[tuple[str, str, str], ...]
+"""(key, what it does, message); a key without a message is the browser's own."""
 
-KEYS: tuple[tuple[str, str, str], ...] = (
-    ("R", "Ask again", "again"),
-    ("J", "Next ranked pair", "next-pair:1"),
-    ("K", "Previous ranked pair", "next-pair:-1"),
-    ("N", "Next frame", "next-frame:1"),
-    ("P", "Previous frame", "next-frame:-1"),
-    ("T", "Next failure of the list", "next-failure:1"),
-    ("I", "Previous failure of the list", "next-failure:-1"),
-    ("1", "Camera: sensor", "camera:sensor"),
-    ("2", "Camera: orbit", "camera:orbit"),
-    ("3", "Camera: top", "camera:top"),
-    ("F", "Look at the selected object", "focus"),
-    ("C", "Next way to paint the cloud", "next-color"),
-    ("V", "Show or hide the cloud", "flag:cloud"),
-    ("B", "Show or hide other boxes", "flag:boxes"),
-    ("L", "Show or hide names", "flag:labels"),
-    ("O", "Show or hide pair lines", "flag:pairs"),
-    ("G", "Show or hide exact boxes", "flag:truth"),
-    ("Z", "Show or hide the labelled pair", "flag:ghosts"),
-    ("Y", "Show or hide the viewer's axes at the reference", "flag:axes"),
-    ("U", "Show or hide the room around the frame", "flag:context"),
-    ("Shift+C", "Copy the view as a string", "copy-state"),
-    ("Shift+V", "Open a view from its string", "paste-state"),
-    ("Shift+K", "Save the answer as a case", "keep-case"),
-    ("Shift+P", "Report of the answer as one page", "report"),
-    ("Shift+U", "Say which surface is level: click it next", "level"),
-    ("M", "Dark or light", "theme"),
-    ("X", "Clear the question", "clear"),
-    ("Shift+E", "Handles: move, turn, resize, off", "edit-mode:next"),
-    ("Shift+H", "Hide the selected object, or show it again", "edit:hide"),
-    ("Shift+R", "Show or hide the region of the asked relation", "flag:region"),
-    ("Shift+F", "Show or hide the decision map", "edit-map"),
-    ("Ctrl+Z", "Take the last edit back", "edit-undo"),
-    ("0", "Take all edits back", "edit-reset"),
-    ("Shift+M", "Correct the label that the verdict is by", "mend"),
-    ("Shift+L", "Show the labels to correct them, or the answer again", "labels"),
-    ("H", "List the keys (or ?)", "help"),
-)
+KEYS: Mapping[str, Rows] = {
+    "Asking": (
+        ("/", "Type a question", ""),
+        ("R", "Ask again", "again"),
+        ("X", "Clear the question", "clear"),
+        ("Ctrl+K", "Find any command", "commands"),
+        ("H", "List the keys (or ?)", "help"),
+    ),
+    "Moving through": (
+        ("J", "Next ranked pair", "next-pair:1"),
+        ("K", "Previous ranked pair", "next-pair:-1"),
+        ("N", "Next frame", "next-frame:1"),
+        ("P", "Previous frame", "next-frame:-1"),
+        ("T", "Next failure of the list", "next-failure:1"),
+        ("I", "Previous failure of the list", "next-failure:-1"),
+    ),
+    "Looking": (
+        ("1", "Camera: sensor", "camera:sensor"),
+        ("2", "Camera: orbit", "camera:orbit"),
+        ("3", "Camera: top", "camera:top"),
+        ("F", "Look at the selected object", "focus"),
+        ("C", "Next way to paint the cloud", "next-color"),
+        ("V", "Show or hide the cloud", "flag:cloud"),
+        ("B", "Show or hide other boxes", "flag:boxes"),
+        ("L", "Show or hide names", "flag:labels"),
+        ("O", "Show or hide pair lines", "flag:pairs"),
+        ("G", "Show or hide exact boxes", "flag:truth"),
+        ("Z", "Show or hide the labelled pair", "flag:ghosts"),
+        ("Y", "Show or hide the viewer's axes at the reference", "flag:axes"),
+        ("U", "Show or hide the room around the frame", "flag:context"),
+        ("Shift+R", "Show or hide the region of the asked relation", "flag:region"),
+        ("Shift+F", "Show or hide the decision map", "edit-map"),
+        ("Shift+U", "Say which surface is level: click it next", "level"),
+        ("M", "Dark or light", "theme"),
+    ),
+    "Keeping": (
+        ("Shift+C", "Copy the view as a string", "copy-state"),
+        ("Shift+V", "Open a view from its string", "paste-state"),
+        ("Shift+K", "Save the answer as a case", "keep-case"),
+        ("Shift+P", "Report of the answer as one page", "report"),
+    ),
+    "Editing": (
+        ("Shift+E", "Handles: move, turn, resize, off", "edit-mode:next"),
+        ("Shift+H", "Hide the selected object, or show it again", "edit:hide"),
+        ("Ctrl+Z", "Take the last edit back", "edit-undo"),
+        ("0", "Take all edits back", "edit-reset"),
+        ("Shift+M", "Correct the label that the verdict is by", "mend"),
+        ("Shift+L", "Show the labels to correct them, or the answer again", "labels"),
+    ),
+}
 
-LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
-    ("T", "Label: true", "settle:T"),
-    ("U", "Label: undecided", "settle:U"),
-    ("F", "Label: false", "settle:F"),
-    ("J", "Next item of the queue", "next-item:1"),
-    ("K", "Previous item of the queue", "next-item:-1"),
-    ("I", "Next relation of the pair", "next-row:1"),
-    ("Y", "Accept the item, or the selected object", "accept-item"),
-    ("Shift+Y", "Reject it", "reject-item"),
-    ("Shift+U", "Unsure of it", "unsure-item"),
-    ("Shift+G", "Retrain on the labels as they are", "retrain"),
-    ("X", "The pair the other way round", "swap"),
-    ("Shift+F", "Look at the selected object", "focus"),
-    ("Shift+I", "Edit the pixels of the selected object", "px-tool:brush"),
-    ("Shift+X", "Cut the selected object in parts", "px-tool:cut"),
-    ("Shift+N", "New object, drawn on the picture", "px-new"),
-    ("Shift+T", "New object, by clicks in the scene", "px-new:scene"),
-    ("Shift+M", "Merge the selected object into the one before", "px-merge"),
-    ("Alt+J", "Next expression", "next-expression:1"),
-    ("Alt+I", "Edit the expression's text", "edit-text"),
-    ("Alt+T", "The expression is true of the selected object, or not", "true-of:sure"),
-    ("Alt+U", "The expression may be true of the selected object, or not", "true-of:likely"),
-    ("Alt+B", "Several objects are an acceptable answer, or one", "ambiguous"),
-    ("Alt+M", "Mark the expression: label wrong, box wrong, neither", "mark:next"),
-    ("Alt+Y", "Accept the expression", "expression-status:accepted"),
-    ("Alt+N", "Reject the expression", "expression-status:rejected"),
-    ("Ctrl+Z", "Undo", "take-back"),
-    ("Ctrl+Y", "Redo", "bring-back"),
-    ("Shift+O", "Name the class of the object", "class-focus"),
-    ("Shift+J", "Fit the box to its points", "box-fit"),
-    ("Shift+B", "Extend the box to what the object stands on", "box-snap:extend"),
-    ("Shift+Z", "Set the box down on what the object stands on", "box-snap:move"),
-)
+LABEL_KEYS: Mapping[str, Rows] = {
+    "Relation labels": (
+        ("T", "Label: true", "settle:T"),
+        ("U", "Label: undecided", "settle:U"),
+        ("F", "Label: false", "settle:F"),
+        ("I", "Next relation of the pair", "next-row:1"),
+        ("X", "The pair the other way round", "swap"),
+        ("Y", "Accept the item, or the selected object", "accept-item"),
+        ("Shift+Y", "Reject it", "reject-item"),
+        ("Shift+U", "Unsure of it", "unsure-item"),
+        ("J", "Next item of the queue", "next-item:1"),
+        ("K", "Previous item of the queue", "next-item:-1"),
+    ),
+    "Objects": (
+        ("Shift+F", "Look at the selected object", "focus"),
+        ("Shift+O", "Name the class of the object", "class-focus"),
+        ("Shift+J", "Fit the box to its points", "box-fit"),
+        ("Shift+B", "Extend the box to what the object stands on", "box-snap:extend"),
+        ("Shift+Z", "Set the box down on what the object stands on", "box-snap:move"),
+    ),
+    "Pixels": (
+        ("Shift+I", "Edit the pixels of the selected object", "px-tool:brush"),
+        ("Shift+X", "Cut the selected object in parts", "px-tool:cut"),
+        ("Shift+N", "New object, drawn on the picture", "px-new"),
+        ("Shift+T", "New object, by clicks in the scene", "px-new:scene"),
+        ("Shift+M", "Merge the selected object into the one before", "px-merge"),
+    ),
+    "Sentences": (
+        ("Alt+J", "Next expression", "next-expression:1"),
+        ("Alt+I", "Edit the expression's text", "edit-text"),
+        ("Alt+T", "The expression is true of the selected object, or not", "true-of:sure"),
+        ("Alt+U", "The expression may be true of the selected object, or not", "true-of:likely"),
+        ("Alt+B", "Several objects are an acceptable answer, or one", "ambiguous"),
+        ("Alt+M", "Mark the expression: label wrong, box wrong, neither", "mark:next"),
+        ("Alt+Y", "Accept the expression", "expression-status:accepted"),
+        ("Alt+N", "Reject the expression", "expression-status:rejected"),
+    ),
+    "History": (
+        ("Ctrl+Z", "Undo", "take-back"),
+        ("Ctrl+Y", "Redo", "bring-back"),
+        ("Shift+G", "Retrain on the labels as they are", "retrain"),
+    ),
+}
 """What keys mean while labels are shown; all others mean the same as ever."""
 
 KEYS_OF_ONE = "Of one object, or a sentence: Y accepts, Shift+Y rejects, Shift+U is unsure"
 
-LAYER_KEYS: tuple[tuple[str, str, str], ...] = (
+LAYER_KEYS: Rows = (
     ("Shift+B", "Boxes of both detectors, of the own, of the second", "layer:next"),
     ("Shift+J", "Next disagreement of the two detectors", "next-disagreement:1"),
     ("Shift+O", "Previous disagreement of the two detectors", "next-disagreement:-1"),
 )
 """The keys where a second detector stands beside the own one."""
 
-MOVE_KEYS: tuple[tuple[str, str, str], ...] = (
+MOVE_KEYS: Rows = (
     ("7", "Turn left", "move:rotate_ccw"),
     ("8", "Step forward", "move:forward"),
     ("9", "Turn right", "move:rotate_cw"),
@@ -102,13 +126,29 @@ MOVE_KEYS: tuple[tuple[str, str, str], ...] = (
 )
 """The keys of datasets with moves: two rows of a number pad, and the rows of the buttons."""
 
+MOUSE: Mapping[str, Rows] = {
+    "Mouse and keys in the scene": (
+        ("Drag", "Turn the view", ""),
+        ("Right drag", "Move the view", ""),
+        ("Wheel", "Nearer, or farther", ""),
+        ("Click", "Select the object", ""),
+        ("W A S D Q E", "Move the camera", ""),
+        ("Arrows", "Turn the view", ""),
+    ),
+    "Mouse in the picture": (
+        ("Click", "Select the object", ""),
+        ("Shift+Drag", "A rectangle: the pixels of the selected object, or while labels are shown a new one", ""),
+    ),
+}
 
-MODIFIERS = {"": None, "Shift": "shift", "Ctrl": "cmd/ctrl", "Alt": "alt"}
+LIST, SEARCH = "Keys", "Find a command"
+"""Titles of the dialogs."""
 
 
-def keys_of(moving: bool, beside: bool = False) -> tuple[tuple[str, str, str], ...]:
-    """(key, what it does, message) of every key; those of moves and of a second detector only where there are any."""
-    return (*KEYS, *(LAYER_KEYS if beside else ()), *(MOVE_KEYS if moving else ()))
+def keys_of(moving: bool, beside: bool = False) -> dict[str, Rows]:
+    """Every key by what it is for; those of moves and of a second detector only where there are any."""
+    second = {"Two detectors": LAYER_KEYS} if beside else {}
+    return {**KEYS, **second, **({"Moves": MOVE_KEYS} if moving else {})}
 
 
 def meant(message: str, correcting: bool) -> str:
@@ -116,83 +156,101 @@ def meant(message: str, correcting: bool) -> str:
     kind, _, pressed = message.partition(":")
     if kind != "key":
         return message
-    rows = (*LABEL_KEYS, *KEYS, *MOVE_KEYS) if correcting else (*KEYS, *LAYER_KEYS, *MOVE_KEYS)
-    return next((m for key, _, m in rows if key == pressed), "")
+    always = keys_of(moving=True, beside=not correcting)
+    groups = (*(LABEL_KEYS if correcting else {}).values(), *always.values())
+    return next((m for rows in groups for key, _, m in rows if key == pressed), "")
 
 
-def _pressed(key: str) -> str:
-    return " ".join(f"<kbd>{safe(part)}</kbd>" for part in key.split("+"))
+class Keys:
+    """The keys of one client: the page listens for them and sends "key:T"; two dialogs say what they do.
 
-
-def help_html(moving: bool, correcting: bool, beside: bool = False, labelling: bool = False) -> str:
-    """The keys as a list; with `correcting` those of labels beside, which come first while labels are shown."""
-    taken = {key for key, _, _ in LABEL_KEYS} if labelling else set[str]()
-    general = [("/", "Type a question"), *((k, label) for k, label, _ in keys_of(moving, beside) if k not in taken)]
-    lists = [_keys_html("", [*general, ("Ctrl+K", "Find any command")])]
-    if correcting:
-        lists.append(_keys_html("While labels are shown", [(k, label) for k, label, _ in LABEL_KEYS]))
-    beside_each_other = " two" if correcting else ""
-    return f'<div class="sv keylists{beside_each_other}">{"".join(lists[::-1] if labelling else lists)}</div>'
-
-
-def _keys_html(title: str, rows: Sequence[tuple[str, str]]) -> str:
-    head = f'<b class="sec">{title}</b>' if title else ""
-    cells = "".join(f"<span>{_pressed(key)}</span><span>{safe(label)}</span>" for key, label in rows)
-    return f'<div class="keys">{head}{cells}</div>'
-
-
-def add_keys(
-    client: viser.ClientHandle, post: Callable[[str], None], moving: bool, correcting: bool, beside: bool = False
-) -> None:
-    """Register every key as a command of this client; with `correcting`, those of labels, too."""
-    labels = {key: label for key, label, _ in LABEL_KEYS} if correcting else {}
-    rows = {key: label for key, label, _ in keys_of(moving, beside)}
-    for key in {**rows, **labels}:
-        said = rows[key] if key not in labels else f"{rows[key]} | {labels[key]}" if key in rows else labels[key]
-        held, _, pressed = key.rpartition("+")
-        hotkey: Any = pressed
-        modifier: Any = MODIFIERS[held]
-        command = client.gui.add_command(said, hotkey=hotkey, modifier=modifier)
-
-        def trigger(event: Any, key: str = key) -> None:
-            post(f"key:{key}")
-
-        command.on_trigger(trigger)
-
-
-class HelpDialog:
-    """The list of keys as a dialog; the key that opens it closes it, as Escape does."""
+    Parameters
+    ----------
+    page : Page
+    dialog : Dialog
+    handle : callable
+        Handles a message.
+    labelling : callable
+        Whether labels are shown.
+    moving, correcting, beside : bool
+        Whether there are moves, labels to correct, a second detector.
+    """
 
     def __init__(
         self,
-        client: viser.ClientHandle,
-        post: Callable[[str], None],
+        page: Page,
+        dialog: Dialog,
+        handle: Callable[[str], None],
+        labelling: Callable[[], bool],
+        *,
         moving: bool,
         correcting: bool,
-        beside: bool = False,
-        labelling: Callable[[], bool] = lambda: False,
+        beside: bool,
     ) -> None:
-        self._client = client
-        self._html = lambda: help_html(moving, correcting, beside, labelling())
-        self._post = post
-        self._modal: Any = None
+        self._dialog, self._handle, self._labelling = dialog, handle, labelling
+        self._always, self._labels = keys_of(moving, beside), LABEL_KEYS if correcting else {}
+        every = (*self._always.values(), *self._labels.values())
+        page.call("keys", list(dict.fromkeys(key for rows in every for key, _, message in rows if message)))
+
+    def commands(self) -> dict[str, Callable[[str], None]]:
+        """What the page may ask for, by the first word of its message."""
+        return {"help": lambda _: self.toggle(), "commands": lambda _: self.search(), "run": self.run}
 
     def toggle(self) -> None:
-        """Show it, or hide it where it is shown."""
-        if self._modal is not None:
-            self.close()
-            return
-        self._modal = self._client.gui.add_modal("Keys")
-        with self._modal:
-            self._client.gui.add_html(self._html())
-            button = self._client.gui.add_button("Close")
+        """Show the list of keys, or hide it where it is shown."""
+        if self._dialog.title == LIST:
+            self._dialog.close()
+        else:
+            self._dialog.show(LIST, help_html(self._general, self._labels, self._labelling()))
 
-        @button.on_click
-        async def _(event: viser.GuiEvent) -> None:
-            self._post("close-help")
+    def search(self) -> None:
+        """Show every command, to be found by its name or key."""
+        now = {**(self._labels if self._labelling() else {}), **self._general}
+        self._dialog.show(SEARCH, commands_html(now))
 
-    def close(self) -> None:
-        """Hide it."""
-        if self._modal is not None:
-            self._modal.close()
-            self._modal = None
+    def run(self, key: str) -> None:
+        """Carry out the command of a key."""
+        self._dialog.close()
+        self._handle(f"key:{key}")
+
+    @property
+    def _general(self) -> dict[str, Rows]:
+        """Keys that mean now what they mean without labels."""
+        labels = self._labels.values() if self._labelling() else ()
+        taken = {key for rows in labels for key, _, _ in rows}
+        return {group: tuple(r for r in rows if r[0] not in taken) for group, rows in self._always.items()}
+
+
+def help_html(general: Mapping[str, Rows], labels: Mapping[str, Rows], labelling: bool) -> Element:
+    """The keys and the mouse's ways as lists; those of labels come first while labels are shown."""
+    parts = [h.div(_groups({**general, **MOUSE}), cls="part")]
+    if labels:
+        parts.append(h.div(h.h3("While labels are shown"), _groups(labels), cls="part"))
+    return h.div(parts[::-1] if labelling else parts, cls="keylists")
+
+
+def _groups(groups: Mapping[str, Rows]) -> list[Element]:
+    return [
+        h.section(h.h4(group), h.dl(((h.dt(_pressed(key)), h.dd(label)) for key, label, _ in rows), cls="keys"))
+        for group, rows in groups.items()
+        if rows
+    ]
+
+
+def commands_html(groups: Mapping[str, Rows]) -> Element:
+    """A field, and every command, to be narrowed by what is typed."""
+    field = h.input(
+        cls="find", field="commands", autofocus=True, spellcheck="false", autocomplete="off",
+        placeholder="a command or its key", aria_label="Command or key",
+    )  # fmt: skip
+    rows = (
+        h.button(h.span(label), _pressed(key), role="option", aria_selected="false", tabindex="-1", do=f"run:{key}")
+        for group in groups.values()
+        for key, label, message in group
+        if message
+    )
+    return h.div(field, h.div(rows, cls="commands", role="listbox", aria_label="Commands"))
+
+
+def _pressed(key: str) -> Element:
+    return h.span(h.kbd(part) for part in key.split("+"))

@@ -7,7 +7,6 @@ from dataclasses import replace
 from threading import Lock
 
 import numpy as np
-import viser
 
 from pipeline.corrections.journal.edits import Edits, set_box, set_class, set_status
 from pipeline.corrections.journal.effective import Corrector
@@ -23,16 +22,17 @@ from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, box_numbers, with
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.palette import palette
 from pipeline.system.errors import InputError
-from spatialviz.app.bridge import Bridge
 from spatialviz.app.correct import Correct
 from spatialviz.app.gizmo import BoxGizmo
 from spatialviz.app.label_object_html import STATUS_WORDS, numbers_said, object_html, rejected_html, saved_html
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.layout import Page
+from spatialviz.app.markup import h
 from spatialviz.app.review_html import pair_html
 from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import State
-from spatialviz.app.text import panel, safe
+from spatialviz.app.text import panel
 
 FARTHEST = 1000.0
 """Metres: no typed side or place of a box is beyond; a number that slipped would otherwise be saved."""
@@ -43,10 +43,9 @@ class LabelObject:
 
     Parameters
     ----------
-    client : viser.ClientHandle
+    client : SceneClient
     page : Page
     scene : SceneView
-    bridge : Bridge
     correct : Correct
         Saves.
     state : callable
@@ -57,22 +56,24 @@ class LabelObject:
         Draws all of the page; with True what follows a drag.
     note : callable
         Writes a line of the log.
+    post : callable
+        Runs something later, on the client's own thread.
     """
 
     def __init__(
         self,
-        client: viser.ClientHandle,
+        client: SceneClient,
         page: Page,
         scene: SceneView,
-        bridge: Bridge,
         correct: Correct,
         *,
         state: Callable[[], State],
         take: Callable[[State], None],
         draw: Callable[[bool], None],
         note: Callable[[str], None],
+        post: Callable[[Callable[[], None]], None],
     ) -> None:
-        self._client, self._page, self._scene, self._bridge, self._correct = client, page, scene, bridge, correct
+        self._page, self._scene, self._correct, self._post = page, scene, correct, post
         self._state, self._take, self._draw, self._note = state, take, draw, note
         self._words: dict[str, Vocabulary] = {}
         self._asked: tuple[str, int, str] | None = None
@@ -89,7 +90,7 @@ class LabelObject:
         return {
             "class": self.name_class,
             "class-typed": self._complete,
-            "class-focus": lambda _: self._bridge.call("svFocusClass", None),
+            "class-focus": lambda _: self._page.call("focusClass"),
             "object-status": self.set_status,
             "object-back": self.bring_back,
             "box-set": self._set_number,
@@ -135,7 +136,7 @@ class LabelObject:
             return
         self._asked = None
         found = completions(typed, self._vocabulary(desk))
-        self._bridge.call("svOffer", {"typed": typed, "offers": [c.record() for c in found]})
+        self._page.call("offer", {"typed": typed, "offers": [c.record() for c in found]})
 
     def name_class(self, name: str) -> None:
         """Save another class name; one that no class has is asked for twice."""
@@ -153,7 +154,7 @@ class LabelObject:
             self._asked = asked
             said = f"No class is called “{name}” yet: Enter again makes it one."
             offers = [c.record() for c in completions(name, words) if c.known]
-            self._bridge.call("svOffer", {"offers": offers, "note": said})
+            self._page.call("offer", {"offers": offers, "note": said})
             return
         self._asked = None
         if self._edit(lambda f, n, c: set_class(f, n, name)):
@@ -233,7 +234,7 @@ class LabelObject:
             waiting = self._drag is not None
             self._drag = box, ended or (waiting and self._drag is not None and self._drag[1])
         if not waiting:
-            self._bridge.post(self._follow_drag)
+            self._post(self._follow_drag)
 
     def _follow_drag(self) -> None:
         with self._lock:
@@ -278,23 +279,23 @@ class LabelObject:
         if not self._gizmo.held:
             self._held = None if chosen is None else chosen[1]
         self._gizmo.show(None if box is None else self._scene.shown_box(box), state.mode)
-        self._page.cost.content = saved_html(desk.author, view.said, view.bad, view.moved)
+        self._page.show("cost", saved_html(desk.author, view.said, view.bad, view.moved))
         if live or self._follows:
             # A drag that comes to nothing leaves the tab as it was: the fields go back.
             self._follows = live
             if box is not None and state.loaded is not None:
-                self._bridge.call("svNumbers", numbers_said(box_numbers(box, state.loaded.context.viewer)))
+                self._page.call("numbers", numbers_said(box_numbers(box, state.loaded.context.viewer)))
         if live:
-            if self._page.review_pair is not None and view.moved is not None and view.moved.card is not None:
+            if view.moved is not None and view.moved.card is not None:
                 now = replace(state, labels=replace(view, card=view.moved.card))
-                self._page.review_pair.content = pair_html(now)
+                self._page.show("review-pair", pair_html(now))
             return
         gone = rejected_html(view.frame.left_out)
         if chosen is None or state.selected is None:
             hint = "Select an object: click its row, its pixels or its box."
-            self._page.edit.content = panel(f'<div class="dim">{safe(hint)}</div>') + gone
+            self._page.show("edit", panel(h.div(hint, cls="dim")), gone)
             return
         card = object_card(view.frame, chosen[1])
         color = palette(state.dark)[state.roles.get(state.selected, "other")]
         name = state.shown.names[state.selected]
-        self._page.edit.content = object_html(card, name, color, state.mode, desk.author) + gone
+        self._page.show("edit", object_html(card, name, color, state.mode, desk.author), gone)

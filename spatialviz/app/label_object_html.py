@@ -12,8 +12,9 @@ from pipeline.geometry.palette import RGB
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
-from spatialviz.app.edit_panel import AXES, MODES, button, field
-from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe, segments
+from spatialviz.app.edit_panel import AXES, MODES, field, in_parts, row
+from spatialviz.app.markup import Child, Element, h
+from spatialviz.app.text import BAD, DOUBT, GOOD, button, dot, heading, joined, note, panel, segments
 
 STATUS_WORDS = {
     "accepted": ("accept", GOOD, "Y"), "unsure": ("unsure", DOUBT, "Shift+U"),
@@ -26,97 +27,106 @@ SOURCES = {"auto": ("auto", "#8a919c", False), "human": ("", GOOD, True),
 """Of each source the word, the colour of its mark, and whether the mark is filled."""
 
 
-def saved_html(author: str, said: str, bad: bool, moved: Moved | None) -> str:
+def saved_html(author: str, said: str, bad: bool, moved: Moved | None) -> Element:
     """That this is no what-if: under whose name edits are saved, and what came of the last one."""
-    color, done = (BAD, "the last action was not saved; you are") if bad else (GOOD, "saved to the journal as")
-    undo = button("undo", "sv('take-back')", "take the last action back (Ctrl+Z)")
-    redo = button("redo", "sv('bring-back')", "bring it back (Ctrl+Y)")
-    last = f'<div class="dim said2" title="{safe(said)}">{safe(said)}</div>' if said else ""
+    color, done = (BAD, "the last action was not saved; you are ") if bad else (GOOD, "saved to the journal as ")
+    last = h.div(said, cls="dim said2", title=said) if said else None
     if moved is not None:
-        last = f'<div class="dim">{_moved(moved)}</div>'
+        last = h.div(_moved(moved), cls="dim")
     return panel(
-        f'<div class="mode" style="--c:{color}">'
-        f'<span class="said2">{done} <b>{safe(author)}</b></span>'
-        f'<span class="chips" style="flex:none">{undo}{redo}</span></div>{last}'
+        h.div(
+            h.span(done, h.b(author), cls="said2"),
+            h.span(
+                button("undo", "take-back", "take the last action back (Ctrl+Z)"),
+                button("redo", "bring-back", "bring it back (Ctrl+Y)"),
+                cls="chips",
+            ),
+            cls="mode",
+            css={"--c": color},
+        ),
+        last,
     )
 
 
-def _moved(moved: Moved) -> str:
-    cost = f"{moved.seconds * 1000:.1f} ms"
+def _moved(moved: Moved) -> Child:
     if moved.card is None:
         return "saved when it is let go"
-    would = ", ".join(
-        f"<b>{safe(PHRASE[line.relation])} {'none' if line.state is None else letter(line.state)}</b>"
+    would = [
+        h.b(f"{PHRASE[line.relation]} {'none' if line.state is None else letter(line.state)}")
         for line in moved.card.lines
         if line.relation in moved.changed
-    )
-    return f"{would or 'no relation of the pair changes'} · {cost}"
+    ]
+    return joined(would, ", ") if would else "no relation of the pair changes", f" · {moved.seconds * 1000:.1f} ms"
 
 
-def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str) -> str:
+def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str) -> Element:
     """The selected object."""
     facts = [counted(card.points, "point"), *([] if card.distance is None else [f"{card.distance:.2f} m"])]
     asked = counted(card.expressions, "expression")
     counts = " ".join(f"{n} {state}" for state, n in card.states.items())
-    concern = note(f"Not asked for: {card.concern}", DOUBT) if card.concern else ""
-    added = f" · added by {safe(card.added_by)}" if card.added_by else ""
-    return panel(
-        heading(f"<b>{dot(color)}{safe(name)}</b>", " · ".join(facts)),
-        f'<div class="dim" style="margin:-2px 0 5px">relations {counts} · in {asked}{added}</div>',
-        _class_row(card),
-        _status_row(card, author),
-        concern,
-        f'<div class="row" title="Shift+E"><label>Handles</label>{segments("edit-mode", MODES, mode)}</div>',
-        f'<div class="tight">{_box_rows(card)}</div>',
-        heading("Where it comes from"),
-        "".join(_from(line, card) for line in card.fields),
-        style="padding-bottom:.2em",
+    added = f" · added by {card.added_by}" if card.added_by else ""
+    return in_parts(
+        head=(
+            heading(h.b(dot(color), name), " · ".join(facts)),
+            h.div(f"relations {counts} · in {asked}{added}", cls="dim"),
+        ),
+        label=row("Class", _class_field(card)),
+        status=_status_row(card, author),
+        concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
+        handles=row("Handles", segments("edit-mode", MODES, mode, "Handles"), title="Shift+E"),
+        box=h.div(_box_rows(card), cls="tight"),
+        sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
     )
 
 
-def _class_row(card: ObjectCard) -> str:
-    return (
-        '<div class="row"><label>Class</label><div class="cls">'
-        f'<input class="find" aria-label="Class" spellcheck="false" autocomplete="off" value="{safe(card.label)}" '
-        'title="Enter saves it, Tab completes it (Shift+O)" oninput="svClassTyped(this)" '
-        'onkeydown="svClassKey(event,this)" onblur="svClassLeft()"><div class="offers"></div></div></div>'
+def _class_field(card: ObjectCard) -> Element:
+    return h.input(
+        cls="find",
+        aria_label="Class",
+        spellcheck="false",
+        autocomplete="off",
+        value=card.label,
+        title="Enter saves it, Tab completes it (Shift+O)",
+        field="class",
     )
 
 
-def _status_row(card: ObjectCard, author: str) -> str:
+def _status_row(card: ObjectCard, author: str) -> Child:
     """What this person says of it; beside, what others do."""
     own = card.statuses.get(author)
-    cells = "".join(
-        f'<span class="{"go" if own == status else ""}" style="--c:{color}" title="{key}" '
-        f"onclick=\"sv('object-status:{status}')\">{word}</span>"
+    cells = (
+        h.button(
+            word,
+            aria_pressed=str(own == status).lower(),
+            css={"--c": color},
+            do=f"object-status:{status}",
+            title=key,
+        )
         for status, (word, color, key) in STATUS_WORDS.items()
     )
     others = ", ".join(f"{name}: {status}" for name, status in card.statuses.items() if name != author)
-    beside = f'<div class="dim" style="padding:0 0 4px 60px">{safe(others)}</div>' if others else ""
-    return f'<div class="row"><label>Status</label><div class="seg">{cells}</div></div>{beside}'
+    return row("Status", h.div(cells, cls="seg")), h.div(others, cls="dim under-row") if others else None
 
 
-def _box_rows(card: ObjectCard) -> str:
+def _box_rows(card: ObjectCard) -> Child:
     if card.numbers is None:
-        return '<div class="dim">No 3D box: there is no depth in its pixels.</div>'
+        return h.div("No 3D box: there is no depth in its pixels.", cls="dim")
     rows = []
     for kind, label in (("center", "Centre"), ("size", "Size")):
-        cells = "".join(
+        cells = (
             field(f"box-set:{kind}:{axis}", getattr(card.numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01",
                   name=word[0], digits=LENGTH_DIGITS)
             for axis, (word, unit) in enumerate(AXES[kind])
         )  # fmt: skip
-        rows.append(f'<div class="row"><label>{label}</label><div class="fields">{cells}</div></div>')
+        rows.append(row(label, h.div(cells, cls="fields")))
     turn = field("box-set:yaw", card.numbers.yaw, hint="degrees, from right towards forward", step="1", name="°",
                  digits=TURN_DIGITS)  # fmt: skip
     buttons = (
-        button("fit to points", "sv('box-fit')", "the box that its cleaned points make (Shift+J)"),
-        button("extend", "sv('box-snap:extend')", "its bottom to what the object stands on, its top stays (Shift+B)"),
-        button("set down", "sv('box-snap:move')", "all of it to what the object stands on (Shift+Z)"),
+        button("fit to points", "box-fit", "the box that its cleaned points make (Shift+J)"),
+        button("extend", "box-snap:extend", "its bottom to what the object stands on, its top stays (Shift+B)"),
+        button("set down", "box-snap:move", "all of it to what the object stands on (Shift+Z)"),
     )
-    beside = f'<div class="chips beside">{"".join(buttons)}</div>'
-    rows.append(f'<div class="row"><label>Turn</label><div class="fields">{turn}{beside}</div></div>')
-    return "".join(rows)
+    return rows, row("Turn", h.div(turn, h.div(buttons, cls="chips beside"), cls="fields"))
 
 
 def numbers_said(numbers: BoxNumbers) -> dict[str, str]:
@@ -126,7 +136,7 @@ def numbers_said(numbers: BoxNumbers) -> dict[str, str]:
     return {**sides, "box-set:yaw": f"{numbers.yaw:.{TURN_DIGITS}f}"}
 
 
-def _from(line: FieldLine, card: ObjectCard) -> str:
+def _from(line: FieldLine, card: ObjectCard) -> Element:
     word, color, filled = SOURCES[line.origin.source]
     said = line.origin.author if line.origin.source == "human" else word
     when = line.origin.time
@@ -134,16 +144,18 @@ def _from(line: FieldLine, card: ObjectCard) -> str:
     hint = f"{line.origin}{': ' + line.origin.reason if line.origin.reason else ''}"
     if line.automatic is not None and line.automatic != line.text:
         hint += f"; the labeller had {line.automatic}"
-    back = ""
+    back = h.span()
     if line.settled:
         as_it_was = "as its points make it" if line.field == "box" else f"back to the labeller's: {line.automatic}"
-        click = f"sv('field-back:{line.field}')"
-        back = f'<span class="x" role="button" title="{safe(as_it_was)}" onclick="{click}">↺</span>'
-    fill = f";--f:{color}" if filled else ""
-    return (
-        f'<div class="from" title="{safe(hint)}"><span>{FIELD_NAMES[line.field]}</span>'
-        f'<span class="v">{safe(_short(line, card))}</span>'
-        f'<span class="m" style="--c:{color}{fill}">{safe(said)}{more}</span>{back or "<span></span>"}</div>'
+        back = h.button("↺", cls="x", do=f"field-back:{line.field}", title=as_it_was, aria_label=as_it_was)
+    return h.div(
+        h.span(FIELD_NAMES[line.field]),
+        h.span(_short(line, card), cls="v"),
+        h.span(f"{said}{more}", cls="m", css={"--c": color, "--f": color if filled else "transparent"}),
+        back,
+        id=f"from-{line.field}",
+        cls="from",
+        title=hint,
     )
 
 
@@ -161,14 +173,16 @@ def _short(line: FieldLine, card: ObjectCard) -> str:
     return line.text
 
 
-def rejected_html(left_out: Mapping[int, Mapping[str, Any]]) -> str:
+def rejected_html(left_out: Mapping[int, Mapping[str, Any]]) -> Element | None:
     """Objects that were rejected, each with a way back."""
     if not left_out:
-        return ""
-    rows = "".join(
-        f'<div class="gone"><span>{safe(row["label"])}·{number}</span>'
-        + button("bring back", f"sv('object-back:{number}')", "unreviewed again")
-        + "</div>"
+        return None
+    rows = (
+        h.div(
+            h.span(f"{row['label']}·{number}"),
+            button("bring back", f"object-back:{number}", "unreviewed again"),
+            cls="gone",
+        )
         for number, row in sorted(left_out.items())
     )
     return panel(heading(f"Rejected ({len(left_out)})"), rows)

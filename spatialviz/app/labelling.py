@@ -7,13 +7,11 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import viser
 from platformdirs import user_data_path
 
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.evaluation.run_folder import Run
-from spatialviz.app.bridge import Bridge
 from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.frames import FrameStore
@@ -24,6 +22,7 @@ from spatialviz.app.place import Place
 from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.review_queue import ReviewQueue
 from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.selection import Selection
 from spatialviz.app.sentences import sentences_and_conflicts
 from spatialviz.app.state import State
@@ -35,10 +34,9 @@ class Labelling:
 
     Parameters
     ----------
-    client : viser.ClientHandle
+    client : SceneClient
     page : Page
     scene : SceneView
-    bridge : Bridge
     dialog : Dialog
     selection : Selection
     store : FrameStore
@@ -62,14 +60,15 @@ class Labelling:
         Carries out a command.
     note : callable
         Writes a line of the log.
+    post : callable
+        Runs something later, on the client's own thread.
     """
 
     def __init__(
         self,
-        client: viser.ClientHandle,
+        client: SceneClient,
         page: Page,
         scene: SceneView,
-        bridge: Bridge,
         dialog: Dialog,
         selection: Selection,
         store: FrameStore,
@@ -86,6 +85,7 @@ class Labelling:
         go: Callable[[Place], None],
         handle: Callable[[str], None],
         note: Callable[[str], None],
+        post: Callable[[Callable[[], None]], None],
     ) -> None:
         def opener(name: str, place: JournalLocation) -> Callable[[], LabelEditor]:
             return lambda: LabelEditor(place.labels, place, author or login_name(), store.sources[name].dataset)
@@ -100,19 +100,19 @@ class Labelling:
 
         desks = {name: opener(name, place) for name, place in journals.items()}
         to_state: dict[str, Any] = {"state": state, "take": take}
-        self.correct = Correct(client, page, desks, **to_state, draw=whole, ask=ask, open_frame=open_frame, note=note)
+        self.correct = Correct(page, desks, **to_state, draw=whole, ask=ask, open_frame=open_frame, note=note)
         self.correct.keeps_name = author is not None
-        self.pixels = Pixels(client, scene, self.correct, selection, **to_state, draw=whole, note=note)
-        self._object = LabelObject(client, page, scene, bridge, self.correct, **to_state, draw=draw, note=note)
-        self._queue = ReviewQueue(page, store, journals, self.correct, dialog, state=state, note=note, post=bridge.post)
+        self.pixels = Pixels(client, page, scene, self.correct, selection, **to_state, draw=whole, note=note)
+        self._object = LabelObject(client, page, scene, self.correct, **to_state, draw=draw, note=note, post=post)
+        self._queue = ReviewQueue(page, store, journals, self.correct, dialog, state=state, note=note, post=post)
         self._retrain = RetrainPanel(
-            client, page, store.sources, runs, journals, user_data_path("spatialviz") / "retrained", state=state, go=go,
-            use=use, note=note, post=bridge.post,
+            page, store.sources, runs, journals, user_data_path("spatialviz") / "retrained", state=state, go=go,
+            use=use, note=note, post=post,
         )  # fmt: skip
-        spoken = sentences_and_conflicts(self.correct, dialog, bridge, state, take, whole)
+        spoken = sentences_and_conflicts(self.correct, dialog, page, state, take, whole)
         self._parts = (self.correct, self.pixels, self._object, self._queue, self._retrain, *spoken)
         if journals:
-            Watch(self.correct, state, bridge.post, closed)
+            Watch(self.correct, state, post, closed)
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import viser
-
 from pipeline.datasets import write_settings
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.level_plane import level_normal_at
 from pipeline.system.errors import InputError
 from spatialviz.app.frames import FrameStore, ToldUp
+from spatialviz.app.layout import Page
 from spatialviz.app.state import State
 
 
@@ -22,7 +21,7 @@ class LevelSurface:
 
     Parameters
     ----------
-    client : viser.ClientHandle
+    page : Page
     store : FrameStore
     state : callable
         Gives the client's state.
@@ -37,7 +36,7 @@ class LevelSurface:
 
     def __init__(
         self,
-        client: viser.ClientHandle,
+        page: Page,
         store: FrameStore,
         *,
         state: Callable[[], State],
@@ -46,7 +45,7 @@ class LevelSurface:
         reopen: Callable[[], None],
         note: Callable[[str], None],
     ) -> None:
-        self._client, self._store = client, store
+        self._page, self._store = page, store
         self._state, self._take, self._draw, self._reopen, self._note = state, take, draw, reopen, note
 
     def commands(self) -> dict[str, Callable[[str], None]]:
@@ -103,4 +102,4 @@ class LevelSurface:
 
     def _tell(self, title: str, text: str) -> None:
         self._note(text)
-        self._client.add_notification(title, text, auto_close_seconds=12)
+        self._page.toast(title, text)

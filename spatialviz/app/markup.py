@@ -23,9 +23,9 @@ import html
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Union
+from typing import TypeAlias
 
-Child = Union["Element", str, int, float, None, Iterable["Child"]]
+Child: TypeAlias = "Element | str | int | float | Iterable[Child] | None"
 DATA = ("do", "local", "live", "change", "enter", "point", "band", "field")
 ACTIVE = ("a", "button", "input", "select", "textarea", "option", "summary")
 """Elements that can be reached and pressed by keys as they are."""

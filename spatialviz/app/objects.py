@@ -5,7 +5,7 @@ from __future__ import annotations
 from pipeline.geometry.palette import palette
 from spatialviz.app.markup import Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import heading, named, note, panel
+from spatialviz.app.text import chosen, heading, named, note, panel
 
 
 def objects_html(state: State) -> Element | None:
@@ -50,8 +50,3 @@ def thumb(state: State, i: int) -> Element:
 def score(value: float) -> str:
     """A detector's score; nothing where the objects are the dataset's own."""
     return "" if value >= 0.9995 else f"{value:.2f}"
-
-
-def chosen(is_so: bool, cls: str = "") -> dict[str, object]:
-    """Attributes of a row or a picture of several: the chosen one is marked, and the page scrolls to it."""
-    return {"cls": f"{cls} sel".strip(), "aria_current": "true", "data_shown": True} if is_so else {"cls": cls}

@@ -15,11 +15,10 @@ from spatialviz.app.beside_html import name_tag, second_overlay
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.images import jpeg_url
 from spatialviz.app.markup import Child, Element, h
-from spatialviz.app.objects import chosen
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
-from spatialviz.app.text import note, panel
+from spatialviz.app.text import chosen, note, panel
 from spatialviz.report.picture import box_edges_2d, tinted
 
 IMAGE_WIDTH = 720

@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import viser
-
 from pipeline.corrections.draft import (
     Draft,
     edits_of_draft,
@@ -25,13 +23,14 @@ from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError
-from spatialviz.app.bridge import call_html
 from spatialviz.app.correct import Correct
-from spatialviz.app.frames import jpeg_url
+from spatialviz.app.images import jpeg_url
 from spatialviz.app.label_view import LabelView
+from spatialviz.app.layout import Page
 from spatialviz.app.pixels_html import PART_COLORS, around, mask_url, outlines, told_of
 from spatialviz.app.pixels_scene import PixelScene
 from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.selection import Selection
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
@@ -46,7 +45,8 @@ class Pixels:
 
     Parameters
     ----------
-    client : viser.ClientHandle
+    client : SceneClient
+    page : Page
     scene : SceneView
     correct : Correct
         Saves.
@@ -57,7 +57,8 @@ class Pixels:
 
     def __init__(
         self,
-        client: viser.ClientHandle,
+        client: SceneClient,
+        page: Page,
         scene: SceneView,
         correct: Correct,
         selection: Selection,
@@ -67,11 +68,9 @@ class Pixels:
         draw: Callable[[], None],
         note: Callable[[str], None],
     ) -> None:
-        self._client, self._correct, self._selection = client, correct, selection
+        self._page, self._correct, self._selection = page, correct, selection
         self._state, self._take, self._draw, self._note = state, take, draw, note
         self._scene = PixelScene(client, scene)
-        self._host = client.gui.add_html("", order=1002)
-        self._picture = client.gui.add_html("", order=1003)
         self._drafts: dict[tuple[str, str], Draft] = {}
         self._open: tuple[str, str] | None = None
         self._canvas: tuple[tuple[str, str], Canvas] | None = None
@@ -280,7 +279,7 @@ class Pixels:
         self._label, self._saving = label, True
         if not stay:
             # Closed at once: drawing the whole page takes longer than saving.
-            self._host.content = call_html("svPixels", {"on": False})
+            self._page.call("pixels", {"on": False})
         try:
             outcome = self._correct.save(lambda _: made)
         finally:
@@ -319,7 +318,7 @@ class Pixels:
             return
         pair = self._state().pair
         if pair is None or pair[0] == pair[1]:
-            self._client.add_notification("Not done", "Select two objects, one after the other.", auto_close_seconds=8)
+            self._page.toast("Not done", "Select two objects, one after the other.")
             return
         numbers = view.numbers[pair[1]], view.numbers[pair[0]]
         if self._correct.save(lambda frame: merge_objects(frame, numbers)) is None:
@@ -358,7 +357,7 @@ class Pixels:
         draft = self._draft
         if draft is None or view is None or state.loaded is None:
             self._scene.clear()
-            self._host.content = call_html("svPixels", {"on": False})
+            self._page.call("pixels", {"on": False})
             return
         selected = self._selected()
         if draft.number is not None and draft.number not in view.frame.objects:
@@ -385,7 +384,7 @@ class Pixels:
         else:
             self._scene.clear()
             picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
-            self._picture.content = call_html("svPixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
+            self._page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
         fresh = draft.number is None
         row = None if draft.number is None else view.frame.objects[draft.number]
         data: dict[str, Any] = {
@@ -414,7 +413,7 @@ class Pixels:
             "bad": self._bad,
             "info": told_of(draft, lifted, parts),
         }
-        self._host.content = call_html("svPixels", data)
+        self._page.call("pixels", data)
 
 
 def _rectangle(corners: list[str], draft: Draft) -> Gesture:

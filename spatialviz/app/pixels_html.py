@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,8 +13,10 @@ from pipeline.corrections.draft import Draft
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import decode_crop
 from pipeline.geometry.palette import ON_DARK, RGB, instance_colors
+from spatialviz.app.images import png_url
+from spatialviz.app.markup import Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import BAD, IDLE, note, safe
+from spatialviz.app.text import BAD, IDLE, note
 
 TOOLS = {
     "brush": "paint pixels (Shift+I)",
@@ -29,41 +30,42 @@ PART_COLORS: tuple[RGB, ...] = (ON_DARK["edited"], ON_DARK["reference"], ON_DARK
 """Of the parts of a draft; a whole object has the first, that of edits."""
 
 
-def pixel_row_html(state: State) -> str:
+def pixel_row_html(state: State) -> Element | None:
     """The tools above the picture, while labels are shown; each opens the large editor."""
     if state.labels is None:
-        return ""
-    selected = state.selected is not None
-    cells = []
-    for name, hint in TOOLS.items():
-        cells.append(_cell(name, f"px-tool:{name}", hint, selected or name != "cut"))
-    cells.append(_cell("new object", "px-new", "drawn on the picture (Shift+N; Shift-drag on the picture)", True, "w2"))
-    cells.append(_cell("new from 3D", "px-new:scene", "by clicks in the scene (Shift+T)", True, "w2"))
+        return None
     hint = "select two objects, one after the other"
     if state.pair is not None and state.pair[0] != state.pair[1]:
         one, other = (state.shown.names[i] for i in state.pair[:2])
         hint = f"{one} becomes a part of {other} (Shift+M)"
-    cells.append(_cell("merge", "px-merge", hint, state.pair is not None, "w2"))
     said = state.labels.said
-    told = note(said, BAD if state.labels.bad else IDLE) if said else ""
-    shown = f'<div class="pxsaid" title="{safe(said)}">{told}</div>' if said else ""
-    return f'<div class="pxrow">{"".join(cells)}</div>{shown}'
+    return h.div(
+        h.div(
+            (
+                _tool(name, f"px-tool:{name}", does, state.selected is not None or name != "cut")
+                for name, does in TOOLS.items()
+            ),
+            _tool("new object", "px-new", "drawn on the picture (Shift+N; Shift-drag on the picture)", cls="w2"),
+            _tool("new from 3D", "px-new:scene", "by clicks in the scene (Shift+T)", cls="w2"),
+            _tool("merge", "px-merge", hint, state.pair is not None, cls="w2"),
+            cls="pxrow",
+        ),
+        h.div(note(said, BAD if state.labels.bad else IDLE), cls="pxsaid", title=said) if said else None,
+    )
 
 
-def _cell(name: str, message: str, hint: str, on: bool, more: str = "") -> str:
-    action = f" onclick=\"sv('{message}')\"" if on else ""
-    return f'<span class="{more}{"" if on else " off"}" role="button" title="{safe(hint)}"{action}>{name}</span>'
+def _tool(name: str, do: str, hint: str, on: bool = True, cls: str = "") -> Element:
+    return h.button(name, cls=cls, do=do, title=hint, disabled=not on)
 
 
 def mask_url(parts: Sequence[np.ndarray]) -> str:
-    """Masks ((H, W) bool each) as one transparent picture, each part in its colour, as a data URL."""
+    """Masks ((H, W) bool each) as one transparent picture, each part in its colour: where the page finds it."""
     height, width = parts[0].shape
     image = np.zeros((height, width, 4), np.uint8)
     colors = [*PART_COLORS, *instance_colors(max(len(parts) - len(PART_COLORS), 0) or 1)]
     for part, (r, g, b) in zip(parts, colors, strict=False):
         image[part] = b, g, r, 255
-    data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
-    return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode()
+    return png_url(image)
 
 
 def outlines(objects: Sequence[SceneObject], names: Sequence[str], without: int | None) -> list[dict[str, Any]]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import viser
 
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import palette
 from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient
 
 POINT = 0.004
 MOST_POINTS = 60_000
@@ -20,7 +20,7 @@ MOST_POINTS = 60_000
 class PixelScene:
     """Draws into one client's scene, beside what `SceneView` draws."""
 
-    def __init__(self, client: viser.ClientHandle, scene: SceneView) -> None:
+    def __init__(self, client: SceneClient, scene: SceneView) -> None:
         self._client, self._scene = client, scene
         self._handles: list[Any] = []
 

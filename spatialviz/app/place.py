@@ -1,17 +1,19 @@
-"""What one client looks at, kept by the browser's tab: a reload brings it back.
-
-It cannot stand in the page's address: viser 1.1 takes a fragment for a part of
-its server's name, and writes the values of a query back without escaping them.
-"""
+"""What a page looks at, as its address says it: a link that is sent, a reload and Back show it again."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
-from urllib.parse import parse_qs, unquote, urlencode
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+from urllib.parse import parse_qs, urlencode
 
-LONGEST = 2000
-"""A text of more characters is none of ours."""
+import numpy as np
+
+from pipeline.diagnosis.whatif.state import CameraView
+
+Task = Literal["explain", "evaluate", "label"]
+"""What the page is for: to explain an answer, to evaluate a run, or to label."""
+STAGES = ("PARSE", "OPM", "LIFT", "SRM", "ATTRIBUTE", "PRM", "LABEL", "-")
 
 
 @dataclass(frozen=True)
@@ -21,33 +23,75 @@ class Place:
     Attributes
     ----------
     source, frame : str or None
+        Dataset and frame.
     text : str or None
         The question; "" where none is asked.
+    task : Task or None
+    stage : str or None
+        The module whose evidence is open.
+    find : str or None
+        What the run is searched for.
+    item : tuple of int or None
+        Numbers of the labelled pair that is looked at.
+    camera : tuple of CameraView and float, or None
+        Where the view was turned to, in the frame's camera frame (metres), and its field of view (radians).
     """
 
     source: str | None = None
     frame: str | None = None
     text: str | None = None
+    task: Task | None = None
+    stage: str | None = None
+    find: str | None = None
+    item: tuple[int, int] | None = None
+    camera: tuple[CameraView, float | None] | None = None
 
     @classmethod
-    def read(cls, said: str, sources: Collection[str]) -> Place:
-        """The place that a text says. One of a dataset that is not open says nothing."""
-        if len(said) > LONGEST:
-            return cls()
+    def read(cls, query: str, sources: Collection[str]) -> Place:
+        """The place that a query says. One of a dataset that is not open says nothing; what cannot be read is left."""
         try:
-            fields = parse_qs(said, keep_blank_values=True, max_num_fields=8)
+            fields = {
+                key: values[0] for key, values in parse_qs(query, keep_blank_values=True, max_num_fields=16).items()
+            }
         except ValueError:
             return cls()
-        source, frame, text = (fields.get(key, [None])[0] for key in ("data", "frame", "ask"))
-        return cls() if source is not None and source not in sources else cls(source, frame, text)
+        source = fields.get("data")
+        if source is not None and source not in sources:
+            return cls()
+        task = next((t for t in get_args(Task) if t == fields.get("mode")), None)
+        stage = fields.get("stage")
+        item = [int(n) for n in fields.get("item", "").split(",") if n.isdecimal()]
+        return cls(
+            source, fields.get("frame"), fields.get("ask"), task, stage if stage in STAGES else None,
+            fields.get("find"), (item[0], item[1]) if len(item) == 2 else None, _camera(fields.get("camera", "")),
+        )  # fmt: skip
 
-    @staticmethod
-    def signed(said: str) -> tuple[str, str]:
-        """What a browser says of itself: the place that its tab has kept, and the name of who corrects labels there."""
-        place, _, author = said.partition("&author=")
-        return place, unquote(author[: 3 * LONGEST])
+    def query(self) -> str:
+        """The query that says this place."""
+        item = None if self.item is None else ",".join(map(str, self.item))
+        camera = None
+        if self.camera is not None:
+            view, fov = self.camera
+            numbers = [*view.position, *view.look_at, *view.up, *([] if fov is None else [fov])]
+            camera = ",".join(f"{n:.3f}".rstrip("0").rstrip(".") for n in numbers)
+        said = {
+            "data": self.source, "frame": self.frame, "ask": self.text, "mode": self.task, "stage": self.stage or None,
+            "find": self.find or None, "item": item, "camera": camera,
+        }  # fmt: skip
+        return urlencode({key: value for key, value in said.items() if value is not None}, safe="/,:")
 
-    def said(self) -> str:
-        """The text that says this place."""
-        said = {"data": self.source, "frame": self.frame, "ask": self.text}
-        return urlencode({key: value for key, value in said.items() if value is not None}, safe="/")
+    def same_view(self, other: Place) -> bool:
+        """Whether Back need not tell two places apart: one frame, question and task."""
+        return replace(self, stage=None, find=None, item=None, camera=None) == replace(
+            other, stage=None, find=None, item=None, camera=None
+        )
+
+
+def _camera(text: str) -> tuple[CameraView, float | None] | None:
+    try:
+        n = [float(x) for x in text.split(",")]
+    except ValueError:
+        return None
+    if len(n) not in (9, 10) or not np.isfinite(n).all() or max(map(abs, n)) > 1e4:
+        return None
+    return CameraView((n[0], n[1], n[2]), (n[3], n[4], n[5]), (n[6], n[7], n[8])), n[9] if len(n) == 10 else None

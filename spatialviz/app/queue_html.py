@@ -11,13 +11,14 @@ from pipeline.corrections.review.label_jobs import CANCELLED, QueueProgress
 from pipeline.corrections.review.worklist import Worklist
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
-from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, panel, safe, tail
+from spatialviz.app.markup import Child, Element, h
+from spatialviz.app.text import BAD, DOUBT, GOOD, button, chosen, heading, note, panel, segments
 
 ROWS = 40
 SKIPPED = 8
 """Frames that a hint names."""
 MARKS = {
-    "unreviewed": ("", ""),
+    "unreviewed": ("", "inherit"),
     "accepted": ("✓", GOOD),
     "corrected": ("✎", GOOD),
     "rejected": ("✗", "#8a919c"),
@@ -44,96 +45,101 @@ class Asked:
     named: str = ""
 
 
-def item_html(work: Worklist, names: Names, item: ItemKey) -> str:
+def item_html(work: Worklist, names: Names, item: ItemKey) -> Element:
     """The item that is looked at: what the label says, how probably it is wrong, and every reason; and the progress."""
     row, counts = work.row(item), work.counts
-    wrong = f'<span class="p" title="how probably the label is wrong">{row["score"]:.0%}</span>'
     network = "" if row["probability"] is None else f" · networks: {row['probability']:.2f} that it holds"
-    reasons = "".join(f"<div>{safe(reason)}</div>" for reason in row["reasons"])
     ways = "T U F settle it, Y accepts" if item.kind == "relation" else "Y accepts, Shift+Y rejects"
-    leave = _button("leave-item", "×", "leave the item: the keys act on what is selected again")
-    return (
-        f'<div class="item"><div class="big"><b>{said(row, names)}</b>{wrong}{leave}</div>'
-        f'<div class="why">{reasons}</div><div class="ways dim"><span>{ways}, Shift+U unsure{network}</span>'
-        f'<span title="{_settled(counts)}">{counts["settled"]:,} of {counts["items"]:,}</span></div></div>'
+    return h.div(
+        h.div(
+            h.b(said(row, names)),
+            h.span(f"{row['score']:.0%}", cls="p", title="how probably the label is wrong"),
+            button("×", "leave-item", "leave the item: the keys act on what is selected again", aria_label="leave"),
+            cls="big",
+        ),
+        h.div((h.div(reason) for reason in row["reasons"]), cls="why"),
+        h.div(
+            h.span(f"{ways}, Shift+U unsure{network}"),
+            h.span(f"{counts['settled']:,} of {counts['items']:,}", title=_settled(counts)),
+            cls="ways dim",
+        ),
+        cls="item",
     )
 
 
 def queue_html(
     work: Worklist | None, making: QueueProgress, asked: Asked, kind: str, item: ItemKey | None, names: Names
-) -> str:
+) -> Element:
     """What the queue is made of, how far that is, and the list from the current item on."""
     again = "make again" if work is not None else "make"
-    stop = _button("stop-queue", "stop", "ends the asking; the queue that there is stays")
-    make = _button("make-queue", again, "ranks the labels by what is switched on here")
+    stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
+    make = button(again, "make-queue", "ranks the labels by what is switched on here")
     parts = [heading("Queue", stop if making.running else make), _asked(asked), _busy(making)]
     if work is None:
-        return panel(*parts, "" if making.running else '<div class="dim">No queue yet.</div>')
+        return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
     counts = work.counts
-    tally = " · ".join(f"{counts[state]:,} {state}" for state in MARKS if state != "unreviewed" and counts[state])
-    chosen = "".join(
-        f'<span class="{"on" if name == kind else ""}" onclick="sv(\'queue-kind:{name}\')">{label}</span>'
-        for name, label in KINDS.items()
-    )
-    rows = "".join(_row(work, place, names, item) for place in shown_places(work, kind, item))
+    tally = [f" · {counts[state]:,} {state}" for state in MARKS if state != "unreviewed" and counts[state]]
+    rows = [_row(work, place, names, item) for place in shown_places(work, kind, item)]
     return panel(
-        *parts,
+        parts,
         _known(making.made),
-        f'<div class="dim">{_settled(counts)}{" · " + tally if tally else ""}</div>',
-        f'<div class="seg" style="margin:3px 0">{chosen}</div>',
-        f'<div class="queue">{rows or "nothing of this kind"}</div>',
+        h.div(_settled(counts), tally, cls="dim"),
+        segments("queue-kind", KINDS, kind, "Items of one kind"),
+        h.div(rows or "nothing of this kind", cls="queue"),
     )
 
 
-def _asked(asked: Asked) -> str:
+def _asked(asked: Asked) -> Element:
     """What goes into the next queue: switches."""
-    parts = ['<span class="try on" style="cursor:default" title="always in it">rules and linter</span>']
-    parts.append(_switch("networks", "networks", asked.networks, "networks that have not learnt from a label"))
-    if asked.named:
-        hint = f"what the detector {asked.named} sees otherwise in the labelled frames"
-        parts.append(_switch("detector", f"detector {asked.named}", asked.detector, hint))
-    return f'<div class="asks">{"".join(parts)}</div>'
-
-
-def _switch(name: str, label: str, on: bool, hint: str) -> str:
-    return (
-        f'<span class="try{" on" if on else ""}" role="switch" aria-checked="{str(on).lower()}" '
-        f'onclick="sv(\'queue-from:{name}\')" title="{safe(hint)}">{safe(label)}</span>'
+    hint = f"what the detector {asked.named} sees otherwise in the labelled frames"
+    return h.div(
+        h.span("rules and linter", cls="try fixed", title="always in it"),
+        _switch("networks", "networks", asked.networks, "networks that have not learnt from a label"),
+        asked.named and _switch("detector", f"detector {asked.named}", asked.detector, hint),
+        cls="asks",
     )
 
 
-def _busy(making: QueueProgress) -> str:
+def _switch(name: str, label: str, on: bool, hint: str) -> Element:
+    return button(label, f"queue-from:{name}", hint, role="switch", aria_checked=str(on).lower())
+
+
+def _busy(making: QueueProgress) -> Child:
     """How far a queue that is made is, or why there is none."""
     if not making.running:
         failed = making.problem and making.problem != CANCELLED
         stays = "was not made" if making.work is None else "stays as it is"
-        return note(f"The queue {stays}: {making.problem}", BAD) if failed else ""
+        return note(f"The queue {stays}: {making.problem}", BAD) if failed else None
     share, what = 0.0, "ranking the labels"
     if making.step is not None:
         kind, done, of = making.step
         share = done / of if of else 0.0
         if done < of:
             what = f"asking network {done + 1} of {of}" if kind == "networks" else f"detector: frame {done + 1} of {of}"
-    return f'<div class="prog"><i style="width:{share:.0%}"></i></div><div class="dim">{what}</div>'
+    bar = h.div(
+        h.i(css={"width": f"{share:.0%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
+        aria_label=what,
+    )  # fmt: skip
+    return bar, h.div(what, cls="dim")
 
 
-def _known(made: Mapping[str, Any] | None) -> str:
+def _known(made: Mapping[str, Any] | None) -> Element | None:
     """What the queue was made of: what networks and a detector said; and how far reviewers agreed by then."""
     if made is None:
-        return ""
+        return None
     parts, hint = ["rules and linter"], "what this queue was made of"
     if made["estimated_wrong"] is not None:
         parts.append(f"networks: {made['estimated_wrong']:.0f} relations wrong")
     if (said := made["detector"]) is not None:
         skipped = said["skipped"]
         left_out = f", {len(skipped)} skipped" if skipped else ""
-        parts.append(f"{safe(said['name'])}: {counted(said['frames'], 'frame')}{left_out}")
+        parts.append(f"{said['name']}: {counted(said['frames'], 'frame')}{left_out}")
         hint += "".join(f"\n{frame}: {why}" for frame, why in list(skipped.items())[:SKIPPED])
         hint += f"\nand {len(skipped) - SKIPPED} more" if len(skipped) > SKIPPED else ""
     for pair in made["agreement"]:
         kappa = "–" if pair["kappa"] is None else f"{pair['kappa']:.2f}"
-        parts.append(f"{' and '.join(map(safe, pair['reviewers']))}: κ {kappa} on {counted(pair['items'], 'item')}")
-    return f'<div class="dim" title="{safe(hint)}">made of {" · ".join(parts)}</div>'
+        parts.append(f"{' and '.join(pair['reviewers'])}: κ {kappa} on {counted(pair['items'], 'item')}")
+    return h.div(f"made of {' · '.join(parts)}", cls="dim", title=hint)
 
 
 def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[int]:
@@ -149,36 +155,37 @@ def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[in
     return places
 
 
-def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> str:
+def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> Element:
     key = work.keys[place]
     row = work.queue.slice(place, 1).to_pylist()[0]
     mark, color = MARKS[work.state(key)]
     reason = row["reasons"][0] if row["reasons"] else ""
-    selected = " sel" if item is not None and key == item.plain else ""
-    return (
-        f'<div class="q{selected}" onclick="sv(\'item:{place}\')" title="{safe(reason)}">'
-        f'<i style="--v:{row["score"]:.2f}"></i><span>{said(row, names)}</span>'
-        f'<b style="color:{color}">{mark}</b><em>{tail(row["frame"])}</em></div>'
+    return h.div(
+        h.i(css={"--v": f"{row['score']:.2f}"}),
+        h.span(said(row, names)),
+        h.b(mark, css={"color": color}),
+        # It is cut at its left, written from right to left, where its ends must not move.
+        h.em(f"\u200e{row['frame']}\u200e"),
+        id=f"item-{place}",
+        **chosen(item is not None and key == item.plain, "q"),
+        do=f"item:{place}",
+        title=reason or None,
     )
 
 
 def said(row: Mapping[str, Any], names: Names) -> str:
-    """What the label says, as HTML."""
+    """What the label says, in words."""
     frame, kind = row["frame"], row["kind"]
 
     def named(number: int) -> str:
-        return safe(f"{names.get((frame, number), 'object')}·{number}")
+        return f"{names.get((frame, number), 'object')}·{number}"
 
     if kind == "relation":
         return f"{named(row['a'])} {PHRASE[row['relation']]} {named(row['b'])}: {row['label']}"
     if kind == "object":
-        return safe(f"no {row['label']} labelled here") if row["a"] < 0 else named(row["a"])
-    return safe(f"“{row['label']}”")
+        return f"no {row['label']} labelled here" if row["a"] < 0 else named(row["a"])
+    return f"“{row['label']}”"
 
 
 def _settled(counts: Mapping[str, int]) -> str:
     return f"{counts['settled']:,} of {counts['items']:,} settled"
-
-
-def _button(message: str, label: str, hint: str) -> str:
-    return f'<span class="try" role="button" onclick="sv(\'{message}\')" title="{safe(hint)}">{label}</span>'

@@ -7,8 +7,6 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-import viser
-
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.review.label_jobs import CANCELLED, RetrainingJob, TrainingProgress
@@ -19,7 +17,6 @@ from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
 from spatialviz.app.retrain_html import retrain_html
 from spatialviz.app.state import State
-from spatialviz.app.text import panel
 
 
 class RetrainPanel:
@@ -27,7 +24,6 @@ class RetrainPanel:
 
     Parameters
     ----------
-    client : viser.ClientHandle
     page : Page
     sources : mapping of str to Source
     runs : mapping of str to Run
@@ -47,7 +43,6 @@ class RetrainPanel:
 
     def __init__(
         self,
-        client: viser.ClientHandle,
         page: Page,
         sources: Mapping[str, Pipeline],
         runs: Mapping[str, Run],
@@ -60,7 +55,7 @@ class RetrainPanel:
         note: Callable[[str], None],
         post: Callable[[Callable[[], None]], None],
     ) -> None:
-        self._client, self._page, self._sources, self._runs = client, page, sources, runs
+        self._page, self._sources, self._runs = page, sources, runs
         self._journals, self._folder = journals, folder
         self._state, self._go, self._use, self._note, self._post = state, go, use, note, post
         self._last = {name: place.jobs.training.seen for name, place in journals.items()}
@@ -133,7 +128,7 @@ class RetrainPanel:
         try:
             done = install_network(Path(training.record["network"]), name.strip())
         except InputError as error:
-            self._client.add_notification("Not installed", str(error), auto_close_seconds=8)
+            self._page.toast("Not installed", str(error), bad=True)
             self._note(f"not installed: {error}")
             return
         self._note(f"installed: --srm {done.name} is {done.path}")
@@ -147,13 +142,13 @@ class RetrainPanel:
 
     def draw(self) -> None:
         """Bring the section up to what is known."""
-        handle, name = self._page.review_train, self._state().source
+        name = self._state().source
         place = self._journals.get(name)
-        if handle is None or place is None:
+        if place is None:
             return
         try:
             journal = place.to_read()
             corrections = 0 if journal is None else journal.count()
         except InputError:
             corrections = None
-        handle.content = panel(retrain_html(self._training, corrections, name in self._runs))
+        self._page.show("review-train", retrain_html(self._training, corrections, name in self._runs))

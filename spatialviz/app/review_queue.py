@@ -26,9 +26,11 @@ from spatialviz.app.frames import FrameStore
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_view import Target
 from spatialviz.app.layout import Page
+from spatialviz.app.markup import h
 from spatialviz.app.queue_html import KINDS, Asked, item_html, queue_html
 from spatialviz.app.review_html import doubt_html
 from spatialviz.app.state import State
+from spatialviz.app.text import panel
 
 LETTERS = {"T": T, "U": U, "F": F}
 DOUBT_TITLE = "Against geometry"
@@ -318,7 +320,7 @@ class ReviewQueue:
     def _doubt(self, card: PairCard, line: RelationLine, state: int) -> None:
         """Ask before a judgement is saved that geometry contradicts."""
         self._dialog.show(
-            DOUBT_TITLE, doubt_html(card, line, state), (f"Save {letter(state)} all the same", "sv('settle-sure')")
+            DOUBT_TITLE, doubt_html(card, line, state), h.button(f"Save {letter(state)} all the same", do="settle-sure")
         )
 
     def _sure(self) -> None:
@@ -370,7 +372,7 @@ class ReviewQueue:
     def follow(self) -> None:
         """Bring the list and the item up to the state; the first time, make the queue."""
         name, page = self._state().source, self._page
-        if page.review_list is None or page.review_item is None or name not in self._journals:
+        if name not in self._journals:
             return
         making = self._taken(name)
         if self._state().labels is not None:
@@ -381,11 +383,11 @@ class ReviewQueue:
                 self.make()
                 making = self._taken(name)
         work, names, item = self._work, self._known_names(name), self._item
-        shown = ""
+        shown = None
         if work is not None and item is not None and item.plain in work.indices and not work.is_gone(item):
-            shown = f'<div class="sv">{item_html(work, names, item)}</div>'
-        page.review_item.content = shown
-        page.review_list.content = queue_html(work, making, self._asks(name), self._kind, item, names)
+            shown = panel(item_html(work, names, item))
+        page.show("review-item", shown)
+        page.show("review-list", queue_html(work, making, self._asks(name), self._kind, item, names))
 
     def _known_names(self, name: str) -> dict[tuple[str, int], str]:
         """Class names of the labelled objects, as the labels were made."""

@@ -18,9 +18,10 @@ from pipeline.geometry.palette import hex_color
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
 from spatialviz.app.failures import MEANING, searches, verdict_chip
+from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.run_figures import STANDS_IN, RunFigures
-from spatialviz.app.text import heading, note, panel, safe, segments
-from spatialviz.app.why import ORACLE_WORDS
+from spatialviz.app.stage_verdict import ORACLE_WORDS
+from spatialviz.app.text import heading, note, panel, segments
 
 CUTS = {
     "relation": "relation", "class": "class", "distance": "distance", "size": "size", "occlusion": "occlusion",
@@ -41,25 +42,25 @@ ADDS_UP = (
 )
 
 
-def summary_html(figures: RunFigures) -> str:
+def summary_html(figures: RunFigures) -> Element:
     """Verdicts with their intervals, and what each module costs."""
     summary = figures.summary
     if isinstance(summary, str):
         return panel(shares_html(figures.run.shares), note(summary))
-    count = f'<span class="dim">{summary.expressions} expressions</span>'
-    head = f'<div class="runhead"><b>{safe(figures.run.name)}</b>{count}</div>'
+    count = h.span(f"{summary.expressions} expressions", cls="dim")
+    head = h.div(h.b(figures.run.name), count, cls="runhead")
     return panel(head, shares_html(figures.run.shares), _verdicts(summary), _costs(summary))
 
 
-def shares_html(shares: Sequence[Share]) -> str:
+def shares_html(shares: Sequence[Share]) -> Element | None:
     """What the figures below can show and cannot, in a line; in full where the mouse rests."""
     if not shares:
-        return ""
+        return None
     hint = "\n".join(share.sentence for share in shares)
     title = title_of(shares)
     if title:
-        return f'<div title="{safe(hint)}">{note(title[:1].upper() + title[1:])}</div>'
-    return f'<div class="small dim oneline" title="{safe(hint)}">{safe(shares[0].sentence)}</div>'
+        return note(title[:1].upper() + title[1:]).with_(title=hint)
+    return h.div(shares[0].sentence, cls="small dim oneline", title=hint)
 
 
 def percent(e: Estimate) -> str:
@@ -74,15 +75,18 @@ def between(e: Estimate) -> str:
     return f"[{100 * e.low:.{digits}f}, {100 * e.high:.{digits}f}]" if math.isfinite(e.low + e.high) else ""
 
 
-def _verdicts(summary: RunSummary) -> str:
+def _along(start: float, width: float) -> dict[str, str]:
+    """Styles of a mark on a scale from 0 to 1."""
+    return {"left": f"{start:.2%}", "width": f"{width:.2%}"}
+
+
+def _verdicts(summary: RunSummary) -> tuple[Child, ...]:
     rows = []
     for verdict, share in summary.verdicts.items():
         if not share.count:
             continue
         e = share.estimate
-        whisker = ""
-        if math.isfinite(e.low + e.high):
-            whisker = f'<u style="left:{100 * e.low:.2f}%;width:{100 * (e.high - e.low):.2f}%"></u>'
+        whisker = h.u(css=_along(e.low, e.high - e.low)) if math.isfinite(e.low + e.high) else None
         hint = f"{MEANING[verdict]}; {e.formatted()} %, 95 % interval over {summary.unit}s"
         details = ", ".join(
             f"{d.lower().replace('_', ' ')} {s.count}" for (v, d), s in summary.details.items() if v == verdict
@@ -90,16 +94,19 @@ def _verdicts(summary: RunSummary) -> str:
         if verdict == "CORRECT" and summary.lucky.count:
             details = f"lucky {summary.lucky.count}"
         hint += f"; {details}" if details else ""
+        bar = h.span(
+            h.i(css={"width": f"{e.value:.2%}"}), whisker, cls="t", css={"--c": hex_color(COLORS[verdict])}
+        )  # fmt: skip
         rows.append(
-            f'<div class="vrow" {searches(f"verdict:{verdict}")} title="{safe(hint)}">{verdict_chip(verdict)}'
-            f'<span class="t" style="--c:{hex_color(COLORS[verdict])}"><i style="width:{100 * e.value:.2f}%"></i>'
-            f'{whisker}</span><span class="n dim">{share.count}</span>'
-            f'<span class="n"><b>{percent(e)}</b></span><span class="n dim">{between(e)}</span></div>'
-        )
-    return heading("Verdicts", f"% of expressions · 95 % over {summary.unit}s") + "".join(rows)
+            h.div(
+                verdict_chip(verdict), bar, h.span(share.count, cls="n dim"), h.span(h.b(percent(e)), cls="n"),
+                h.span(between(e), cls="n dim"), cls="vrow", title=hint, **searches(f"verdict:{verdict}"),
+            )
+        )  # fmt: skip
+    return heading("Verdicts", f"% of expressions · 95 % over {summary.unit}s"), rows
 
 
-def _costs(summary: RunSummary) -> str:
+def _costs(summary: RunSummary) -> tuple[Element, ...]:
     """Shapley values beside single deltas, on one scale with zero in the same place."""
     fair = {"PARSE": summary.parse, **summary.deltas.shapley, "residual": summary.residual}
     alone = summary.deltas.single
@@ -107,94 +114,85 @@ def _costs(summary: RunSummary) -> str:
     below, above = max(0.0, -min(values)), max(1e-3, *values)
     span = below + above
 
-    def bar(value: float, kind: str, name: str) -> str:
-        start, width = (below + min(value, 0.0)) / span, abs(value) / span
-        return f'<i class="{kind}" style="left:{100 * start:.2f}%;width:{100 * width:.2f}%" title="{name}"></i>'
+    def bar(e: Estimate, kind: str, name: str) -> Element:
+        at = _along((below + min(e.value, 0.0)) / span, abs(e.value) / span)
+        return h.i(cls=kind, css=at, title=f"{name} {e.formatted(signed=True)}")
 
     rows = []
     for name, e in fair.items():
         single = alone.get(name)
-        bars = bar(e.value, "", f"Shapley {e.formatted(signed=True)}")
-        shown = ""
+        bars, shown = [bar(e, "", "Shapley")], None
         if single is not None:
-            bars += bar(single.value, "hollow", f"alone {single.formatted(signed=True)}")
-            sign = ' class="low"' if single.value < 0 else ""
-            shown = f"<span{sign}>{100 * single.value:+.1f}</span>"
+            bars.append(bar(single, "hollow", "alone"))
+            shown = h.span(f"{100 * single.value:+.1f}", cls="low" if single.value < 0 else "")
+        scale = {"--c": hex_color(COST_COLORS[name]), "--z": f"{below / span:.2%}"}
         rows.append(
-            f'<tr title="{safe(COST_WORDS[name])}"><td><b>{name}</b></td>'
-            f'<td style="width:56%"><div class="cost" style="--c:{hex_color(COST_COLORS[name])};'
-            f'--z:{100 * below / span:.2f}%">{bars}</div></td>'
-            f'<td class="n"><b>{100 * e.value:+.1f}</b></td><td class="n dim">{shown}</td></tr>'
-        )
+            h.tr(
+                h.td(h.b(name)), h.td(h.div(bars, cls="cost", css=scale), cls="bars"),
+                h.td(h.b(f"{100 * e.value:+.1f}"), cls="n"), h.td(shown, cls="n dim"), title=COST_WORDS[name],
+            )
+        )  # fmt: skip
     total = float(sum(e.value for e in summary.loss.values()))
-    head = '<tr><th></th><th></th><th class="n">Shapley</th><th class="n">alone</th></tr>'
-    first = (
-        f'<tr title="set-valued accuracy, every acceptable target counts: {safe(summary.accuracy.formatted())}">'
-        '<td colspan="2"><b>as answered</b> '
-        f'<span class="dim">accuracy {between(summary.accuracy)}</span></td>'
-        f'<td class="n"><b>{percent(summary.accuracy)}</b></td><td></td></tr>'
+    accuracy, words = summary.accuracy, residual_words(summary)
+    head = h.tr(h.td(), h.td(), h.th("Shapley", cls="n"), h.th("alone", cls="n"))
+    first = h.tr(
+        h.td(h.b("as answered"), " ", h.span(f"accuracy {between(accuracy)}", cls="dim"), colspan=2),
+        h.td(h.b(percent(accuracy)), cls="n"),
+        h.td(),
+        title=f"set-valued accuracy, every acceptable target counts: {accuracy.formatted()}",
     )
-    last = f'<tr class="sum"><td colspan="2">sum</td><td class="n"><b>{100 * total:.1f}</b></td><td></td></tr>'
-    words = residual_words(summary)
+    last = h.tr(h.td("sum", colspan=2), h.td(h.b(f"{100 * total:.1f}"), cls="n"), h.td(), cls="sum")
     return (
-        heading("What each module costs", "points of accuracy")
-        + f'<table class="costs">{head}{first}{"".join(rows)}{last}</table>'
-        + f'<div class="small dim">{ADDS_UP} {safe(words[:1].upper() + words[1:])}.</div>'
+        heading("What each module costs", "points of accuracy"),
+        h.table(head, first, rows, last, cls="costs"),
+        h.div(f"{ADDS_UP} {words[:1].upper() + words[1:]}.", cls="small dim"),
     )
 
 
-def slices_html(figures: RunFigures, cut: str) -> str:
+def slices_html(figures: RunFigures, cut: str) -> Element:
     """The run cut by one dimension; a row, or a part of its bar, searches for its expressions."""
     found = figures.slices(cut)
-    chosen = f'<div class="cuts">{segments("cut", CUTS, cut)}</div>'
+    chosen = h.div(segments("cut", CUTS, cut, "Cut the run by"), cls="cuts")
     if isinstance(found, str):
         return panel(heading("Slices"), chosen, note(found))
-    head = '<tr><th></th><th class="n">n</th><th class="n">right</th><th></th></tr>'
-    rows = "".join(_slice(s, found) for s in found.slices)
-    return panel(
-        heading("Slices", safe(f"by {found.dimension.title}")),
-        chosen,
-        f'<table class="slices">{head}{rows}</table>',
-    )
+    head = h.tr(h.td(), h.th("n", cls="n"), h.th("right", cls="n"), h.td())
+    table = h.table(head, (_slice(s, found) for s in found.slices), cls="slices")
+    return panel(heading("Slices", f"by {found.dimension.title}"), chosen, table)
 
 
-def _slice(s: Slice, found: Slices) -> str:
+def _slice(s: Slice, found: Slices) -> Element:
     parts = []
     for verdict in VERDICTS:
         count = s.counts.get(verdict, 0)
         if not count:
             continue
         hint = f"{verdict}: {count} of {s.n} ({s.verdicts[verdict].value:.1%})"
-        way = "" if s.query is None else searches(f"{s.query} verdict:{verdict}".strip())
-        parts.append(
-            f'<i style="--c:{hex_color(COLORS[verdict])};width:{100 * count / s.n:.2f}%" {way} title="{hint}"></i>'
-        )
-    hint = f"{s.name}: set-valued accuracy {s.set_correct.formatted()} over {found.unit}s" + (
-        "" if s.query is None else f"; search: {s.query}"
-    )
-    way = "" if s.query is None else searches(s.query)
-    return (
-        f'<tr class="{"r" if way else ""}" {way} title="{safe(hint)}"><td class="w">{safe(s.name)}</td>'
-        f'<td class="n dim">{s.n}</td><td class="n">{percent(s.set_correct)}</td>'
-        f'<td style="width:52%"><div class="stack">{"".join(parts)}</div></td></tr>'
-    )
+        way = {} if s.query is None else searches(f"{s.query} verdict:{verdict}".strip())
+        parts.append(h.i(css={"--c": hex_color(COLORS[verdict]), "width": f"{count / s.n:.2%}"}, title=hint, **way))
+    hint = f"{s.name}: set-valued accuracy {s.set_correct.formatted()} over {found.unit}s"
+    cells = h.td(s.n, cls="n dim"), h.td(percent(s.set_correct), cls="n"), h.td(h.div(parts, cls="stack"), cls="bars")
+    if s.query is None:
+        return h.tr(h.td(s.name, cls="w"), cells, title=hint)
+    return h.tr(h.td(s.name, cls="w"), cells, cls="r", title=f"{hint}; search: {s.query}", **searches(s.query))
 
 
-def confusion_html(figures: RunFigures) -> str:
+def confusion_html(figures: RunFigures) -> Element:
     """Which relation was asked, and in which the answer stands, as a heat map."""
     found = figures.confusion
     if isinstance(found, str):
         return panel(heading("Relations"), note(found))
     shown = [k for k, name in enumerate(found.columns) if name not in OTHERS or found.counts[:, k].any()]
-    asked = [k for k in range(len(found.rows)) if found.counts[k].any()]
-    heads = "".join(f'<th title="{safe(_said(found.columns[k]))}"><span>{safe(_said(found.columns[k]))}</span></th>'
-                    for k in shown)  # fmt: skip
-    body = "".join(_line(found, r, shown) for r in asked)
+    heads = (h.th(h.span(_said(found.columns[k])), title=_said(found.columns[k])) for k in shown)
+    body = (_line(found, r, shown) for r in range(len(found.rows)) if found.counts[r].any())
     return panel(
         heading("Relations", "asked ↓ · the answer stands in →"),
-        f'<div class="cmx"><table><tr><td></td>{heads}</tr>{body}</table></div>',
-        f'<div class="small dim" title="{safe(found.note)}">Expressions, shaded by their share of the row. Green: the '
-        "asked relation holds of the answer's two objects.</div>",
+        h.div(h.table(h.tr(h.td(), heads), body), cls="cmx"),
+        h.div(
+            "Expressions, shaded by their share of the row. Green: the asked relation holds of the answer's two "
+            "objects.",
+            cls="small dim",
+            title=found.note,
+        ),
     )
 
 
@@ -202,22 +200,20 @@ def _said(name: str) -> str:
     return str(PHRASE.get(name, name))
 
 
-def _line(found: Confusion, r: int, shown: list[int]) -> str:
+def _line(found: Confusion, r: int, shown: list[int]) -> Element:
     total = max(1, int(np.sum(found.counts[r])))
     row, cells = found.rows[r], []
     for k in shown:
         count, name = int(found.counts[r, k]), found.columns[k]
         if not count:
-            cells.append('<td class="o">·</td>')
+            cells.append(h.td("·", cls="o"))
             continue
         kind = "g" if name == row else "q" if name in OTHERS and name != NO_ANSWER else "b"
         hint = f"asked {_said(row)}, stands in {_said(name)}: {count} of {total} ({count / total:.1%})"
-        query = f"relation:{row} {STANDS_IN}={quote(name)}"
-        cells.append(
-            f'<td class="c {kind}" style="--a:{0.12 + 0.8 * count / total:.2f}" {searches(query)} '
-            f'title="{safe(hint)}">{_short(count)}</td>'
-        )
-    return f'<tr><th class="a" {searches(f"relation:{row}")}>{safe(_said(row))}</th>{"".join(cells)}</tr>'
+        shade = {"--a": f"{0.12 + 0.8 * count / total:.2f}"}
+        way = searches(f"relation:{row} {STANDS_IN}={quote(name)}")
+        cells.append(h.td(_short(count), cls=f"c {kind}", css=shade, title=hint, **way))
+    return h.tr(h.th(_said(row), cls="a", **searches(f"relation:{row}")), cells)
 
 
 def _short(count: int) -> str:

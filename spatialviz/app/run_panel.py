@@ -83,8 +83,7 @@ class RunPanel:
             return
         self._source, self._thumbs = source, {}
         browser = self._browser
-        self._page.search.content = "" if browser is None else search_html(browser.first.query)
-        self._page.offers.content = "" if browser is None else offers_html(())
+        self._ready(None if browser is None else browser.first.query)
         self._set(None if browser is None else browser.first)
         self._tab.show(source)
 
@@ -107,7 +106,7 @@ class RunPanel:
                 browser.searched(listing, listing.query)
                 return
             listing = everything
-            self._page.offers.content = offers_html((), listing.query)
+            self._ready(listing.query)
         self._set(browser.opened(listing, listing.keys.index((frame, expression))))
 
     def search(self, query: str) -> None:
@@ -116,14 +115,20 @@ class RunPanel:
         if listing is None or browser is None:
             return
         found = browser.searched(listing, query)
-        self._page.offers.content = offers_html((), found.query)
+        self._ready(found.query)
         self._set(found)
+
+    def _ready(self, query: str | None) -> None:
+        """Have the field of the search hold this one, with nothing offered; without a run there is none."""
+        fields = (None, None) if query is None else (search_html(query), offers_html(()))
+        self._page.show("search", fields[0])
+        self._page.show("offers", fields[1])
 
     def complete(self, typed: str) -> None:
         """Offer words for the last one of a search that is being typed."""
         browser = self._browser
         if browser is not None:
-            self._page.offers.content = offers_html(browser.offered(typed))
+            self._page.show("offers", offers_html(browser.offered(typed)))
 
     def turn(self, page: int) -> None:
         """Show another page of the list."""
@@ -156,8 +161,8 @@ class RunPanel:
 
     def _draw(self) -> None:
         browser = self._browser
-        shares = "" if browser is None else panel(shares_html(browser.figures.run.shares))
-        self._page.listing.content = shares + listing_html(self._state().listing, self._thumbs)
+        shares = None if browser is None else panel(shares_html(browser.figures.run.shares))
+        self._page.show("listing", shares, listing_html(self._state().listing, self._thumbs))
 
     def _fill(self, listing: Listing) -> None:
         """Read the small pictures of the page that is shown, a few at a time."""

@@ -33,18 +33,18 @@ class RunTab:
         """Show the run of a source, one part after the other."""
         figures = self._shown = self._figures.get(source)
         page = self._page
-        page.run_slices.content = page.run_confusion.content = ""
+        for region in ("run-summary", "run-slices", "run-confusion"):
+            page.show(region)
         if figures is None:
-            page.run_summary.content = no_run_html()
+            page.show("run-summary", no_run_html())
             return
-        page.run_summary.content = ""
 
         def draw(part: Callable[[], None]) -> None:
             self._post(lambda: part() if self._shown is figures else None)
 
-        draw(lambda: setattr(page.run_summary, "content", summary_html(figures)))
+        draw(lambda: page.show("run-summary", summary_html(figures)))
         draw(self._draw_slices)
-        draw(lambda: setattr(page.run_confusion, "content", confusion_html(figures)))
+        draw(lambda: page.show("run-confusion", confusion_html(figures)))
 
     def cut(self, dimension: str) -> None:
         """Cut the run by another dimension."""
@@ -54,4 +54,4 @@ class RunTab:
 
     def _draw_slices(self) -> None:
         if self._shown is not None:
-            self._page.run_slices.content = slices_html(self._shown, self._cut)
+            self._page.show("run-slices", slices_html(self._shown, self._cut))

@@ -11,17 +11,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import viser
 import viser.transforms as vtf
 
 from pipeline.answering.objects import SceneObject
 from pipeline.datasets.scene_mesh import ContextMesh
 from pipeline.geometry.boxes import EDGES, Box3D, ray_entry
 from pipeline.geometry.palette import RGB, Role, hex_color, palette
-from spatialviz.app.bridge import Tag
 from spatialviz.app.cloud import BAND_RATIO, Cloud
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.glb import unlit_glb
+from spatialviz.app.scene_client import Node, SceneClient
 from spatialviz.app.viewpoint import Viewpoint
 
 CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], np.float32)
@@ -35,6 +34,31 @@ LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.2, "target": 3.2, 
 GHOST_GROWTH = 0.012
 """Ghosts are drawn this much larger, metres, so that they do not lie in the very lines of the answer's boxes."""
 FACE_OPACITY: dict[Role, float] = {"other": 0.035, "reference": 0.15, "target": 0.15}
+
+
+@dataclass(frozen=True)
+class Tag:
+    """A name that follows a node of the scene, and stands beside what it names.
+
+    Attributes
+    ----------
+    node : str
+        Of the scene.
+    text, detail : str
+    color : str
+        "#rrggbb".
+    strong : bool
+    center, extent : tuple of float
+        Middle and half sizes of what it names, from the node, metres; a point without an extent.
+    """
+
+    node: str
+    text: str
+    detail: str
+    color: str
+    strong: bool
+    center: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    extent: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -77,7 +101,7 @@ class SceneView:
 
     def __init__(
         self,
-        client: viser.ClientHandle,
+        client: SceneClient,
         on_ray: Callable[[tuple[int, int] | None, list[int]], None],
     ) -> None:
         self.viewpoint = Viewpoint(client)
@@ -85,11 +109,11 @@ class SceneView:
         self._flags = SceneFlags()
         self._boxed: dict[int, Box3D] = {}
         self._cloud: Cloud | None = None
-        self._bands: list[viser.PointCloudHandle] = []
+        self._bands: list[Node] = []
         self._lines: dict[str, Any] = {}
         self._faces: Any = None
-        self._anchors: list[viser.FrameHandle] = []
-        self._ghost_anchors: dict[str, viser.FrameHandle] = {}
+        self._anchors: list[Node] = []
+        self._ghost_anchors: dict[str, Node] = {}
         self._frustum: Any = None
         self._axes: list[Any] = []
         self._axes_at: tuple[Any, list[Tag]] = (None, [])
@@ -220,9 +244,9 @@ class SceneView:
             if ghost.key not in self._ghost_anchors:
                 anchor = self._client.scene.add_frame(f"/tags/ghost-{ghost.key}", show_axes=False)
                 self._ghost_anchors[ghost.key] = anchor
-            low = float(box.corners[:, 2].min())
-            self._ghost_anchors[ghost.key].position = (float(box.center[0]), float(box.center[1]), low)
-            tags.append(Tag(f"/tags/ghost-{ghost.key}", ghost.text, "", hex_color(colors[ghost.role]), False))
+            self._ghost_anchors[ghost.key].position = triple(box.center)
+            color = hex_color(colors[ghost.role])
+            tags.append(Tag(f"/tags/ghost-{ghost.key}", ghost.text, "", color, False, extent=half_size(box)))
         return tags
 
     def shown_box(self, box: Box3D) -> Box3D:
@@ -368,12 +392,12 @@ class SceneView:
             if not (role_of[i] != "other" or i == selected or flags.labels):
                 continue
             box = self._box(objects, i)
-            top = box.corners[:, 2].max()
-            self._anchors[i].position = (float(box.center[0]), float(box.center[1]), float(top + 0.03))
+            self._anchors[i].position = triple(box.center)
             strong = role_of[i] != "other" or i == selected
             score = objects[i].score
             detail = "" if score >= 0.9995 else f"{score:.2f}"
-            tags.append(Tag(f"/tags/{i}", names[i], detail, hex_color(colors[role_of[i]]), strong))
+            color = hex_color(colors[role_of[i]])
+            tags.append(Tag(f"/tags/{i}", names[i], detail, color, strong, extent=half_size(box)))
         # Names of the answer are put last so that they lie on top of the others.
         return sorted(tags, key=lambda t: t.strong)
 
@@ -395,6 +419,16 @@ class SceneView:
         index = np.flatnonzero(close)
         best = index[np.argmin(along[index] + 3 * aside[index])]
         return int(self._cloud.u[best]), int(self._cloud.v[best])
+
+
+def triple(v: np.ndarray) -> tuple[float, float, float]:
+    """A vector as viser and JSON take it."""
+    return float(v[0]), float(v[1]), float(v[2])
+
+
+def half_size(box: Box3D) -> tuple[float, float, float]:
+    """Half of what a box takes along the axes of the scene, metres."""
+    return triple((box.corners.max(axis=0) - box.corners.min(axis=0)) / 2)
 
 
 def _edges(boxes: Sequence[Box3D]) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,11 +11,11 @@ from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.object_card import ExpressionCard, set_answer
 from pipeline.diagnosis.verdict import MARKS, Diagnosis
 from pipeline.system.errors import InputError
-from spatialviz.app.bridge import Bridge
 from spatialviz.app.conflict import Conflicts
 from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.label_view import LabelView, paired
+from spatialviz.app.layout import Page
 from spatialviz.app.state import State
 
 NEXT_MARK = {None: "BAD_LABEL", "BAD_LABEL": "BAD_BOX", "BAD_BOX": None}
@@ -29,26 +28,25 @@ class Sentences:
     ----------
     correct : Correct
         Saves what is done.
+    page : Page
     state : callable
         Gives the client's state.
     take : callable
         Takes a new one.
     draw : callable
-    run_in_page : callable
-        Runs JavaScript in the client's page.
     """
 
     def __init__(
         self,
         correct: Correct,
+        page: Page,
         *,
         state: Callable[[], State],
         take: Callable[[State], None],
         draw: Callable[[], None],
-        run_in_page: Callable[[str], None],
     ) -> None:
-        self._correct, self._state, self._take, self._draw = correct, state, take, draw
-        self._run_in_page = run_in_page
+        self._correct, self._page = correct, page
+        self._state, self._take, self._draw = state, take, draw
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -61,7 +59,7 @@ class Sentences:
             "mark": self.mark,
             "expression-status": self.status,
             "expression-text": self.reword,
-            "edit-text": lambda _: self._run_in_page("window.svSentence&&svSentence()"),
+            "edit-text": lambda _: self._page.call("sentence"),
             "undo-group": lambda group: self._correct.taken_back("undo", group),
             "mend": lambda _: self.mend(),
             "author": self.sign,
@@ -90,7 +88,6 @@ class Sentences:
         names = [c.id for c in view.expressions]
         at = names.index(view.expression) + step if view.expression in names else 0
         self.select(names[at % len(names)])
-        self._run_in_page("svTab('Answer');window.svShown&&svShown()")
 
     def select_object(self, number: int) -> None:
         """Select an object by its number in the labels."""
@@ -113,7 +110,6 @@ class Sentences:
         if judged is not None:
             self._take(_of_case(state, view, judged))
         self._draw()
-        self._run_in_page("svTab('Answer')")
 
     # ---- edits ------------------------------------------------------------------------
 
@@ -178,14 +174,14 @@ class Sentences:
         except InputError as error:
             self._correct.refuse(str(error))
             return
-        self._run_in_page(_remembered(author.strip()))
+        self._page.call("author", author.strip())
         self._draw()
 
 
 def sentences_and_conflicts(
     correct: Correct,
     dialog: Dialog,
-    bridge: Bridge,
+    page: Page,
     state: Callable[[], State],
     take: Callable[[State], None],
     draw: Callable[[], None],
@@ -193,11 +189,7 @@ def sentences_and_conflicts(
     """What corrects the expressions of one client, and what lets them decide where others were faster."""
     conflicts = Conflicts(dialog, correct)
     correct.on_conflict = conflicts.show
-    return Sentences(correct, state=state, take=take, draw=draw, run_in_page=bridge.run_in_page), conflicts
-
-
-def _remembered(author: str) -> str:
-    return f"localStorage.setItem('svAuthor',{json.dumps(author)})"
+    return Sentences(correct, page, state=state, take=take, draw=draw), conflicts
 
 
 def _of_case(state: State, view: LabelView, judged: Diagnosis) -> State:

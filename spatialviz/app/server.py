@@ -1,4 +1,4 @@
-"""Serve the page: one viser server, one session for each browser that connects."""
+"""Serve the page: one viser server, one session for each page that is open."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ import viser
 
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
-from pipeline.datasets.demo import DEMO_EXPRESSION, DEMO_NAME
+from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
-from spatialviz.app.bridge import end_all
+from spatialviz.app.access import Access
+from spatialviz.app.channel import end_all
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
-from spatialviz.app.origin import LOCAL_NAMES, checked_origins
-from spatialviz.app.session import Session
-from spatialviz.app.theme import apply_theme
+from spatialviz.app.pages import MAX_CLIENTS, Pages
+from spatialviz.app.shared import Shared
+from spatialviz.app.site import Site, served_by
 
 ENDS_WITHIN = 10.0
 """Seconds that clients' threads have to finish what they are at."""
@@ -47,6 +48,8 @@ def start(
     host: str = "127.0.0.1",
     port: int = 8080,
     dark: bool = True,
+    access: Access | None = None,
+    max_clients: int = MAX_CLIENTS,
 ) -> viser.ViserServer:
     """Start the server and return it; it runs on its own threads.
 
@@ -71,6 +74,10 @@ def start(
         What is shown first.
     port : int
         0 lets the system choose; a port that is taken becomes the next free one.
+    access : Access, optional
+        Who gets in. Default: everybody on this machine, nobody else.
+    max_clients : int
+        Pages that may be open at once.
 
     Raises
     ------
@@ -82,38 +89,22 @@ def start(
             raise InputError(f"the dataset {name} has no frames", path=source.dataset.root)
     _check_address(host, port)
     return_freed_memory()
+    shared = Shared(
+        FrameStore(sources), runs or {}, others or {}, labels or {}, journals or {}, author, tuple(opened_by),
+        first_view, dark,
+    )  # fmt: skip
+    access = access or Access.of(host)
+    pages = Pages(shared, access, max_clients)
     try:
-        with checked_origins(), redirect_stdout(io.StringIO()):
+        with served_by(Site(access, pages)), redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error
-    apply_theme(server.gui, dark)
+    server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
     server.scene.configure_environment_map(hdri=None)
     server.scene.configure_default_lights(True, cast_shadow=False)
     server.scene.world_axes.visible = False
-    store = FrameStore(sources)
-    sessions: dict[int, Session] = {}
-    lock = threading.Lock()
-    first = next(iter(sources))
-
-    def forget(client: viser.ClientHandle) -> None:
-        with lock:
-            session = sessions.pop(client.client_id, None)
-        if session is not None:
-            session.close()
-
-    @server.on_client_connect
-    def _(client: viser.ClientHandle) -> None:
-        session = Session(
-            client, store, first, DEMO_EXPRESSION, dark, runs, others, labels, opened_by, first_view, journals, author
-        )
-        with lock:
-            sessions[client.client_id] = session
-        if client.client_id not in server.get_clients():
-            # The browser went away while its page was being built.
-            forget(client)
-
-    server.on_client_disconnect(forget)
+    pages.listen(server)
     return server
 
 
@@ -145,13 +136,16 @@ def serve(
     port: int = 8080,
     dark: bool = True,
     open_browser: bool = True,
+    access: Access | None = None,
+    max_clients: int = MAX_CLIENTS,
 ) -> None:
     """Start the server, say where it is, and wait until it is stopped."""
+    access = access or Access.of(host)
     server = start(
         sources, runs=runs, others=others, labels=labels, journals=journals, author=author, opened_by=opened_by,
-        first_view=first_view, host=host, port=port, dark=dark,
+        first_view=first_view, host=host, port=port, dark=dark, access=access, max_clients=max_clients,
     )  # fmt: skip
-    announce(server, sources, host, port, open_browser)
+    announce(server, access, sources, host, port, open_browser)
     _end_in_order()
     # What is computed for a page that has been closed meanwhile has nowhere to go; that is no news to a user.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
@@ -168,22 +162,27 @@ def serve(
 
 
 def announce(
-    server: viser.ViserServer, sources: Iterable[str], host: str, port: int, open_browser: bool, stop: str = "Ctrl-C"
+    server: viser.ViserServer,
+    access: Access,
+    sources: Iterable[str],
+    host: str,
+    port: int,
+    open_browser: bool,
+    stop: str = "Ctrl-C",
 ) -> None:
     """Say where a server is, asked for at `host` and `port`, and what stops it; open it where that is wanted."""
     shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{server.get_port()}"
-    if host not in (*LOCAL_NAMES, "::1"):
-        print(
-            f"spatialviz: warning: listening on {host}: anyone who reaches this machine sees the data, "
-            "there is no password",
-            file=sys.stderr,
-        )
     if port and server.get_port() != port:
         print(f"spatialviz: port {port} is taken, using {server.get_port()}", file=sys.stderr)
     names = ", ".join("the built-in demo" if n == DEMO_NAME else n for n in sources)
     print(f"spatialviz: {names} at {address} ({stop} stops)", flush=True)
-    if open_browser:
+    if access.unnamed:
+        address = f"{address}/?token={access.unnamed}"
+        print(f"spatialviz: others reach this machine, so a token is needed: {address}", flush=True)
+    elif not access.open:
+        print(f"spatialviz: everybody opens {address}/?token=THEIRS", flush=True)
+    if open_browser and (access.open or access.unnamed):
         webbrowser.open(address)
 
 

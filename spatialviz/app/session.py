@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from datetime import datetime
 
 import viser
@@ -14,38 +14,36 @@ from pipeline.answering.json_records import holds
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.answering.suggestions import suggest_expressions
-from pipeline.corrections.journal_location import JournalLocation
-from pipeline.datasets import has_moves
 from pipeline.datasets.base import dataset_notes
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif.state import ViewState
-from pipeline.evaluation.run_folder import Run
-from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError
-from spatialviz.app import bottom, left, right
+from spatialviz.app.answer import answer_in_words
+from spatialviz.app.asking import offers
 from spatialviz.app.beside import BesideLayer
-from spatialviz.app.bridge import HELLO_SECONDS, Bridge
+from spatialviz.app.channel import Channel
 from spatialviz.app.dialog import Dialog
-from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_answer, fill_page
 from spatialviz.app.frame_cloud import FrameCloud
 from spatialviz.app.frame_steps import FrameSteps
-from spatialviz.app.frames import FrameStore, LoadedFrame
-from spatialviz.app.inputs import forward_inputs
+from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
 from spatialviz.app.keeping import Keeping
-from spatialviz.app.keys import HelpDialog, add_keys, meant
+from spatialviz.app.keys import Keys, meant
 from spatialviz.app.labelling import Labelling
-from spatialviz.app.layout import build, listed
+from spatialviz.app.layout import Page
 from spatialviz.app.level_surface import LevelSurface
+from spatialviz.app.messages import Go, Hello, Incoming, Scene
+from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.selection import Selection
+from spatialviz.app.shared import Shared
 from spatialviz.app.state import NOTHING, State, shown_objects
 from spatialviz.app.view_settings import ViewSettings
 from spatialviz.app.view_string import BEGINS
@@ -53,106 +51,134 @@ from spatialviz.app.view_strings import ViewStrings
 from spatialviz.app.what_if import WhatIf
 
 LOG_LENGTH = 200
-PATIENCE_SECONDS = 2.0
-"""How long the first frame waits for the page to say which one it is."""
+RECENT = 12
+"""Questions that Ask offers again."""
+REST_SECONDS = 0.4
+"""A camera that has not moved for so long is at rest."""
 
 
 class Session:
-    """Everything of one connected browser.
+    """Everything of one page.
 
-    Commands are handled one at a time on the session's own thread, so that no lock is needed for the state.
+    Commands are handled one at a time on the page's own thread, so that no lock is needed for the state.
+
+    Parameters
+    ----------
+    page_id : str
+        As the browser has chosen it.
+    shared : Shared
+        What all pages are made from.
     """
 
-    def __init__(
-        self,
-        client: viser.ClientHandle,
-        store: FrameStore,
-        source: str,
-        first_expression: str,
-        dark: bool,
-        runs: Mapping[str, Run] | None = None,
-        others: Mapping[str, Run] | None = None,
-        labels: Mapping[str, Labels] | None = None,
-        opened_by: Sequence[str] = (),
-        first_view: ViewState | None = None,
-        journals: Mapping[str, JournalLocation] | None = None,
-        author: str | None = None,
-    ) -> None:
-        self._client = client
-        self._store = store
+    def __init__(self, page_id: str, shared: Shared) -> None:
+        self._path, self._shared = f"/scene/{page_id}/", shared
+        store, runs, journals = shared.store, shared.runs, shared.journals
+        self._store, self._runs_of = store, runs
         self._log: list[tuple[str, str]] = []
         self._suggestions: tuple[str, ...] = ()
+        self._asked: tuple[str, ...] = ()
         self._closed = threading.Event()
         self._begun = False
         self._correcting = False
-        self._judge = Judge(runs or {}, others or {}, labels, lambda *at: self._labels.correct.corrected(*at))
-        self._first_view, self._named_labels = first_view, frozenset(labels or ())
-        self.bridge = Bridge(client, self.handle)
-        moving = any(has_moves(opened.dataset) for opened in store.sources.values())
-        second = any(opened.second_detector is not None for opened in store.sources.values())
-        self._help = HelpDialog(
-            client, self.post, moving, bool(journals), second, lambda: self.state.labels is not None
-        )
+        self._pushed: Place | None = None
+        self._turning: threading.Timer | None = None
+        self._judge = Judge(runs, shared.others, shared.labels, lambda *at: self._labels.correct.corrected(*at))
+        source = next(iter(store.sources))
         ids = store.sources[source].dataset.frame_ids
-        self.state = State(source, ids[0], dark=dark, text=first_expression, correctable=bool(journals))
-        self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals), second)
+        self.state = State(source, ids[0], dark=shared.dark, text=DEMO_EXPRESSION, correctable=bool(journals))
+        self.channel = Channel(page_id[:6], self._receive)
+        self.page = page = Page(self.channel.send)
+        self.client = client = SceneClient()
         self.scene = SceneView(
             client,
-            on_ray=lambda pixel, boxes: self.bridge.post(
+            on_ray=lambda pixel, boxes: self.channel.post(
                 lambda: None if self._labels.pixels.on_ray(pixel) else self._selection.select_on_ray(pixel, boxes)
             ),
         )
+        client.camera.on_update(self._turned)
         self._level = LevelSurface(
-            client, store, state=self._now, take=self._take, draw=self._draw, note=self._note,
+            page, store, state=self._now, take=self._take, draw=self._draw, note=self._note,
             reopen=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
         )  # fmt: skip
         self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus, self._level.on_pixel)
         reach = (self._source, self._now, self._take)
         self._beside = BesideLayer(client, self.scene, self._now, self._take, self._draw)
-        self._view = ViewSettings(client, self.page, self.scene, *reach, self._draw, self._note)
+        self._view = ViewSettings(page, self.scene, *reach, self._draw, self._note, client.set_dark)
         self._cloud = FrameCloud(client, self.scene, self._view.show_context)
-        self.fallback = Fallback(client, self.post)
-        self._runs = RunPanel(runs or {}, store, self.page, self._now, self._set_listing, self._go, self.bridge.post)
+        self._runs = RunPanel(runs, store, page, self._now, self._set_listing, self._go, self.channel.post)
         self._what_if = WhatIf(
-            client, self.page, self.scene, *reach, self._draw_edited, self._judged, self._note, self.bridge.post
+            client, page, self.scene, *reach, self._draw_edited, self._judged, self._note, self.channel.post
         )
         self._steps = FrameSteps(
-            self.page, store, self._closed, state=self._now, open_frame=self._open_frame, post=self.bridge.post
+            page, store, self._closed, state=self._now, open_frame=self._open_frame, post=self.channel.post
         )
-        dialog = Dialog(client)
+        self._dialog = dialog = Dialog(page)
         self._labels = Labelling(
-            client, self.page, self.scene, self.bridge, dialog, self._selection, store, runs or {}, journals or {},
-            author, self._closed, state=self._now, take=self._take, draw=self._draw_edited,
-            open_frame=self._open_frame, go=self._go, handle=self.handle, note=self._note,
+            client, page, self.scene, dialog, self._selection, store, runs, journals, shared.author, self._closed,
+            state=self._now, take=self._take, draw=self._draw_edited, open_frame=self._open_frame, go=self._go,
+            handle=self.handle, note=self._note, post=self.channel.post,
             ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
         )  # fmt: skip
         self._strings = ViewStrings(
-            dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
+            dialog, store.sources, runs, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
             go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw, note=self._note,
         )  # fmt: skip
         keeping = Keeping(
-            client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,
+            page, dialog, store.sources, runs, self._judge, shared.opened_by, state=self._now,
             view=self._strings.now, note=self._note,
+        )  # fmt: skip
+        keys = Keys(
+            page, dialog, self.handle, lambda: self.state.labels is not None, moving=shared.moving,
+            correcting=bool(journals), beside=shared.second,
         )  # fmt: skip
         parts = (
             self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._labels, self._beside,
-            dialog, self._steps, self._level,
+            dialog, self._steps, self._level, keys,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
-        forward_inputs(self.page, self.post, self.bridge.alive)
-        add_keys(client, self.post, moving, bool(journals), second)
-        self.bridge.start()
-        threading.Timer(PATIENCE_SECONDS, lambda: self.post("begin")).start()
-        threading.Timer(HELLO_SECONDS, self._check_bridge).start()
 
     def close(self) -> None:
         self._closed.set()
         self._labels.close()
-        self.bridge.close()
+        self.channel.close()
 
-    def post(self, message: str) -> None:
-        """Handle a command after those that wait already."""
-        self.bridge.post(lambda: self.handle(message))
+    # ---- the browser ------------------------------------------------------------------
+
+    def _receive(self, message: Incoming) -> None:
+        if isinstance(message, Hello):
+            self.channel.send(Scene(self._path))
+            if self._begun:
+                self.page.again()
+                return
+            if message.theme:
+                self.state = replace(self.state, dark=message.theme == "dark")
+            self.client.set_dark(self.state.dark)
+            self._labels.correct.greeted(message.author)
+            self._begin(Place.read(message.address, self._store.sources))
+        elif isinstance(message, Go):
+            self._go(Place.read(message.address, self._store.sources), restoring=True)
+        else:
+            self.handle(message.text)
+
+    def signed_as(self, name: str) -> None:
+        """Labels are corrected under the name of the token that the browser has, and under no other."""
+        self.channel.post(lambda: self._labels.correct.signed_as(name))
+
+    def attach(self, client: viser.ClientHandle) -> None:
+        """The browser's frame is there: show the scene in it."""
+        self.channel.post(lambda: self.client.attach(client))
+
+    def detach(self, client: viser.ClientHandle) -> None:
+        """The browser's frame has gone."""
+        self.channel.post(lambda: self.client.detach(client))
+
+    async def _turned(self, _: object) -> None:
+        """The camera moves: where it comes to rest is said by the address."""
+        if self._turning is not None:
+            self._turning.cancel()
+        self._turning = threading.Timer(REST_SECONDS, lambda: self.channel.post(self._say_address))
+        self._turning.daemon = True
+        self._turning.start()
 
     # ---- commands -------------------------------------------------------------------
 
@@ -165,13 +191,12 @@ class Session:
             "relation": lambda: self._ask_relation(number),
             "try": lambda: self._ask(self._suggestions[number]) if 0 <= number < len(self._suggestions) else None,
             "ask": lambda: self._ask(argument),
-            "again": lambda: self._ask(str(self.page.expression.value)),
+            "again": lambda: self._ask(self.state.text),
             "data": lambda: self._go(Place(argument)),
             "clear": self._clear,
-            "begin": self._begin,
-            "hello": lambda: self._begin(self._labels.correct.signed(argument)),
-            "help": self._help.toggle,
-            "close-help": self._help.close,
+            "stage": lambda: self._open_stage(argument),
+            "task": lambda: self._turn_to(argument),
+            "ask-typed": lambda: self._complete(argument),
         }
         if kind in handlers:
             handlers[kind]()
@@ -193,31 +218,28 @@ class Session:
 
     # ---- places ---------------------------------------------------------------------
 
-    def _begin(self, kept: str = "") -> None:
-        """Open the first frame: the one the browser's tab has kept, else the first of the dataset."""
-        if kept:
-            place = Place.read(kept, self._store.sources)
-            if place.frame is not None and place.text is None and self.state.correctable:
+    def _begin(self, place: Place) -> None:
+        """Show what the address says, else what the server was started with, else the first failure or frame."""
+        if place.frame is not None or place.text is not None:
+            if place.text is None and self.state.correctable:
                 self._labels.correct.stay()
-            self._go(place)
-        elif not self._begun:
-            if self._first_view is not None:
-                self._strings.open(self._first_view)
-            elif self.state.source in self._named_labels:
-                # Labels were named to be looked at; the queue begins to be built.
-                self._labels.correct.stay()
-            if not self._begun:
-                # With a run, its first failure; the frames follow.
-                self._runs.follow()
-                self._runs.open(0)
-            if not self._begun:
-                self._open_frame(self.state.frame_id, first=True)
-        if self.state.labels is not None:
-            self.bridge.run_in_page("window.svTab&&svTab('Review')")
-        self.bridge.remember(self.state.at_place.said())
+            self._go(place, restoring=True)
+        elif self._shared.first_view is not None:
+            self._strings.open(self._shared.first_view)
+        elif self.state.source in self._shared.labels:
+            # Labels were named to be looked at; the queue begins to be built.
+            self._labels.correct.stay()
+        if not self._begun:
+            # With a run, its first failure; the frames follow.
+            self._runs.follow()
+            self._runs.open(0)
+        if not self._begun:
+            self._open_frame(self.state.frame_id, first=True)
 
-    def _go(self, place: Place) -> None:
-        """Look at a place; what it does not say stays as it is."""
+    def _go(self, place: Place, restoring: bool = False) -> None:
+        """Look at a place; what it does not say stays as it is. A place that is restored adds none to go back to."""
+        if restoring:
+            self._pushed = place
         here = self.state
         source = place.source or here.source
         ids = self._store.sources[source].dataset.frame_ids
@@ -226,14 +248,52 @@ class Session:
             # A question belongs to its frame.
             text = text if frame is None else None
             frame = here.frame_id if source == here.source else ids[0]
+        if place.task is not None:
+            self.state = replace(self.state, evaluating=place.task == "evaluate")
+        if place.find is not None:
+            self._runs.follow()
+            self._runs.search(place.find)
+        if place.stage is not None:
+            self.state = replace(self.state, stage=place.stage)
+        here = self.state
         if self._begun and (source, frame) == (here.source, here.frame_id) and text in (None, here.text):
-            return
-        if source != here.source:
-            self.page.frame.options = listed(ids, frame)
-            self.page.dataset.value = source
-            here = replace(here, source=source, text=here.text or DEMO_EXPRESSION)
-        self.state = here
-        self._open_frame(frame, first=True, asking=text)
+            self._draw()
+        else:
+            if source != here.source:
+                here = replace(here, source=source, text=here.text or DEMO_EXPRESSION)
+            self.state = here
+            self._open_frame(frame, first=True, asking=text)
+        if place.camera is not None:
+            self.scene.viewpoint.turn_to(*place.camera)
+
+    def _say_address(self) -> None:
+        state = self.state
+        item = None if state.labels is None else state.labels.card
+        place = replace(
+            state.at_place, find=None if state.listing is None else state.listing.query,
+            camera=self.scene.viewpoint.turned_to(), item=None if item is None else (item.a, item.b),
+        )  # fmt: skip
+        push = self._pushed is not None and not place.same_view(self._pushed)
+        self._pushed = place
+        asked = state.text or "frame"
+        self.page.say_address(place.query(), f"{asked} · {state.source} {state.frame_id} · spatialviz", push)
+
+    def _open_stage(self, name: str) -> None:
+        """Open the evidence of a module, or close it."""
+        self.state = replace(self.state, stage="-" if self.state.stage == name else name)
+        self._draw()
+
+    def _turn_to(self, task: str) -> None:
+        """Explain, evaluate, or label: what the page is for now."""
+        labels = self.state.labels is not None
+        self.state = replace(self.state, evaluating=task == "evaluate")
+        if labels != (task == "label"):
+            self._labels.correct.toggle()
+        self._draw()
+
+    def _complete(self, typed: str) -> None:
+        """Offer what could be asked of this frame: its names, relations, and what was asked lately."""
+        self.page.call("asking", {"typed": typed, "offers": offers(typed, self.state, self._suggestions, self._asked)})
 
     # ---- frames ---------------------------------------------------------------------
 
@@ -242,7 +302,6 @@ class Session:
         if frame_id == self.state.frame_id and not first:
             return
         self._begun = True
-        self._sync_frame_box(frame_id)
         self._show_working("finding the objects")
         stays = self._labels.correct.stays and asking is None
         # A frame that the labels lack is shown with its answer, and why is said.
@@ -257,7 +316,7 @@ class Session:
             self._suggestions = ()
             self._cloud.clear()
             self._beside.clear()
-            self.bridge.show_tags([])
+            self.page.call("tags", [])
             self._draw()
             self._steps.browse()
             return
@@ -287,7 +346,7 @@ class Session:
         if text:
             self._ask(text, draw=False)
         else:
-            self.page.expression.value = ""
+            self.page.call("question", "")
         self._draw()
         self._steps.browse()
 
@@ -298,17 +357,11 @@ class Session:
             return False
         return holds(trace)
 
-    def _sync_frame_box(self, frame_id: str) -> None:
-        if frame_id not in self.page.frame.options:
-            self.page.frame.options = listed(self._source().dataset.frame_ids, frame_id)
-        if str(self.page.frame.value) != frame_id:
-            self.page.frame.value = frame_id
-
     # ---- questions ------------------------------------------------------------------
 
     def _ask(self, text: str, draw: bool = True) -> None:
         if BEGINS.match(text):
-            self.page.expression.value = self.state.text
+            self.page.call("question", self.state.text)
             self._strings.restore(text)
             return
         loaded = self.state.loaded
@@ -316,8 +369,8 @@ class Session:
             return
         self._show_working("answering")
         self.state = replace(self.state.unasked, text=text, selected=self.state.selected)
-        if str(self.page.expression.value) != text:
-            self.page.expression.value = text
+        self.page.call("question", text)
+        self._asked = tuple(dict.fromkeys((text, *self._asked)))[:RECENT]
         exact = self._exact()
         try:
             trace = self._source().ask(loaded.context, text)
@@ -327,7 +380,7 @@ class Session:
             self._note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)
-            self._note(right.answer_in_words(self.state))
+            self._note(answer_in_words(self.state))
         if draw:
             self._draw()
 
@@ -370,7 +423,7 @@ class Session:
             return
         shown = shown_objects(loaded, None, self._exact())
         self.state = replace(self.state.unasked, text="", shown=shown)
-        self.page.expression.value = ""
+        self.page.call("question", "")
         self._draw()
 
     # ---- drawing --------------------------------------------------------------------
@@ -379,8 +432,8 @@ class Session:
         self._log = [*self._log, (datetime.now().strftime("%H:%M:%S"), text)][-LOG_LENGTH:]
 
     def _show_working(self, what: str) -> None:
-        """Say at once in the module strip what is being done; the drawing that follows takes it away."""
-        self.page.modules.content = left.modules_html(self.state, what)
+        """Say at once what is being done; the drawing that follows takes it away."""
+        self.page.call("working", what)
 
     def _draw(self) -> None:
         """Bring the whole page up to the state. Handles that would not change send nothing."""
@@ -391,21 +444,20 @@ class Session:
             # A drag that only tries something must not become one that is saved.
             self._correcting, self.state = correcting, replace(self.state, mode="off")
         state = self.state
+        dataset = self._source().dataset
         fill_page(
             self.page,
             state,
-            dataset=self._source().dataset,
+            self._shared,
+            dataset=dataset,
             can_ask=self._source().detector is not None,
-            suggestions=self._suggestions,
             log=self._log,
-            atomic=self._client.atomic,
         )
-        self.fallback.update(state)
         self._runs.follow()
         self._labels.follow()
         self._cloud.follow(state)
         self._draw_scene()
-        self.bridge.remember(state.at_place.said())
+        self._say_address()
 
     def _draw_scene(self, live: bool = False) -> None:
         """Boxes, pair lines and names, and what belongs to the edits; `live` follows a drag."""
@@ -424,7 +476,7 @@ class Session:
                 state.flags,
                 state.dark,
             )
-            self.bridge.show_tags(tags + self._beside.follow(live))
+            self.page.call("tags", [asdict(t) for t in tags + self._beside.follow(live)])
         self._what_if.follow(live)
         self._labels.follow_object(live)
 
@@ -433,14 +485,10 @@ class Session:
         if not live:
             self._draw()
             return
-        with self._client.atomic():
+        with self.page.together():
             fill_answer(self.page, self.state)
             self._draw_scene(live=True)
-            self.bridge.call("svOverlay", bottom.overlay_marks(self.state))
+            self.page.call("overlay", "".join(mark.html for mark in overlay_marks(self.state)))
 
     def _set_listing(self, listing: Listing | None) -> None:
         self.state = replace(self.state, listing=listing)
-
-    def _check_bridge(self) -> None:
-        if not self.bridge.alive.is_set() and not self._closed.is_set():
-            self.bridge.post(lambda: self.fallback.show(self.state))

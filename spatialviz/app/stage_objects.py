@@ -12,9 +12,9 @@ from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette, second_color
 from spatialviz.app.beside_html import hollow, second_name
 from spatialviz.app.markup import Child, Element, h
-from spatialviz.app.objects import chosen, score, thumb
+from spatialviz.app.objects import score, thumb
 from spatialviz.app.state import State
-from spatialviz.app.text import dot, named, note, words
+from spatialviz.app.text import chosen, dot, named, note, words
 
 KEPT: RGB = (53, 169, 107)
 

@@ -11,9 +11,8 @@ from pipeline.diagnosis.verdict import Diagnosis, threshold
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color, palette
 from spatialviz.app.markup import Child, Element, h
-from spatialviz.app.objects import chosen
 from spatialviz.app.state import State
-from spatialviz.app.text import cell, named, was
+from spatialviz.app.text import cell, chosen, named, was
 
 SHOWN_PAIRS = 30
 MATRIX_LIMIT = 14

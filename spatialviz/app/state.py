@@ -18,7 +18,7 @@ from spatialviz.app.edited import Edited
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.gizmo import EditMode
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.place import Place
+from spatialviz.app.place import Place, Task
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.scene import Ghost, SceneFlags
 
@@ -119,8 +119,10 @@ class State:
         The selected object of the second detector, where it is not the one that stands for `selected`.
     picking : bool
         The next click names a level surface.
+    evaluating : bool
+        The run is looked at, rather than one answer.
     stage : str
-        The stage of the pipeline whose evidence is open, as it was chosen; "" for the one that failed.
+        The module whose evidence is open; "" leaves it to the answer, "-" is none.
     """
 
     source: str
@@ -148,7 +150,13 @@ class State:
     layers: Layers = "both"
     second: int | None = None
     picking: bool = False
+    evaluating: bool = False
     stage: str = ""
+
+    @property
+    def task(self) -> Task:
+        """What the page is for now."""
+        return "label" if self.labels is not None else "evaluate" if self.evaluating else "explain"
 
     @property
     def unasked(self) -> State:
@@ -263,7 +271,8 @@ class State:
     @property
     def at_place(self) -> Place:
         """What a reload brings back; while labels are shown no question is."""
-        return Place(self.source, self.frame_id, self.text if self.labels is None else None)
+        text = self.text if self.labels is None else None
+        return Place(self.source, self.frame_id, text, self.task, self.stage)
 
 
 def _same(trace: Trace | None, place: int, other: SceneObject) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import RGB, hex_color
@@ -41,6 +41,21 @@ def heading(text: Child, *aside: Child) -> Element:
 def note(text: Child, color: str = DOUBT) -> Element:
     """A remark with a coloured edge."""
     return h.div(text, cls="note", css={"--c": color})
+
+
+def button(label: Child, do: str, title: str = "", cls: str = "", **more: object) -> Element:
+    """A small button: what it says, the command that it sends, and what that is for."""
+    return h.button(label, cls=f"try {cls}".strip(), do=do, title=title or None, **more)
+
+
+def joined(parts: Iterable[Child], between: str = " · ") -> Child:
+    """Parts with the same between each two."""
+    return [(between if k else None, part) for k, part in enumerate(parts)]
+
+
+def chosen(is_so: bool, cls: str = "") -> dict[str, object]:
+    """Attributes of a row or a picture of several: the chosen one is marked, and the page scrolls to it."""
+    return {"cls": f"{cls} sel".strip(), "aria_current": "true", "data_shown": True} if is_so else {"cls": cls}
 
 
 def segments(kind: str, options: Mapping[str, str], chosen: str, name: str = "") -> Element:

@@ -4,48 +4,51 @@ from __future__ import annotations
 
 from pipeline.datasets.settings import ASSUMED, SOURCES
 from pipeline.geometry.camera import UpSource
+from spatialviz.app.markup import Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import DOUBT, IDLE, note, safe
+from spatialviz.app.text import DOUBT, IDLE, button, note
 
 PICK = "Click a level surface, a floor or a table-top, in the picture or in the scene. Shift+U leaves it as it is."
-ASK = "event.stopPropagation();sv('level')"
 MADE_WITH = "The labels were made with it."
 HOW = "Click here (Shift+U), then a surface that is level: up is then known."
 
 
-def up_chip(state: State) -> str:
+def up_chip(state: State) -> Element | None:
     """How up is known, small; loud where it is only assumed. A click asks for a level surface.
 
     Of labels that are shown it is the up that they were made with, which no click changes.
     """
     if state.loaded is None:
-        return ""
+        return None
     labels = state.labels
     source: UpSource | None = state.loaded.context.viewer.up_source if labels is None else labels.frame.row["up_source"]
     if source is None:
-        return ""
+        return None
     loud = source == "assumed"
     said = f"{ASSUMED[0].upper()}{ASSUMED[1:]}." if loud else f"Up: {SOURCES[source]}."
-    click, how = "", MADE_WITH
-    if labels is None:
-        click, how = f' role="button" aria-pressed="{"true" if state.picking else "false"}" onclick="{ASK}"', HOW
-    return (
-        f'<span class="upchip{" loud" if loud else ""}" style="--c:{DOUBT if loud else IDLE}"{click} '
-        f'title="{safe(said)} {how}">up {source}</span>'
+    chip = h.button if labels is None else h.span
+    made = chip(
+        f"up {source}",
+        cls=f"upchip{' loud' if loud else ''}",
+        css={"--c": DOUBT if loud else IDLE},
+        title=f"{said} {HOW if labels is None else MADE_WITH}",
     )
+    return made if labels is not None else made.with_(do="level", aria_pressed=str(state.picking).lower())
 
 
-def level_html(state: State) -> str:
+def level_html(state: State) -> Element | None:
     """What to click while a level surface is asked for; afterwards, how to keep what was said."""
     if state.picking:
         return note(PICK)
     loaded = state.loaded
     if loaded is None or loaded.told is None or loaded.context.viewer.up_source != "given":
-        return ""
-    save, back = "keep it in spatialviz.toml beside the data", "as it was before"
-    return (
-        '<div class="dim uptold">Up as you said, until the program ends; it is said again by '
-        f"<code>--level-at {safe(loaded.told.words)}</code> "
-        f'<span class="try" role="button" onclick="sv(\'level-keep\')" title="{save}">save</span> '
-        f'<span class="try" role="button" onclick="sv(\'level-back\')" title="{back}">take back</span></div>'
+        return None
+    return h.div(
+        "Up as you said, until the program ends; it is said again by ",
+        h.code(f"--level-at {loaded.told.words}"),
+        " ",
+        button("save", "level-keep", "keep it in spatialviz.toml beside the data"),
+        " ",
+        button("take back", "level-back", "as it was before"),
+        cls="dim uptold",
     )

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-import viser
-
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.scene_mesh import fuse_context
 from pipeline.system.errors import FrameUnusable, MissingExtra
-from spatialviz.app import left
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import CameraMode, ColorMode, State
-from spatialviz.app.theme import apply_theme
+from spatialviz.app.toolbar import FLAGS
 
 MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
 
@@ -24,7 +21,6 @@ class ViewSettings:
 
     Parameters
     ----------
-    client : viser.ClientHandle
     page : Page
     scene : SceneView
     source : callable
@@ -36,11 +32,12 @@ class ViewSettings:
     draw : callable
     note : callable
         Writes a line of the log.
+    theme : callable
+        Makes the page and the scene's frame dark, or light.
     """
 
     def __init__(
         self,
-        client: viser.ClientHandle,
         page: Page,
         scene: SceneView,
         source: Callable[[], Pipeline],
@@ -48,9 +45,10 @@ class ViewSettings:
         take: Callable[[State], None],
         draw: Callable[[], None],
         note: Callable[[str], None],
+        theme: Callable[[bool], None],
     ) -> None:
-        self._client, self._page, self._scene, self._source = client, page, scene, source
-        self._state, self._take, self._draw, self._note = state, take, draw, note
+        self._page, self._scene, self._source = page, scene, source
+        self._state, self._take, self._draw, self._note, self._theme = state, take, draw, note, theme
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -74,13 +72,13 @@ class ViewSettings:
         state = self._state()
         if mode in modes and state.loaded is not None:
             self._take(replace(state, camera=modes[mode]))
-            self._page.controls.content = left.controls_html(self._state())
+            self._draw()
             self._scene.viewpoint.fly(mode)
 
     def toggle(self, flag: str) -> None:
         """Show or hide something."""
         state = self._state()
-        if flag in left.FLAGS:
+        if flag in FLAGS:
             self._take(replace(state, flags=replace(state.flags, **{flag: not getattr(state.flags, flag)})))
             if flag == "context":
                 self.show_context()
@@ -95,13 +93,13 @@ class ViewSettings:
             except (FrameUnusable, MissingExtra) as error:
                 self._take(replace(state, flags=replace(state.flags, context=False)))
                 self._note(str(error))
-                self._client.add_notification("No room to show", str(error), auto_close_seconds=12)
+                self._page.toast("No room to show", str(error))
         self._scene.show_context(mesh, state.dark)
 
     def switch_theme(self) -> None:
         """Dark becomes light, and light dark."""
         state = self._state()
         self._take(replace(state, dark=not state.dark))
-        apply_theme(self._client.gui, not state.dark)
+        self._theme(not state.dark)
         self.show_context()
         self._draw()

@@ -1,7 +1,4 @@
-"""A client's view as a string: copied, pasted, and opened with.
-
-A link cannot carry it: viser leaves no room for it in the page's address (see `place`).
-"""
+"""A client's view as a string: copied, pasted, and opened with."""
 
 from __future__ import annotations
 
@@ -15,10 +12,10 @@ from pipeline.diagnosis.whatif.state import ViewState, decode, encode
 from pipeline.evaluation.run_folder import Run
 from pipeline.system.errors import InputError
 from spatialviz.app.dialog import Dialog
+from spatialviz.app.markup import h
 from spatialviz.app.place import Place
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.state import State
-from spatialviz.app.text import safe
 from spatialviz.app.view_string import (
     FOV,
     SHIPPED_SCORERS,
@@ -105,24 +102,31 @@ class ViewStrings:
         except InputError as error:
             self._fail(error)
             return
+        hint = (
+            "Paste it into the Ask field of a page, or open it with ",
+            h.code("spatialviz view --state STRING"),
+            ".",
+        )
         self._dialog.show(
             "This view as a string",
-            f'<textarea class="state" rows="5" readonly spellcheck="false">{safe(string)}</textarea>'
-            '<div class="copied" role="status">copying …</div>'
-            '<div class="dim small">Paste it into the Ask field of a page, or open it with '
-            "<code>spatialviz view --state STRING</code>.</div>"
-            '<img src="" style="display:none" onerror="svCopy(this)">',
-            ("Copy again", "svCopy(this)"),
+            (
+                h.textarea(string, cls="state", rows=5, readonly=True, spellcheck="false", aria_label="The string"),
+                h.div("copying …", cls="copied", role="status"),
+                h.div(hint, cls="dim small"),
+            ),
+            h.button("Copy again", local="copy"),
         )
+        self._dialog.copy()
         self._note("view copied as a string")
 
     def paste(self) -> None:
         """Ask for a string."""
         self._dialog.show(
             "Open a view from its string",
-            '<textarea class="state" rows="5" autofocus spellcheck="false" placeholder="sv1:…"></textarea>'
-            '<img src="" style="display:none" onerror="svFocus(this)">',
-            ("Open", "svSend(this,'restore:')"),
+            h.textarea(
+                cls="state", rows=5, autofocus=True, spellcheck="false", placeholder="sv1:…", aria_label="The string"
+            ),
+            h.button("Open", local="send:restore:"),
         )
 
     def restore(self, string: str) -> None:
@@ -152,10 +156,12 @@ class ViewStrings:
             self._waiting = view
             self._dialog.show(
                 "This view wants to load a file",
-                "<div>It scores relations with this network. Load only what you trust.</div>"
-                f'<pre class="file">{safe(view.edits.scorer)}</pre>',
-                ("Load it", "sv('restore-with:file')"),
-                ("Without it", "sv('restore-with:no')"),
+                (
+                    h.div("It scores relations with this network. Load only what you trust."),
+                    h.pre(view.edits.scorer, cls="file"),
+                ),
+                h.button("Load it", do="restore-with:file"),
+                h.button("Without it", do="restore-with:no"),
             )
             return
         self._dialog.close()

@@ -10,6 +10,7 @@ import viser
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera
+from spatialviz.app.scene_client import SceneClient
 
 SAMPLE = 20_000
 """Points of a cloud that say where it lies."""
@@ -18,7 +19,7 @@ SAMPLE = 20_000
 class Viewpoint:
     """Moves one client's camera in the level frame of the shown cloud."""
 
-    def __init__(self, client: viser.ClientHandle) -> None:
+    def __init__(self, client: SceneClient) -> None:
         self._client = client
         self._points: np.ndarray | None = None
         self._to_show = np.eye(3)

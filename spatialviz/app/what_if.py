@@ -8,7 +8,6 @@ from threading import Lock
 from time import perf_counter
 
 import numpy as np
-import viser
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.opening import Pipeline
@@ -27,6 +26,7 @@ from spatialviz.app.edited import Edited
 from spatialviz.app.gizmo import MODES, BoxGizmo
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import Shown, State, shown_objects
 
 UNDOS = 200
@@ -38,7 +38,7 @@ class WhatIf:
 
     Parameters
     ----------
-    client : viser.ClientHandle
+    client : SceneClient
     page : Page
     scene : SceneView
     source : callable
@@ -59,7 +59,7 @@ class WhatIf:
 
     def __init__(
         self,
-        client: viser.ClientHandle,
+        client: SceneClient,
         page: Page,
         scene: SceneView,
         source: Callable[[], Pipeline],
@@ -70,7 +70,7 @@ class WhatIf:
         note: Callable[[str], None],
         post: Callable[[Callable[[], None]], None],
     ) -> None:
-        self._client, self._page, self._scene, self._source = client, page, scene, source
+        self._page, self._scene, self._source = page, scene, source
         self._state, self._take, self._draw, self._judge = state, take, draw, judge
         self._note, self._post = note, post
         self._baseline: Baseline | None = None
@@ -155,7 +155,7 @@ class WhatIf:
         except InputError as error:
             self._live_since = None
             self._note(f"not edited: {error}")
-            self._client.add_notification("Not edited", str(error), auto_close_seconds=8)
+            self._page.toast("Not edited", str(error))
         self._draw(live)
 
     def _remove(self, id: str) -> None:
@@ -232,7 +232,7 @@ class WhatIf:
             self._map = decision_map(self._base(), self._state().edits, key)
             self._note(f"decision map of {self._state().named(key)}: {self._map.seconds * 1000:.0f} ms")
         except InputError as error:
-            self._client.add_notification("No decision map", str(error), auto_close_seconds=8)
+            self._page.toast("No decision map", str(error))
         self._draw(False)
 
     def _renewed_map(self) -> None:
@@ -271,10 +271,10 @@ class WhatIf:
         if not live and self._map is not None:
             self._renewed_map()
         self._shown.draw(state, None if live else self._map, keep_map=live)
-        self._page.cost.content = cost_html(state, len(self._undo))
+        self._page.show("cost", cost_html(state, len(self._undo)))
         if not live:
             hidden = selected is not None and f"#{state.shown.objects[selected].id}" in state.edits.hidden
-            self._page.edit.content = edit_html(state, self._source(), candidate or hidden, self._map)
+            self._page.show("edit", edit_html(state, self._source(), candidate or hidden, self._map))
 
 
 def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str | None, keys: tuple[str, ...]) -> State:

@@ -16,8 +16,8 @@ from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import flying_pixels
 from pipeline.geometry.palette import RGB, Role, palette
 from spatialviz.app.cloud import BAND_RATIO, FAR
-from spatialviz.app.origin import checked_origins
 from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
+from spatialviz.app.site import Nobody, served_by
 from spatialviz.report.picture import AnswerRoles, answer_roles
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def scene_html(answered: Answer, context: PreparedFrame) -> str:
     import viser
 
     # The server says where it listens; nobody is to go there.
-    with checked_origins(), redirect_stdout(StringIO()):
+    with served_by(Nobody()), redirect_stdout(StringIO()):
         return _with_server(viser.ViserServer(host="127.0.0.1", port=0, verbose=False), answered, context)
 
 

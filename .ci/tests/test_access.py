@@ -1,0 +1,84 @@
+"""Who may ask the server of the page: foreign names, foreign pages and missing tokens are refused."""
+
+import http
+from pathlib import Path
+
+import pytest
+from websockets.datastructures import Headers
+from websockets.http11 import Request
+
+from pipeline.system.errors import InputError
+from spatialviz.app.access import Access
+
+TOKEN = "a-token-of-24-characters"
+
+
+def request(path: str = "/", **headers: str) -> Request:
+    return Request(path, Headers({"Host": "127.0.0.1:8080"} | {k.replace("_", "-"): v for k, v in headers.items()}))
+
+
+def status(access: Access, asked: Request) -> int:
+    refused = access.refusal(asked)
+    return http.HTTPStatus.OK if refused is None else refused.status_code
+
+
+@pytest.mark.parametrize(
+    ("headers", "wanted"),
+    [
+        ({}, 200),
+        ({"Host": "localhost:8080"}, 200),
+        ({"Origin": "http://127.0.0.1:8080"}, 200),
+        ({"Host": "evil.example"}, 421),
+        ({"Host": "127.0.0.1.evil.example:8080"}, 421),
+        ({"Host": ""}, 421),
+        ({"Origin": "http://evil.example"}, 403),
+        ({"Origin": "http://127.0.0.1:9090"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors", "Sec-Fetch-Dest": "image"}, 403),
+        ({"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "iframe"}, 403),
+        ({"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "document"}, 200),
+    ],
+)
+def test_names_and_pages(headers: dict[str, str], wanted: int) -> None:
+    assert status(Access("127.0.0.1"), request(**headers)) == wanted
+
+
+@pytest.mark.parametrize(
+    ("host", "wanted"),
+    [("192.168.1.7:8080", 200), ("lab-pc:8080", 200), ("lab-pc.local", 200), ("evil.example:80", 421)],
+)
+def test_names_of_a_machine_that_others_reach(host: str, wanted: int) -> None:
+    assert status(Access("0.0.0.0"), request(Host=host)) == wanted
+
+
+def test_a_token_comes_once_by_the_address_and_then_by_the_cookie() -> None:
+    access = Access("0.0.0.0", {TOKEN: "ana"})
+    assert status(access, request()) == 401
+    assert status(access, request(f"/?token={TOKEN[:-1]}")) == 401
+    assert status(access, request(Cookie=f"spatialviz={TOKEN[:-1]}x")) == 401
+    first = request(f"/?ask=mug&token={TOKEN}")
+    assert status(access, first) == 200
+    entered = access.entered(first)
+    assert entered is not None
+    assert entered.headers["Location"] == "/?ask=mug"
+    cookie = entered.headers["Set-Cookie"]
+    assert "HttpOnly" in cookie
+    assert "SameSite=Lax" in cookie
+    known = request(Cookie=f"other=1; {cookie.partition(';')[0]}")
+    assert status(access, known) == 200
+    assert access.name(known) == "ana"
+
+
+def test_others_need_a_token_and_this_machine_does_not() -> None:
+    assert Access.of("127.0.0.1").open
+    assert len(Access.of("0.0.0.0").unnamed) >= 24
+
+
+@pytest.mark.parametrize(
+    "text", ["", "ana", "ana short", f"ana {TOKEN}\nbob {TOKEN}", f"ana {TOKEN} x", "ana ümlautümlautümlaut"]
+)
+def test_files_of_tokens_that_are_none(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "tokens"
+    file.write_text(text, "utf-8")
+    with pytest.raises(InputError):
+        Access.of("0.0.0.0", file)

@@ -1,0 +1,27 @@
+"""An address says what the page looks at, and hostile ones say nothing."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.diagnosis.whatif.state import CameraView
+from spatialviz.app.place import Place
+
+NUMBER = st.integers(-9000, 9000).map(lambda n: n / 1000)
+VECTOR = st.tuples(NUMBER, NUMBER, NUMBER)
+TEXT = st.text(st.characters(blacklist_categories=("Cs",)), max_size=60)
+
+
+@given(TEXT, TEXT, st.sampled_from(["explain", "evaluate", "label"]), VECTOR, VECTOR, VECTOR)
+def test_what_is_written_is_read(frame, text, task, position, look_at, up) -> None:
+    place = Place("demo", frame, text, task, "SRM", None, (3, 4), (CameraView(position, look_at, up), 0.75))
+    assert Place.read(place.query(), ["demo"]) == place
+
+
+@given(TEXT)
+def test_any_address_can_be_read(query: str) -> None:
+    Place.read(query, ["demo"])
+
+
+def test_a_dataset_that_is_not_open_says_nothing() -> None:
+    assert Place.read("data=/etc&frame=1&ask=mug", ["demo"]) == Place()
+    assert Place.read("data=demo&camera=1,2,nan,4,5,6,7,8,9&item=-1,2&mode=root&stage=x", ["demo"]) == Place("demo")

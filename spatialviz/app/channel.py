@@ -1,0 +1,118 @@
+"""The socket of one page: what it says is handled one at a time on a thread of its own, what is said to it is sent."""
+
+from __future__ import annotations
+
+import asyncio
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+from weakref import WeakSet
+
+import websockets.exceptions
+
+from spatialviz.app.messages import Call, Incoming, Outgoing, write
+
+WAITING_BYTES = 32 * 2**20
+"""A browser that lets so much wait is cut off; it comes back and is sent the page as it is then."""
+
+
+class Channel:
+    """Jobs of one page, in order, off the server's loop; and its outgoing messages, which any thread may send.
+
+    Parameters
+    ----------
+    name : str
+        Of its thread.
+    on_message : callable
+        Handles a message.
+    """
+
+    def __init__(self, name: str, on_message: Callable[[Incoming], None]) -> None:
+        self._on_message = on_message
+        self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue()
+        self._outgoing: asyncio.Queue[str | None] | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._waiting = 0
+        self._lock = threading.Lock()
+        self._ended = False
+        self.left = time.monotonic()
+        """When the browser went away, on the monotonic clock."""
+        self._thread = threading.Thread(target=self._work, daemon=True, name=f"page-{name}")
+        self._thread.start()
+        _STARTED.add(self)
+
+    @property
+    def connected(self) -> bool:
+        """Whether a browser listens."""
+        return self._outgoing is not None
+
+    def post(self, job: Callable[[], None]) -> None:
+        """Run something after everything that waits already."""
+        self._jobs.put(job)
+
+    def receive(self, message: Incoming) -> None:
+        """Handle a message of the browser after everything that waits already."""
+        self.post(lambda: self._on_message(message))
+
+    def send(self, message: Outgoing) -> None:
+        """Send a message, where a browser listens. Any thread may call it."""
+        with self._lock:
+            loop, outgoing = self._loop, self._outgoing
+            if loop is None or outgoing is None or loop.is_closed():
+                return
+            text = write(message)
+            self._waiting += len(text)
+            if self._waiting > WAITING_BYTES:
+                loop.call_soon_threadsafe(outgoing.put_nowait, None)
+                return
+            loop.call_soon_threadsafe(outgoing.put_nowait, text)
+
+    async def serve(self, connection: Any) -> None:
+        """Send what is said until the browser goes away. A second browser of a page takes the first one's place."""
+        outgoing: asyncio.Queue[str | None] = asyncio.Queue()
+        with self._lock:
+            if self._outgoing is not None:
+                self._outgoing.put_nowait(None)
+            self._loop, self._outgoing, self._waiting = asyncio.get_running_loop(), outgoing, 0
+        try:
+            while (text := await outgoing.get()) is not None:
+                await connection.send(text)
+                self._waiting -= len(text)
+            await connection.close(1013, "too slow, or opened elsewhere")
+        except websockets.exceptions.ConnectionClosed:
+            pass
+        finally:
+            with self._lock:
+                if self._outgoing is outgoing:
+                    self._loop = self._outgoing = None
+                    self.left = time.monotonic()
+
+    def close(self) -> None:
+        """Handle what waits, and then nothing."""
+        self._jobs.put(None)
+
+    def end(self, until: float) -> None:
+        """Finish what is being handled, at the latest at this time of the monotonic clock, and nothing that waits."""
+        self._ended = True
+        self.close()
+        self._thread.join(max(0.0, until - time.monotonic()))
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None and not self._ended:
+            try:
+                job()
+            except Exception as error:  # One failed click must not end the session.
+                said = {"title": "Something went wrong", "text": f"{type(error).__name__}: {error}", "bad": True}
+                self.send(Call("toast", said))
+
+
+_STARTED: WeakSet[Channel] = WeakSet()
+
+
+def end_all(within: float) -> None:
+    """Finish what every page is at, within so many seconds in all."""
+    until = time.monotonic() + within
+    for channel in list(_STARTED):
+        channel.end(until)

@@ -1,0 +1,175 @@
+"""What the server answers to a browser: our page at `/`, viser's client as its frame, and who may ask at all.
+
+viser answers HTTP and opens sockets where it calls `websockets.asyncio.server.serve`; ours is put around that, so
+that both stand on one port.
+"""
+
+from __future__ import annotations
+
+import gzip
+import http
+import re
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from importlib import resources
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import parse_qs, quote, urlsplit
+
+import viser
+import websockets.asyncio.server as ws
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from spatialviz.app.access import Access
+from spatialviz.app.images import IMAGES
+
+PAGE_ID: ContextVar[str] = ContextVar("page_id")
+"""Whose scene a socket of viser's shows, while its connection is handled."""
+ID = re.compile(r"[0-9a-f]{32}")
+KINDS = {".html": "text/html", ".mjs": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml",
+         ".jpg": "image/jpeg", ".png": "image/png"}  # fmt: skip
+SAFE = {
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+}
+PAGE_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+SCENE_POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; worker-src blob:; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src data:; connect-src 'self' data: blob:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+"""What viser's client needs and no more: its script and styles are inline, its workers are blobs."""
+SCENE_STYLE = (
+    "<style>#root :has(canvas) ~ :not(:has(canvas), canvas), .mantine-Notifications-root, body > [data-portal] "
+    "{ display: none !important }</style>"
+)
+"""Hides viser's panels: the page has its own."""
+
+
+class Pages(Protocol):
+    """What the pages are served by."""
+
+    async def socket(self, page_id: str, connection: Any) -> None:
+        """Serve the socket of a page until its browser goes away."""
+        ...
+
+    def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
+        """Name and content of a file that a page was told to fetch, once."""
+        ...
+
+
+class Answers(Protocol):
+    """What a websocket server answers by."""
+
+    async def answer(self, request: Request) -> Response | None:
+        """The answer to a request; None lets a socket be opened."""
+        ...
+
+    async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Serve an open socket."""
+        ...
+
+
+class Nobody:
+    """Answers nobody: a server that only draws."""
+
+    async def answer(self, request: Request) -> Response | None:
+        """Refused."""
+        return _response(http.HTTPStatus.FORBIDDEN, b"nobody is served here\n")
+
+    async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Never opened."""
+
+
+class Site:
+    """Answers every request of one server."""
+
+    def __init__(self, access: Access, pages: Pages) -> None:
+        self._access, self._pages = access, pages
+        static = resources.files("spatialviz.app") / "static"
+        self._files = {f.name: f.read_bytes() for f in static.iterdir() if Path(f.name).suffix in KINDS}
+        scene = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
+        self._scene = gzip.compress(scene.replace("</title>", "</title>" + SCENE_STYLE, 1).encode(), 6)
+
+    async def answer(self, request: Request) -> Response | None:
+        """The answer to a request; None lets a socket be opened."""
+        refused = self._access.refusal(request)
+        if refused is not None:
+            return refused
+        parts = urlsplit(request.path)
+        if request.headers.get("Upgrade", "").lower() == "websocket":
+            known = parts.path == "/app/socket" or ID.fullmatch(parts.path.removeprefix("/scene/").rstrip("/"))
+            return None if known else _response(http.HTTPStatus.NOT_FOUND, b"no such socket\n")
+        entered = self._access.entered(request)
+        if entered is not None:
+            return entered
+        return self._file(parts.path, parse_qs(parts.query))
+
+    def _file(self, path: str, query: dict[str, list[str]]) -> Response:
+        if path == "/":
+            return _response(
+                http.HTTPStatus.OK, self._files["index.html"], ".html", {"Content-Security-Policy": PAGE_POLICY}
+            )
+        folder, _, name = path.rpartition("/")
+        if folder == "/app" and name in self._files:
+            return _response(http.HTTPStatus.OK, self._files[name], Path(name).suffix)
+        if folder == "/app/image" and (data := IMAGES.get(name)) is not None:
+            return _response(
+                http.HTTPStatus.OK, data, Path(name).suffix, {"Cache-Control": "private, max-age=86400, immutable"}
+            )
+        if folder == "/app/file":
+            found = self._pages.download(query.get("id", [""])[0], name)
+            if found is not None:
+                given = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(found[0])}"}
+                return _response(http.HTTPStatus.OK, found[1], "", given)
+        if folder.startswith("/scene/") and not name and ID.fullmatch(folder.removeprefix("/scene/")):
+            more = {"Content-Security-Policy": SCENE_POLICY, "Content-Encoding": "gzip"}
+            return _response(http.HTTPStatus.OK, self._scene, ".html", more)
+        return _response(http.HTTPStatus.NOT_FOUND, b"not found\n")
+
+    async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Serve an open socket: the page's own, or viser's of its scene."""
+        parts = urlsplit(connection.request.path)
+        if parts.path == "/app/socket":
+            page_id = parse_qs(parts.query).get("id", [""])[0]
+            if ID.fullmatch(page_id):
+                await self._pages.socket(page_id, connection)
+            return
+        PAGE_ID.set(parts.path.rstrip("/").rpartition("/")[2])
+        await viser_handler(connection)
+
+
+def _response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: dict[str, str] | None = None) -> Response:
+    kind = KINDS.get(suffix, "application/octet-stream" if status == http.HTTPStatus.OK else "text/plain")
+    headers = {"Content-Type": f"{kind}; charset=utf-8" if kind.startswith("text") else kind, **SAFE}
+    headers |= {"Cache-Control": "no-cache", "Content-Length": str(len(body)), **(more or {})}
+    return Response(status, status.phrase, Headers(headers), body)
+
+
+@contextmanager
+def served_by(site: Answers) -> Iterator[None]:
+    """While this is open, a websocket server that is started answers as the site does."""
+    original = ws.serve
+
+    def serve(handler: Any, host: Any = None, port: Any = None, **options: Any) -> Any:
+        async def both(connection: Any) -> None:
+            await site.socket(connection, handler)
+
+        async def process_request(connection: Any, request: Request) -> Response | None:
+            return await site.answer(request)
+
+        options |= {"process_request": process_request, "max_size": 2**20}
+        return original(both, host, port, **options)
+
+    ws.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        yield
+    finally:
+        ws.serve = original  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,0 +1,85 @@
+// What the modules of the page share: commands to the server, tables of functions, and elements from HTML.
+
+export const calls = {};   // name -> function(data), called by the server
+export const locals = {};  // name -> function(element, argument), by data-local
+export const fields = {};  // name -> {input, keydown, blur, focus}(event, element), by data-field
+
+let transmit = () => {};
+export const connect = f => { transmit = f; };
+export const send = text => transmit({type: 'command', text});
+export const go = address => transmit({type: 'go', address});
+
+export const el = (tag, className, text) => {
+  const e = document.createElement(tag);
+  if (className) e.className = className;
+  if (text !== undefined) e.textContent = text;
+  return e;
+};
+export const byId = id => document.getElementById(id);
+export const sceneHost = () => byId('tags');
+export const sceneWindow = () => byId('view').contentWindow;
+export const typing = e => e instanceof Element && (e.matches('textarea, select, [contenteditable]') ||
+  (e.tagName === 'INPUT' && !['range', 'checkbox', 'radio', 'button'].includes(e.type)));
+
+// ---- elements from HTML: a node that stays keeps its focus, its caret, its scroll and what is open in it
+
+const style = e => { if (e.dataset.css !== undefined) e.style.cssText = e.dataset.css; };
+const woken = root => {
+  for (const e of root.querySelectorAll('[data-css]')) style(e);
+  if (root.dataset) style(root);
+  return root;
+};
+const alike = (a, b) => a.nodeType === b.nodeType && a.nodeName === b.nodeName && (a.id || '') === (b.id || '');
+
+const morph = (old, made) => {
+  if (old.nodeType !== 1) { if (old.nodeValue !== made.nodeValue) old.nodeValue = made.nodeValue; return; }
+  if (old.isEqualNode(made)) return;
+  for (const {name} of [...old.attributes]) {
+    if (!made.hasAttribute(name) && name !== 'style' && !(name === 'open' && old.tagName === 'DETAILS')) old.removeAttribute(name);
+  }
+  for (const {name, value} of made.attributes) if (old.getAttribute(name) !== value) old.setAttribute(name, value);
+  if (made.dataset.css !== undefined) style(old); else if (old.hasAttribute('style')) old.removeAttribute('style');
+  if (old.tagName === 'INPUT' && old !== document.activeElement) {
+    if (old.value !== made.value) old.value = made.value;
+    old.checked = made.hasAttribute('checked');
+  }
+  children(old, made);
+  if (old.tagName === 'SELECT' && old !== document.activeElement) old.value = made.value;
+};
+
+const children = (old, made) => {
+  let at = old.firstChild;
+  for (const next of [...made.childNodes]) {
+    const known = next.id ? [...old.children].find(e => e.id === next.id && e.nodeName === next.nodeName) : null;
+    if (known) {
+      if (known === at) at = at.nextSibling; else old.insertBefore(known, at);
+      morph(known, next);
+    } else if (at && alike(at, next)) {
+      const after = at.nextSibling;
+      morph(at, next);
+      at = after;
+    } else old.insertBefore(next.nodeType === 1 ? woken(next) : next, at);
+  }
+  while (at) { const after = at.nextSibling; at.remove(); at = after; }
+};
+
+const parsed = html => { const t = document.createElement('template'); t.innerHTML = html; return t.content; };
+
+export const patch = parts => {
+  for (const [id, html] of parts) {
+    const old = byId(id), made = parsed(html).firstElementChild;
+    if (!old || !made) continue;
+    const shown = old.querySelector('[data-shown]');
+    if (alike(old, made)) morph(old, made); else old.replaceWith(woken(made));
+    const now = byId(id).matches('[data-shown]') ? byId(id) : byId(id).querySelector('[data-shown]');
+    if (now && now !== shown) now.scrollIntoView({block: 'nearest'});
+  }
+};
+
+// Puts HTML into an element in place of what it holds.
+export const fill = (element, html) => {
+  const made = element.cloneNode(false);
+  made.innerHTML = html;
+  children(element, made);
+  for (const e of element.querySelectorAll('[data-css]')) style(e);
+};

@@ -1,0 +1,246 @@
+// The page: its socket, its address, and what elements do by their data (spatialviz/app/markup.py lists it).
+
+import {byId, calls, connect, el, fields, go, locals, patch, send, sceneWindow, typing} from './core.mjs';
+import './fields.mjs';
+import './pixels.mjs';
+import './tags.mjs';
+
+const kept = (name, value) => {
+  try { if (value === undefined) return localStorage.getItem(name) || ''; localStorage.setItem(name, value); } catch { return ''; }
+};
+const id = [...crypto.getRandomValues(new Uint8Array(16))].map(n => n.toString(16).padStart(2, '0')).join('');
+
+// ---- socket: it retries by itself, and the server sends the page as it is then
+
+let socket = null, wait = 250, waiting = [];
+const transmit = message => {
+  if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+  else if (message.type === 'command') waiting = [...waiting, message].slice(-20);
+};
+connect(transmit);
+
+const open = () => {
+  socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/app/socket?id=${id}`);
+  socket.onopen = () => {
+    wait = 250;
+    document.body.classList.remove('lost');
+    transmit({type: 'hello', address: location.search.slice(1), author: kept('author'), theme: kept('theme')});
+    for (const message of waiting.splice(0)) transmit(message);
+  };
+  socket.onmessage = e => {
+    const message = JSON.parse(e.data);
+    if (message.type === 'patch') { patch(message.parts); settle(); }
+    else if (message.type === 'call') calls[message.name]?.(message.data);
+    else if (message.type === 'address') address(message);
+    else if (message.type === 'scene') scene(message.path);
+  };
+  socket.onclose = () => {
+    document.body.classList.add('lost');
+    byId('lost').textContent = 'The server does not answer. Trying again …';
+    setTimeout(open, wait);
+    wait = Math.min(wait * 1.6, 5000);
+  };
+};
+
+const scene = path => {
+  const view = byId('view');
+  if (view.dataset.path === path) return;
+  view.dataset.path = path;
+  // The words are on the screen before viser's client is fetched.
+  requestAnimationFrame(() => setTimeout(() => { view.src = path; }));
+};
+byId('view').addEventListener('load', () => {
+  const w = sceneWindow();
+  if (!w || !w.location.pathname.startsWith('/scene/')) return;
+  // viser reconnects only while its own document has the focus.
+  w.document.hasFocus = () => true;
+  // Keys pressed over the scene mean what they mean over the page.
+  w.addEventListener('keydown', pressed, true);
+});
+
+// ---- address
+
+const address = ({query, title, push}) => {
+  document.title = title;
+  const wanted = '?' + query;
+  if (location.search !== wanted) history[push ? 'pushState' : 'replaceState'](null, '', wanted);
+};
+window.addEventListener('popstate', () => go(location.search.slice(1)));
+
+// ---- what elements do
+
+const fraction = (e, at) => {
+  const b = e.getBoundingClientRect(), part = (v, low, size) => Math.min(1, Math.max(0, (v - low) / size)).toFixed(5);
+  return part(at.clientX, b.left, b.width) + ',' + part(at.clientY, b.top, b.height);
+};
+const said = (command, value) => send(command + (command.endsWith(':') ? '' : ':') + value);
+const act = (e, event) => {
+  const own = e.closest('[data-do], [data-local], [data-point]');
+  if (!own || own.getAttribute('aria-disabled') === 'true' || own.disabled) return;
+  const {do: command, local, point} = own.dataset;
+  if (local) { const [name, ...rest] = local.split(':'); locals[name]?.(own, rest.join(':')); }
+  if (command) send(command);
+  else if (point && !event.shiftKey) said(point, fraction(own, event));
+};
+document.addEventListener('click', e => { if (e.target instanceof Element) act(e.target, e); });
+
+let live = {}, timers = {};
+const follow = (command, value) => {
+  live[command] = value;
+  timers[command] ||= setTimeout(() => { delete timers[command]; said(command, live[command]); }, 50);
+};
+document.addEventListener('input', e => {
+  const f = e.target, {live: command, field} = f.dataset;
+  if (command) {
+    if (f.type === 'range') { f.style.setProperty('--v', (f.value - f.min) / (f.max - f.min)); if (f.nextElementSibling?.tagName === 'OUTPUT') f.nextElementSibling.textContent = (+f.value).toFixed(2); }
+    follow(command, f.value);
+  }
+  if (field) fields[field]?.input?.(e, f);
+});
+document.addEventListener('change', e => {
+  const f = e.target, {change, live: command} = f.dataset;
+  if (command) { clearTimeout(timers[command]); delete timers[command]; }
+  if (change) said(change, f.type === 'checkbox' ? f.checked : f.value);
+  // A number that is taken comes back with the next patch; one that is refused falls back.
+  if (change && f.type === 'number') { const was = f.value; setTimeout(() => { if (f.value === was) f.value = f.defaultValue; }, 900); }
+});
+for (const kind of ['focus', 'blur']) {
+  document.addEventListener(kind, e => { if (e.target.dataset?.field) fields[e.target.dataset.field]?.[kind]?.(e, e.target); }, true);
+}
+document.addEventListener('pointerdown', e => {
+  const pic = e.target instanceof Element && e.target.closest('[data-band]');
+  if (!pic || !e.shiftKey) return;
+  e.preventDefault();
+  const from = fraction(pic, e), band = pic.appendChild(el('div', 'band'));
+  const corners = e => [from, fraction(pic, e)].map(t => t.split(',').map(Number));
+  pic.setPointerCapture(e.pointerId);
+  const move = e => {
+    const [a, b] = corners(e);
+    [band.style.left, band.style.top] = [0, 1].map(k => 100 * Math.min(a[k], b[k]) + '%');
+    [band.style.width, band.style.height] = [0, 1].map(k => 100 * Math.abs(a[k] - b[k]) + '%');
+  };
+  pic.addEventListener('pointermove', move);
+  pic.addEventListener('pointerup', e => {
+    pic.removeEventListener('pointermove', move);
+    band.remove();
+    const [a, b] = corners(e);
+    if (Math.abs(a[0] - b[0]) > .004 && Math.abs(a[1] - b[1]) > .004) said(pic.dataset.band, [...a, ...b].map(v => v.toFixed(5)).join(','));
+  }, {once: true});
+});
+
+// ---- keys
+
+let keys = new Set();
+calls.keys = rows => { keys = new Set(rows); };
+const named = e => {
+  const latin = e.key.length === 1 && e.key.charCodeAt(0) < 128 && !e.altKey;
+  const key = latin ? e.key.toUpperCase() : e.code.replace(/^(Key|Digit|Numpad)/, '');
+  return (e.altKey ? 'Alt+' : '') + (e.ctrlKey || e.metaKey ? 'Ctrl+' : '') + (e.shiftKey && /^[A-Z]$/.test(key) ? 'Shift+' : '') + key;
+};
+const pressed = e => {
+  const own = e.currentTarget === window, f = document.activeElement, dialog = byId('dialog-window');
+  if (e.defaultPrevented || e.isComposing) return;
+  if (own && typing(f)) {
+    fields[f.dataset.field]?.keydown?.(e, f);
+    if (e.defaultPrevented) return;
+    if (e.key === 'Enter' && f.dataset.enter) { said(f.dataset.enter, f.value); f.blur(); e.preventDefault(); }
+    if (e.key === 'Escape' && !f.closest('dialog')) { if (f.dataset.enter) f.value = f.defaultValue; f.blur(); e.preventDefault(); }
+    return;
+  }
+  if (dialog) {
+    const meant = [...dialog.querySelectorAll('[aria-keyshortcuts]')].find(one => one.getAttribute('aria-keyshortcuts') === named(e));
+    if (meant) { e.preventDefault(); meant.click(); }
+    return;
+  }
+  if (own && (e.key === 'Enter' || e.key === ' ') && f.matches('a, button, summary, select, [data-do], [data-local]')) {
+    if (!f.matches('a, button, summary, select')) { e.preventDefault(); act(f, e); }
+    return;
+  }
+  const name = named(e);
+  if (e.key === '/') { e.preventDefault(); byId('ask-text').focus(); byId('ask-text').select(); }
+  else if (e.key === '?') { e.preventDefault(); send('help'); }
+  else if (keys.has(name)) { e.preventDefault(); send('key:' + name); }
+};
+window.addEventListener('keydown', pressed);
+
+// ---- what the server says beside elements
+
+calls.theme = name => { document.documentElement.dataset.theme = name; kept('theme', name); };
+calls.task = name => { document.body.dataset.mode = name; };
+calls.author = name => { kept('author', name); };
+calls.toast = ({title, text, bad}) => {
+  const note = el('div', 'toast' + (bad ? ' bad' : ''));
+  note.append(el('strong', '', title), el('span', '', text));
+  const close = note.appendChild(el('button', 'close', '×'));
+  close.type = 'button';
+  close.setAttribute('aria-label', 'close');
+  close.addEventListener('click', () => note.remove());
+  byId('toasts').append(note);
+  while (byId('toasts').children.length > 4) byId('toasts').firstChild.remove();
+  setTimeout(() => note.remove(), 4000 + 60 * text.length);
+};
+calls.download = ({path, name}) => {
+  const a = el('a');
+  a.href = `/app/file/${path}?id=${id}`;
+  a.download = name;
+  a.click();
+};
+
+let working = 0;
+calls.working = text => {
+  clearTimeout(working);
+  // Quick work does not flicker.
+  working = setTimeout(() => { byId('working').textContent = text; }, text ? 150 : 0);
+};
+
+// A dialog is open while its region holds one; a tab stands while its panel holds something.
+let before = null;
+const settle = () => {
+  const dialog = byId('dialog-window');
+  if (dialog && !dialog.open) {
+    before = document.activeElement;
+    dialog.showModal();
+    dialog.addEventListener('cancel', e => { e.preventDefault(); send('close-dialog'); });
+    dialog.addEventListener('click', e => { if (e.target === dialog) send('close-dialog'); });
+    dialog.querySelector('[autofocus]')?.select?.();
+  }
+  if (!dialog && before) { before.focus?.(); before = null; }
+  for (const tab of byId('drawer-tabs').querySelectorAll('[role=tab]')) {
+    tab.hidden = !tab.getAttribute('aria-controls').split(' ').some(one => byId(one).childElementCount);
+  }
+};
+
+locals.tab = (_, name) => {
+  for (const tab of byId('drawer-tabs').querySelectorAll('[role=tab]')) {
+    const own = tab.dataset.name === name;
+    tab.setAttribute('aria-selected', own);
+    tab.tabIndex = own ? 0 : -1;
+    for (const one of tab.getAttribute('aria-controls').split(' ')) byId(one).parentElement.hidden = !own;
+  }
+  byId('drawer').classList.remove('closed');
+};
+calls.tab = name => locals.tab(null, name);
+locals.drawer = () => byId('drawer').classList.toggle('closed');
+locals.maximise = (_, which) => {
+  const stage = byId('stage');
+  if (stage.dataset.max === which) delete stage.dataset.max; else stage.dataset.max = which;
+};
+locals.share = () => navigator.clipboard?.writeText(location.href).then(
+  () => calls.toast({title: 'Copied', text: 'the address of this view'}), () => {});
+byId('ask').addEventListener('submit', e => { e.preventDefault(); send('ask:' + byId('ask-text').value); byId('ask-text').blur(); });
+calls.question = text => { if (document.activeElement !== byId('ask-text')) byId('ask-text').value = text; };
+
+// ---- the bar between scene and picture
+
+const split = byId('split');
+split.addEventListener('pointerdown', e => {
+  split.setPointerCapture(e.pointerId);
+  const move = e => {
+    const b = byId('views').getBoundingClientRect();
+    byId('views').style.setProperty('--share', Math.min(.85, Math.max(.25, (e.clientX - b.left) / b.width)));
+  };
+  split.addEventListener('pointermove', move);
+  split.addEventListener('pointerup', () => split.removeEventListener('pointermove', move), {once: true});
+});
+
+open();

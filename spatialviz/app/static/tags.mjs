@@ -1,0 +1,258 @@
+/* Names that follow what they name in the scene: placed over its frame after each of its drawings.
+
+A tag never covers what it names, nor another tag, nor leaves the scene; where it stands apart a line leads to it. */
+
+import {calls, el, sceneHost, sceneWindow} from './core.mjs';
+
+const MOST = 30;
+const GAP = 6, RINGS = [GAP, 30, 64];
+/* A line leads from tags that stand farther away, in pixels. */
+const LEAD_FROM = 12;
+/* What places cost, in pixels squared of covered strong boxes: a ring farther out; a place other than the last. */
+const RING_COST = 400, MOVE_COST = 500, SIDE_COST = 15;
+/* A weak tag covers no more than this share of itself of a strong box, save of one that takes half of the scene. */
+const COVERED = 0.15;
+const CORNERS = [0, 1, 2, 3, 4, 5, 6, 7].map(k => [k & 1 ? 1 : -1, k & 2 ? 1 : -1, k & 4 ? 1 : -1]);
+const EDGES = CORNERS.flatMap((_, a) => [1, 2, 4].filter(bit => !(a & bit)).map(bit => [a, a | bit]));
+
+/* ---- colours */
+
+const channel = v => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+
+/* WCAG's luminance of "#rrggbb". */
+export function luminance(color) {
+  const [r, g, b] = [1, 3, 5].map(at => channel(parseInt(color.slice(at, at + 2), 16) / 255));
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+}
+
+/* Black or white, whichever is read better on a colour: never under 4.58 to 1. */
+export function inkOn(color) {
+  const l = luminance(color);
+  return (l + 0.05) / 0.05 > 1.05 / (l + 0.05) ? '#000' : '#fff';
+}
+
+/* ---- geometry: [x0, y0, x1, y1] in pixels of the host */
+
+const overlap = (a, b) => Math.max(0, Math.min(a[2], b[2]) - Math.max(a[0], b[0]))
+  * Math.max(0, Math.min(a[3], b[3]) - Math.max(a[1], b[1]));
+const within = (v, low, high) => Math.max(low, Math.min(high, v));
+
+/* The places around a box for a tag of (w, h): eight on the inner ring, four on each farther one. */
+function candidates([x0, y0, x1, y1], w, h, W, H) {
+  const found = [];
+  RINGS.forEach((gap, ring) => {
+    const midX = (x0 + x1 - w) / 2, midY = (y0 + y1 - h) / 2;
+    const above = y0 - gap - h, below = y1 + gap, left = x0 - gap - w, right = x1 + gap;
+    const sides = [[midX, above], [right, midY], [left, midY], [midX, below]];
+    const corners = [[x1 - w / 3, above], [x0 - (2 * w) / 3, above], [x1 - w / 3, below], [x0 - (2 * w) / 3, below]];
+    [...sides, ...(ring ? [] : corners)].forEach(([x, y], side) => {
+      // Along its side a tag may slide to stay in the scene, so that it still stands beside its box.
+      const vertical = side === 1 || side === 2;
+      const tx = vertical ? x : within(x, 2, W - w - 2), ty = vertical ? within(y, 2, H - h - 2) : y;
+      found.push({ring, side, rect: [tx, ty, tx + w, ty + h]});
+    });
+  });
+  return found;
+}
+
+/* The free place nearest to a box, on a grid over the scene: for a strong tag without a place around it. */
+function anywhere([x0, y0, x1, y1], w, h, W, H, free) {
+  let best = null, least = Infinity;
+  for (let y = 2; y <= H - h - 2; y += h + 4) {
+    for (let x = 2; x <= W - w - 2; x += 24) {
+      const rect = [x, y, x + w, y + h];
+      const dx = Math.max(x0 - rect[2], x - x1, 0), dy = Math.max(y0 - rect[3], y - y1, 0), far = dx * dx + dy * dy;
+      if (far < least && free(rect)) [best, least] = [rect, far];
+    }
+  }
+  return best;
+}
+
+/* Chooses where tags stand: items ({box, w, h, strong, place}) in the order in which they may choose, changed in
+   place: `rect` (null: hidden) and `place`, the candidate that was taken, which is kept while it is free. */
+export function arrange(items, W, H) {
+  const put = [], strong = items.filter(item => item.strong).map(item => item.box);
+  const kept = strong.filter(box => overlap(box, [0, 0, W, H]) < (W * H) / 2);
+  for (const item of items) {
+    const free = rect => rect[0] >= 0 && rect[1] >= 0 && rect[2] <= W && rect[3] <= H
+      && !overlap(rect, item.box) && put.every(other => !overlap(rect, other));
+    let least = Infinity;
+    item.rect = null;
+    candidates(item.box, item.w, item.h, W, H).forEach(({ring, side, rect}, place) => {
+      const covers = box => overlap(rect, box) > COVERED * item.w * item.h;
+      if (!free(rect) || (!item.strong && kept.some(covers))) return;
+      let cost = ring * RING_COST + side * SIDE_COST + (place === item.place ? 0 : MOVE_COST);
+      for (const box of strong) if (box !== item.box) cost += overlap(rect, box);
+      if (cost >= least) return;
+      least = cost;
+      item.rect = rect;
+      item.next = place;
+    });
+    if (!item.rect && item.strong) {
+      item.rect = anywhere(item.box, item.w, item.h, W, H, free)
+        // Its box fills the scene: only inside of it can it be told at all.
+        ?? anywhere([W / 2, 0, W / 2, 0], item.w, item.h, W, H, rect => put.every(other => !overlap(rect, other)));
+      item.next = -1;
+    }
+    item.place = item.rect ? item.next : -1;
+    if (item.rect) put.push([item.rect[0] - 1, item.rect[1] - 1, item.rect[2] + 1, item.rect[3] + 1]);
+  }
+}
+
+/* ---- projection */
+
+/* The product of two 4 x 4 matrices that stand column by column, as three.js has them. */
+function times(a, b) {
+  const made = new Float64Array(16);
+  for (let c = 0; c < 4; c++) {
+    for (let r = 0; r < 4; r++) {
+      for (let k = 0; k < 4; k++) made[4 * c + r] += a[4 * k + r] * b[4 * c + k];
+    }
+  }
+  return made;
+}
+
+/* x, y in pixels and the distance along the view; null behind the camera. */
+function project(m, x, y, z, W, H) {
+  const w = m[3] * x + m[7] * y + m[11] * z + m[15];
+  if (w < 0.02) return null;
+  return [
+    (((m[0] * x + m[4] * y + m[8] * z + m[12]) / w + 1) / 2) * W,
+    ((1 - (m[1] * x + m[5] * y + m[9] * z + m[13]) / w) / 2) * H,
+    w,
+  ];
+}
+
+/* Where the box of a tag is drawn; whether any of it is in the scene. */
+function look(tag, view, W, H) {
+  const node = tag.nodes[tag.node];
+  if (!node?.matrixWorld) return false;
+  node.updateWorldMatrix(true, false);
+  const m = times(view, node.matrixWorld.elements), [cx, cy, cz] = tag.center, [ex, ey, ez] = tag.extent;
+  const middle = project(m, cx, cy, cz, W, H);
+  if (!middle) return false;
+  tag.corners = CORNERS.map(([i, j, k]) => project(m, cx + i * ex, cy + j * ey, cz + k * ez, W, H) ?? middle);
+  const xs = tag.corners.map(p => p[0]), ys = tag.corners.map(p => p[1]);
+  tag.box = [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+  tag.far = middle[2];
+  return tag.box[0] < W && tag.box[2] > 0 && tag.box[1] < H && tag.box[3] > 0;
+}
+
+/* The point of a box's drawn edges that is nearest to a point. */
+function nearest(corners, x, y) {
+  let best = corners[0], least = Infinity;
+  for (const [i, j] of EDGES) {
+    const [ax, ay] = corners[i], dx = corners[j][0] - ax, dy = corners[j][1] - ay;
+    const along = within(((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1), 0, 1);
+    const px = ax + along * dx, py = ay + along * dy, far = (px - x) ** 2 + (py - y) ** 2;
+    if (far < least) [best, least] = [[px, py], far];
+  }
+  return best;
+}
+
+/* ---- elements */
+
+const SVG = 'http://www.w3.org/2000/svg';
+let layer = null, lines = null, tags = [], size = [0, 0], hooked = null;
+
+function layers() {
+  if (layer?.isConnected) return;
+  layer = el('div', 'scene-tags');
+  lines = document.createElementNS(SVG, 'svg');
+  layer.setAttribute('aria-hidden', 'true');
+  layer.append(lines);
+  const host = sceneHost();
+  host.prepend(layer);
+  new ResizeObserver(() => {
+    size = [host.clientWidth, host.clientHeight];
+    place();
+  }).observe(host);
+}
+
+/* `list`: {node, text, detail, color, strong, center, extent}, center and half sizes in the node's coordinates. */
+calls.tags = list => {
+  layers();
+  const known = new Map(tags.map(tag => [tag.node, tag]));
+  tags = list.map(one => {
+    const old = known.get(one.node);
+    const same = old && ['text', 'detail', 'color', 'strong'].every(name => old[name] === one[name]);
+    const tag = {place: -1, shown: false, center: [0, 0, 0], extent: [0, 0, 0], ...old, ...one};
+    if (!same) [tag.div, tag.line, tag.w] = [...element(one), 0];
+    return tag;
+  });
+  layer.replaceChildren(lines, ...tags.map(tag => tag.div));
+  lines.replaceChildren(...tags.map(tag => tag.line));
+  // All are measured before any is moved: one layout.
+  for (const tag of tags) if (!tag.w) [tag.w, tag.h, tag.at] = [tag.div.offsetWidth, tag.div.offsetHeight, ''];
+  place();
+};
+
+function element({text, detail, color, strong}) {
+  const div = el('div', strong ? 'tag' : 'tag weak', text), line = document.createElementNS(SVG, 'line');
+  div.style.setProperty('--c', color);
+  div.style.color = inkOn(color);
+  if (detail) div.append(' ', el('i', '', detail));
+  line.style.stroke = color;
+  return [div, line];
+}
+
+function hide(tag) {
+  if (tag.at === 'hidden') return;
+  tag.at = 'hidden';
+  tag.div.style.visibility = tag.line.style.visibility = 'hidden';
+}
+
+function stand(tag) {
+  const [x0, y0, x1, y1] = tag.rect, at = `translate(${x0.toFixed(1)}px, ${y0.toFixed(1)}px)`;
+  const [bx, by] = nearest(tag.corners, (x0 + x1) / 2, (y0 + y1) / 2);
+  const tx = within(bx, x0, x1), ty = within(by, y0, y1);
+  const leads = Math.hypot(bx - tx, by - ty) > LEAD_FROM;
+  if (tag.at !== at) {
+    tag.at = at;
+    tag.div.style.transform = at;
+    tag.div.style.visibility = 'visible';
+  }
+  tag.line.style.visibility = leads ? 'visible' : 'hidden';
+  if (!leads) return;
+  for (const [name, value] of [['x1', tx], ['y1', ty], ['x2', bx], ['y2', by]]) {
+    tag.line.setAttribute(name, value.toFixed(1));
+  }
+}
+
+function place() {
+  const scene = sceneWindow()?.__viserMutable, camera = scene?.camera, [W, H] = size;
+  if (!tags.length || !W) return;
+  if (!camera || !scene.nodeRefFromName) {
+    tags.forEach(hide);
+    return;
+  }
+  const view = times(camera.projectionMatrix.elements, camera.matrixWorldInverse.elements);
+  const seen = tags.filter(tag => look(Object.assign(tag, {nodes: scene.nodeRefFromName}), view, W, H));
+  // One that is shown stays so until another is clearly nearer.
+  const order = seen.map(tag => [tag.strong ? 0 : tag.far * (tag.shown ? 0.9 : 1), tag]).sort((a, b) => a[0] - b[0]);
+  const chosen = new Set(order.slice(0, MOST).map(([, tag]) => tag));
+  // They choose in an order that does not change while the camera turns.
+  const shown = tags.filter(tag => chosen.has(tag)).sort((a, b) => b.strong - a.strong);
+  arrange(shown, W, H);
+  for (const tag of tags) {
+    tag.shown = chosen.has(tag) && tag.rect !== null;
+    if (tag.shown) stand(tag);
+    else hide(tag);
+  }
+}
+
+/* Follows each drawing of the scene; until there is one, and where it cannot be followed, each of the page. */
+function follow() {
+  const scene = sceneWindow()?.__viserMutable?.scene;
+  if (scene && scene !== hooked) {
+    hooked = scene;
+    const before = scene.onAfterRender;
+    scene.onAfterRender = function (...given) {
+      before?.apply(this, given);
+      place();
+    };
+  }
+  if (!scene) place();
+  requestAnimationFrame(follow);
+}
+follow();
