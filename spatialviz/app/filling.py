@@ -13,6 +13,7 @@ from spatialviz.app.layout import Page
 from spatialviz.app.objects import objects_html
 from spatialviz.app.picture import image_html, log_html
 from spatialviz.app.shared import Shared
+from spatialviz.app.stage_objects import object_html
 from spatialviz.app.stages import stages_html
 from spatialviz.app.state import State
 from spatialviz.app.toolbar import moves_html, scene_tools_html, suggestions_html
@@ -46,6 +47,7 @@ def fill_page(
         fill_answer(page, state, can_ask)
         page.show("agreement", agreement_html(state))
         page.show("image", image_html(state))
+        page.show("object", object_html(state) if state.labels is None else None)
         page.show("log", log_html(log))
 
 

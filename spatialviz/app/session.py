@@ -45,6 +45,7 @@ from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.selection import Selection
 from spatialviz.app.shared import Shared
+from spatialviz.app.stages import opened
 from spatialviz.app.state import NOTHING, State, shown_objects
 from spatialviz.app.view_settings import ViewSettings
 from spatialviz.app.view_string import BEGINS
@@ -282,7 +283,7 @@ class Session:
 
     def _open_stage(self, name: str) -> None:
         """Open the evidence of a module, or close it."""
-        self.state = replace(self.state, stage="-" if self.state.stage == name else name)
+        self.state = replace(self.state, stage="-" if opened(self.state) == name else name)
         self._draw()
 
     def _hover(self, number: int) -> None:
