@@ -70,7 +70,7 @@ class Channel:
             loop.call_soon_threadsafe(outgoing.put_nowait, text)
 
     def attach(self) -> asyncio.Queue[str | None]:
-        """A browser is there: what is said from now on waits here. A second one of a page takes the first one's place."""
+        """A browser is there: what is said from now on waits here. A second one takes the first one's place."""
         outgoing: asyncio.Queue[str | None] = asyncio.Queue()
         with self._lock:
             if self._outgoing is not None:

@@ -227,6 +227,7 @@ const settle = () => {
 };
 
 locals.tab = (_, name) => {
+  if (!byId('drawer-tabs').querySelector(`[data-name="${CSS.escape(name)}"]`)) return;
   for (const tab of byId('drawer-tabs').querySelectorAll('[role=tab]')) {
     const own = tab.dataset.name === name;
     tab.setAttribute('aria-selected', own);
