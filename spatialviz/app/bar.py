@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from spatialviz.app.layout import listed
 from spatialviz.app.markup import Element, h
@@ -21,9 +21,7 @@ TOOLS = (
 )
 
 
-def where_html(
-    state: State, sources: Sequence[str], ids: Sequence[str], leads: Mapping[str, str] | None
-) -> list[Element]:
+def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list[Element]:
     """Which dataset and which frame of it, with steps to its neighbours."""
     place = ids.index(state.frame_id)
     made = []
@@ -37,7 +35,7 @@ def where_html(
         autocomplete="off", spellcheck="false",
     )  # fmt: skip
     offered = h.datalist((h.option(value=one) for one in listed(ids, state.frame_id)), id="frame-ids")
-    return [*made, field, offered, frame_nav_html(place, len(ids), leads)]
+    return [*made, field, offered, frame_nav_html(place, len(ids))]
 
 
 def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | None:
@@ -59,7 +57,14 @@ def tools_html() -> Element:
 
 
 def problem_html(state: State) -> Element | None:
-    """Why the frame cannot be shown, or the question not be asked."""
-    if state.problem:
-        return note(f"This frame is broken: {state.problem}", BAD)
-    return note(state.error, BAD) if state.error else None
+    """Why the frame cannot be shown."""
+    return note(f"This frame is broken: {state.problem}", BAD) if state.problem else None
+
+
+def refusal_html(state: State) -> Element | None:
+    """Beside the field: why the question could not be asked, and what is in this frame."""
+    if not state.error:
+        return None
+    names = sorted({o.label for o in state.shown.objects})
+    there = h.p("In this frame: ", ", ".join(names)) if names else None
+    return h.div(note(state.error, BAD), there, cls="refusal", role="alert")

@@ -106,7 +106,7 @@ class BesideLayer:
         """Bring the scene up to the state, and return the names to show; while a hand is at a box nothing changes."""
         state = self._state()
         objects, chosen = state.second_layer, state.second_selected
-        marks = (state.source, state.frame_id, bool(objects), chosen, state.layers, state.flags.boxes, state.dark)
+        marks = (state.source, state.frame_id, bool(objects), chosen, state.layers, state.boxes_shown, state.dark)
         if live or marks == self._drawn:
             return self._tags
         self._drawn = marks
@@ -115,7 +115,7 @@ class BesideLayer:
         if state.beside is not None and state.layers == "both":
             alike = set(state.beside.found.pairs[state.beside.found.same, 1].tolist())
         boxed = [j for j, entry in enumerate(objects) if entry.lifted.box is not None]
-        shown = boxed if state.flags.boxes else []
+        shown = boxed if state.boxes_shown else []
         with self._client.atomic():
             self._set("alike", self._dashes(objects, [j for j in shown if j in alike]), _faint(color, state.dark), 1.2)
             self._set("apart", self._dashes(objects, [j for j in shown if j not in alike]), color, 2.2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pipeline.answering.agreement.agreement import MIN_IOU
 from pipeline.answering.agreement.frames import Beside
-from pipeline.geometry.palette import hex_color, ink_on, palette, second_color
+from pipeline.geometry.palette import hex_color, ink, palette, second_color
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
 from spatialviz.app.text import DOUBT, GOOD, dot, heading, note, panel, segments
@@ -27,14 +27,14 @@ def layers_html(state: State) -> Element | None:
 def second_overlay(state: State, unit: float) -> list[Element]:
     """The second detector's 2D boxes as parts of an SVG: dashed, faint where the own one found the same."""
     beside = state.beside
-    if beside is None or not state.second_layer or not (state.flags.boxes or state.second_selected is not None):
+    if beside is None or not state.second_layer or not (state.boxes_shown or state.second_selected is not None):
         return []
     color, tag = hex_color(second_color(True)), hex_color(second_color(False))
     alike = set(beside.found.pairs[beside.found.same, 1].tolist())
     parts = []
     for j, entry in enumerate(beside.objects):
         chosen = j == state.second_selected
-        if not chosen and not state.flags.boxes:
+        if not chosen and not state.boxes_shown:
             continue
         x0, y0, x1, y1 = (float(v) for v in entry.bbox)
         faint = j in alike and state.layers == "both"
@@ -62,7 +62,7 @@ def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float,
         ),
         h.text(
             text, x=f"{x + 4 * unit:.1f}", y=f"{y + 10.4 * unit:.1f}", font_size=f"{10.5 * unit:.1f}",
-            font_weight=600, fill=ink_on(color), font_family="system-ui,sans-serif",
+            font_weight=600, fill=ink(color), font_family="system-ui,sans-serif",
         ),
     )  # fmt: skip
 

@@ -7,16 +7,17 @@ from collections.abc import Sequence
 from pipeline.datasets import Dataset, has_moves, moves
 from spatialviz.app import sentences_html
 from spatialviz.app.answer import answer_html
-from spatialviz.app.bar import problem_html, tasks_html, tools_html, where_html
+from spatialviz.app.bar import problem_html, refusal_html, tasks_html, tools_html, where_html
 from spatialviz.app.beside_html import agreement_html
 from spatialviz.app.layout import Page
 from spatialviz.app.legend import depth_bar
 from spatialviz.app.objects import objects_html
 from spatialviz.app.picture import image_html, log_html
 from spatialviz.app.shared import Shared
+from spatialviz.app.stage_objects import object_html
 from spatialviz.app.stages import stages_html
 from spatialviz.app.state import State
-from spatialviz.app.toolbar import scene_tools_html
+from spatialviz.app.toolbar import moves_html, scene_tools_html, suggestions_html
 
 
 def fill_page(
@@ -26,6 +27,7 @@ def fill_page(
     *,
     dataset: Dataset,
     can_ask: bool,
+    suggestions: Sequence[str],
     log: Sequence[tuple[str, str]],
 ) -> None:
     """Fill all regions at once. What would not change sends nothing."""
@@ -34,16 +36,21 @@ def fill_page(
     page.call("task", state.task)
     page.call("working", "")
     with page.together():
-        page.show("where", where_html(state, tuple(shared.store.sources), dataset.frame_ids, leads))
+        page.show("where", where_html(state, tuple(shared.store.sources), dataset.frame_ids))
+        page.show("moves", moves_html(leads))
+        asked = state.trace is not None or state.labels is not None
+        page.show("suggestions", None if asked and not state.error else suggestions_html(state, suggestions))
         page.show("tasks", tasks_html(state, bool(shared.runs), bool(shared.journals)))
         page.show("tools", tools_html())
         page.show("problem", problem_html(state))
+        page.show("ask-problem", refusal_html(state))
         page.show("scene-tools", scene_tools_html(state))
         page.show("depth-legend", depth_bar(state))
         page.show("objects", objects_html(state))
         fill_answer(page, state, can_ask)
-        page.show("agreement", agreement_html(state))
+        page.show("agreement", agreement_html(state) if shared.second else None)
         page.show("image", image_html(state))
+        page.show("object", object_html(state) if state.labels is None else None)
         page.show("log", log_html(log))
 
 

@@ -12,6 +12,7 @@ script or a style, as the page's content policy forbids both. What an element do
 `enter`          command sent with the value of a text field by Enter, which leaves it; Escape takes it back
 `point`          command sent with where a picture was clicked, as fractions of its width and height
 `band`           command sent with the rectangle that was drawn with Shift held, as the same fractions
+`hover`          command sent while the mouse is over it or it has the focus, and "name:-1" afterwards
 `field`          a text field with a list of its own: a name of `static/fields.mjs`
 `css`            custom properties and styles of this element alone
 ===============  =======================================================================================
@@ -26,7 +27,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 Child: TypeAlias = "Element | str | int | float | Iterable[Child] | None"
-DATA = ("do", "local", "live", "change", "enter", "point", "band", "field")
+DATA = ("do", "local", "live", "change", "enter", "point", "band", "hover", "field")
 ACTIVE = ("a", "button", "input", "select", "textarea", "option", "summary")
 """Elements that can be reached and pressed by keys as they are."""
 VOID = ("br", "img", "input", "hr", "meta", "link")

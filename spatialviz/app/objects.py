@@ -37,6 +37,7 @@ def _row(state: State, i: int, kind: str) -> Element:
         h.td(score(entry.score), h.span("!", cls="low", title=doubts, aria_label=doubts) if doubts else "", cls="n"),
         id=f"{kind}-{i}",
         do=f"object:{i}",
+        hover=f"hover:{i}",
         **chosen(i == state.selected and kind == "object", "r"),
     )
 

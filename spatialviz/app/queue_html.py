@@ -14,7 +14,7 @@ from pipeline.language.relation_names import PHRASE
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.text import BAD, DOUBT, GOOD, button, chosen, heading, note, panel, segments
 
-ROWS = 40
+ROWS, STEP = 40, 20
 SKIPPED = 8
 """Frames that a hint names."""
 MARKS = {
@@ -74,7 +74,8 @@ def queue_html(
     again = "make again" if work is not None else "make"
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
     make = button(again, "make-queue", "ranks the labels by what is switched on here")
-    parts = [heading("Queue", stop if making.running else make), _asked(asked), _busy(making)]
+    head = heading("Queue", stop if making.running else make).with_(id="queue-head")
+    parts = [head, _asked(asked), h.div(_busy(making), id="queue-busy")]
     if work is None:
         return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
     counts = work.counts
@@ -83,9 +84,9 @@ def queue_html(
     return panel(
         parts,
         _known(making.made),
-        h.div(_settled(counts), tally, cls="dim"),
+        h.div(_settled(counts), tally, id="queue-settled", cls="dim"),
         segments("queue-kind", KINDS, kind, "Items of one kind"),
-        h.div(rows or "nothing of this kind", cls="queue"),
+        h.div(rows or "nothing of this kind", id="queue-rows", cls="queue"),
     )
 
 
@@ -96,6 +97,7 @@ def _asked(asked: Asked) -> Element:
         h.span("rules and linter", cls="try fixed", title="always in it"),
         _switch("networks", "networks", asked.networks, "networks that have not learnt from a label"),
         asked.named and _switch("detector", f"detector {asked.named}", asked.detector, hint),
+        id="queue-asks",
         cls="asks",
     )
 
@@ -143,9 +145,9 @@ def _known(made: Mapping[str, Any] | None) -> Element | None:
 
 
 def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[int]:
-    """The rows around the current one."""
+    """The rows around the current one; the list moves on by `STEP`, so that the next item sends few of them."""
     at = 0 if item is None else work.indices.get(item.plain, 0)
-    start = max(0, at - 3)
+    start = max(0, at - 3) // STEP * STEP
     places = []
     for place in range(start, len(work)):
         if kind in ("all", work.keys[place].kind) and not work.gone[place]:

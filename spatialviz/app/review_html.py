@@ -65,9 +65,9 @@ def pair_html(state: State) -> Element | None:
         pair = "Select two objects, one after the other, or open an item of the queue."
         return panel(h.div(pair, keys, cls="dim"))
     colors = palette(state.dark)
-    first = h.b(dot(colors["target"]), f"{card.names[0]}·{card.a}")
-    second = h.b(dot(colors["reference"]), f"{card.names[1]}·{card.b}")
-    head = heading((first, " … ", second), button("swap", "swap", "the other way round (X)"))
+    first = dot(colors["target"]), f"{card.names[0]}·{card.a}"
+    second = dot(colors["reference"]), f"{card.names[1]}·{card.b}"
+    head = heading(h.b(first, " … ", second), button("swap", "swap", "the other way round (X)"))
     if card.why_none:
         return panel(head, note(f"Takes part in no relation: {card.why_none}"))
     item, only = view.item, None

@@ -85,7 +85,7 @@ class SceneFlags:
     """What is shown."""
 
     cloud: bool = True
-    boxes: bool = True
+    boxes: bool = False
     labels: bool = False
     pairs: bool = True
     truth: bool = False

@@ -52,7 +52,8 @@ class SceneAids:
             self._anchor = self._client.scene.add_frame(TAG, show_axes=False)
         self._anchor.position = triple((ends[0] + ends[1]) / 2)
         half = np.abs(ends[1] - ends[0]) / 2
-        return [Tag(TAG, f"{found.distance:.3f} m", ", ".join(found.words), INK[state.dark], True, extent=triple(half))]
+        parts = ", ".join(word.replace(" m ", " ") for word in found.words)
+        return [Tag(TAG, f"{found.distance:.3f} m", parts, INK[state.dark], True, extent=triple(half))]
 
     def _looked_at(self, state: State, loaded: LoadedFrame) -> dict[str, object]:
         """The point whose depth the scale is of: the middle of the chosen pair, else of the cloud."""

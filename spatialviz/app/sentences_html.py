@@ -62,10 +62,11 @@ def sentence_html(state: State) -> Element | None:
     )
 
 
-def _answers(state: State, view: LabelView, card: ExpressionCard, small: bool = False) -> Element:
+def _answers(state: State, view: LabelView, card: ExpressionCard, row: str = "") -> Element:
+    """The objects that an expression is true of, in a row of the list if its id is given."""
     numbers = [*card.targets, *(n for n in card.acceptable if n not in card.targets)]
-    chips = [_chip(state, view, card, n, small) for n in numbers]
-    if small:
+    chips = [_chip(state, view, card, n, row) for n in numbers]
+    if row:
         return h.div(chips, cls="obs")
     marks = {ORIGINS[card.origins[name].source] for name in ("targets", "acceptable")} - {"auto"}
     title = "; ".join(str(card.origins[name]) for name in ("targets", "acceptable"))
@@ -73,7 +74,7 @@ def _answers(state: State, view: LabelView, card: ExpressionCard, small: bool = 
     return h.div(chips or h.span("nothing", cls="dim"), told, cls="obs")
 
 
-def _chip(state: State, view: LabelView, card: ExpressionCard, number: int, small: bool) -> Element:
+def _chip(state: State, view: LabelView, card: ExpressionCard, number: int, row: str) -> Element:
     color = palette(state.dark)["target" if number == card.target_object else "other"]
     sure = card.certainty(number) == "sure"
     kinds = {
@@ -89,7 +90,8 @@ def _chip(state: State, view: LabelView, card: ExpressionCard, number: int, smal
     )
     return h.span(
         h.button(name, do=f"number:{number}", title=f"{said}; click selects"),
-        None if small else drop,
+        None if row else drop,
+        id=f"{row}-{number}" if row else None,
         cls=" ".join(kind for kind, holds in kinds.items() if holds),
         css={"--c": hex_color(color)},
     )
@@ -144,20 +146,28 @@ def expressions_html(state: State) -> Element | None:
     if view is None or not view.expressions:
         return None
     left_out = sum(bool(c.withdrawn) for c in view.expressions)
-    rows: list[Element] = []
-    first = True
-    for card in view.expressions[:SHOWN]:
-        if view.about and first and not card.is_of(view.about) and rows:
-            rows.append(h.div("others of the frame", cls="dim others"))
-        first = card.is_of(view.about)
-        rows.append(_row(state, view, card))
     count = f"{len(view.expressions)}" + (f", {left_out} left out" if left_out else "")
     if len(view.expressions) > SHOWN:
         count += f"; {SHOWN} are listed"
-    return panel(heading("Expressions", count), h.div(rows, cls="scroll expressions"))
+    own = [card for card in view.expressions if view.about and card.is_of(view.about)]
+    out = [card for card in view.expressions if card.withdrawn and card not in own]
+    # All stay where they are, hidden while they stand above or below: another pair, and an edit, send few rows.
+    at = {name: k for k, name in enumerate(view.frame.auto.expressions)}
+    rows = sorted(view.expressions, key=lambda card: at[card.id])[:SHOWN]
+    others = h.div("others of the frame", cls="dim others", hidden=not 0 < len(own) < len(view.expressions))
+    return panel(
+        heading("Expressions", count).with_(id="expressions-head"),
+        h.div(
+            h.div((_row(state, view, card, "own") for card in own), others, id="expressions-own"),
+            h.div((_row(state, view, card, "any", card in own or card in out) for card in rows), id="expressions-all"),
+            h.div((_row(state, view, card, "out") for card in out[:SHOWN]), id="expressions-out"),
+            cls="scroll expressions",
+        ),
+    )
 
 
-def _row(state: State, view: LabelView, card: ExpressionCard) -> Element:
+def _row(state: State, view: LabelView, card: ExpressionCard, kind: str, hidden: bool = False) -> Element:
+    name = f"{kind}-{card.id}"
     tags: list[Child] = []
     if card.mark is not None:
         tags.append(h.b(MARKED[card.mark], css={"--c": BAD}))
@@ -168,9 +178,10 @@ def _row(state: State, view: LabelView, card: ExpressionCard) -> Element:
     out = h.div(card.withdrawn, cls="dim") if card.withdrawn else None
     return h.div(
         h.div(h.span(card.text, cls="say"), h.span(joined(tags), cls="tags")),
-        out or _answers(state, view, card, small=True),
-        id=f"expression-{card.id}",
-        **chosen(card.id == view.expression, "ex out" if card.withdrawn else "ex"),
+        out or _answers(state, view, card, name),
+        id=name,
+        hidden=hidden,
+        **chosen(card.id == view.expression and not hidden, "ex out" if card.withdrawn else "ex"),
         role="group",
         do=f"expression:{card.id}",
         title=f"left out: {card.withdrawn}" if card.withdrawn else card.text,

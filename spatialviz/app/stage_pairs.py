@@ -10,13 +10,13 @@ from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import Diagnosis, threshold
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color, palette
-from spatialviz.app.before import cell, was
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import chosen, named
+from spatialviz.app.text import cell, chosen, named, was
 
 SHOWN_PAIRS = 30
 MATRIX_LIMIT = 14
+NEEDED = "needed: the right pair wins as soon as its factor is above this, all else as it is"
 
 
 def pairs_evidence(state: State, trace: Trace) -> list[Child]:
@@ -93,27 +93,25 @@ def _against(state: State) -> list[Child]:
     for name, share in shares.items():
         above, right = needed.get(name), getattr(d.right, f"p_{name}")
         css = {"--c": hex_color(COLORS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale / 2:.1%}"}
+        wanted = None if above is None else h.div(f"> {threshold(above, right)[0]}", cls="dim", title=NEEDED)
         bar = h.i(cls="for" if share >= 0 else "against", css=css)
         rows.append(
             h.tr(
                 h.th(name, scope="row"),
                 h.td(f"{getattr(d.winner, f'p_{name}'):.2f}", cls="n"),
-                h.td(f"{right:.2f}", cls="n"),
+                h.td(f"{right:.2f}", wanted, cls="n"),
                 h.td(h.div(bar, cls="diverge")),
                 h.td(f"{share:+.2f}", cls="n"),
-                h.td("" if above is None else f"> {threshold(above, right)[0]}", cls="n dim"),
             )
         )
     total = d.winner.log_score - d.right.log_score
-    rows.append(h.tr(h.th("sum", scope="row"), h.td(colspan=3), h.td(h.b(f"{total:+.2f}"), cls="n"), h.td(), cls="sum"))
-    hint = "the right pair wins as soon as its factor is above this, all else as it is"
+    rows.append(h.tr(h.th("sum", scope="row"), h.td(colspan=3), h.td(h.b(f"{total:+.2f}"), cls="n"), cls="sum"))
     head = h.tr(
         h.td(),
         h.th("answer", cls="n"),
         h.th("right", cls="n"),
         h.th("right · answer", title="which of the two the factor favours"),
         h.th("Δ log", cls="n"),
-        h.th("needed", cls="n", title=hint),
     )
     colors = palette(state.dark)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import taken_as, unused_words
 from pipeline.geometry.palette import hex_color, palette
+from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
@@ -68,7 +69,7 @@ def _noun(node: Node) -> Element:
 
 def _attachment(attachment: Attachment) -> Element:
     phrase = h.i(f"not {attachment.phrase}" if attachment.negated else attachment.phrase)
-    meant = attachment.relation if attachment.relation != attachment.phrase else ""
-    way = " (the other way round)" if attachment.inverse else ""
+    meant = wording(attachment.relation, inverse=attachment.inverse)
+    told = h.span(f" {meant}", cls="dim") if meant != attachment.phrase else None
     nodes = h.ul(_noun(n) for n in attachment.nodes)
-    return h.li(phrase, h.span(f" {meant}{way}", cls="dim"), nodes, cls="neg" if attachment.negated else "")
+    return h.li(phrase, told, nodes, cls="neg" if attachment.negated else "")

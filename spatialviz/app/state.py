@@ -25,7 +25,7 @@ from spatialviz.app.scene import Ghost, SceneFlags
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
 Layers = Literal["both", "a", "b"]
-CameraMode = Literal["sensor", "orbit", "top"]
+CameraMode = Literal["pair", "sensor", "orbit", "top"]
 Tool = Literal["", "level", "measure"]
 
 
@@ -125,6 +125,8 @@ class State:
         The pixels, none to two, between which is measured.
     point_size : float
         Of the cloud, as a factor.
+    hovered : int or None
+        The object whose row the mouse is over, as a place in `shown.objects`.
     evaluating : bool
         The run is looked at, rather than one answer.
     stage : str
@@ -142,7 +144,7 @@ class State:
     pair: tuple[int, ...] | None = None
     selected: int | None = None
     colors: ColorMode = "rgb"
-    camera: CameraMode = "orbit"
+    camera: CameraMode = "pair"
     flags: SceneFlags = field(default_factory=SceneFlags)
     dark: bool = True
     judged: Diagnosis | str | None = None
@@ -159,6 +161,7 @@ class State:
     marks: tuple[tuple[int, int], ...] = ()
     point_size: float = 1.0
     evaluating: bool = False
+    hovered: int | None = None
     stage: str = ""
 
     @property
@@ -170,14 +173,19 @@ class State:
     def unasked(self) -> State:
         """The same without any answer."""
         return replace(
-            self, trace=None, pair=None, selected=None, error="", judged=None, other=None, edited=None, labels=None,
-            second=None, stage="",
+            self, trace=None, pair=None, selected=None, hovered=None, error="", judged=None, other=None, edited=None,
+            labels=None, second=None, stage="",
         )  # fmt: skip
 
     @property
     def beside(self) -> Beside | None:
         """What a second detector finds, where that is looked at."""
         return None if self.loaded is None or self.labels is not None else self.loaded.beside
+
+    @property
+    def boxes_shown(self) -> bool:
+        """Whether the boxes of all objects are shown: where they are wanted, and where there is no pair to look at."""
+        return self.flags.boxes or not self.roles
 
     @property
     def own_layer(self) -> bool:

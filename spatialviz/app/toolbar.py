@@ -10,10 +10,10 @@ from spatialviz.app.beside_html import layers_html
 from spatialviz.app.keys import MOVE_KEYS
 from spatialviz.app.markup import Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import dot, segments, words
+from spatialviz.app.text import dot, panel, segments, words
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
-CAMERAS = {"sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
+CAMERAS = {"pair": "Pair", "sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
 MOVE_MARKS = {
     "rotate_ccw": ("↶", "turn left"),
     "forward": ("↑", "forward"),
@@ -43,12 +43,6 @@ PICTURES = tuple(
         ("Picture of the scene", "shot:scene", "the scene as it stands, with its names, as a PNG"),
         ("of the page", "shot:page", "the whole page, as a PNG; the browser asks first"),
     )
-)
-KEPT = (
-    ("copy-state", "Copy view", "the view as a string, into the clipboard (Shift+C)"),
-    ("paste-state", "Paste view", "open a view from its string (Shift+V)"),
-    ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)"),
-    ("report", "Report", "one page of this answer, as a download (Shift+P)"),
 )
 
 
@@ -88,22 +82,24 @@ def _point_size(state: State) -> Element:
     return h.label("points", field, cls="points")
 
 
-def frame_nav_html(place: int, count: int, leads: Mapping[str, str] | None = None) -> Element:
-    """Which frame of how many, with steps to its neighbours; below it the moves of a dataset that has moves."""
+def frame_nav_html(place: int, count: int) -> Element:
+    """Which frame of how many, with steps to its neighbours."""
     return h.div(
-        h.div(
-            _step(-1, "‹ previous", "previous frame (P)", place > 0),
-            h.span(f"{place + 1} of {count}", cls="dim"),
-            _step(1, "next ›", "next frame (N)", place + 1 < count),
-            cls="nav",
-        ),
-        None if leads is None else h.div((_move(leads, *key) for key in MOVE_KEYS), cls="moves"),
-        cls="framenav",
+        _step(-1, "‹", "previous frame (P)", place > 0),
+        h.span(f"{place + 1} of {count}", cls="dim"),
+        _step(1, "›", "next frame (N)", place + 1 < count),
+        cls="nav",
     )
 
 
+def moves_html(leads: Mapping[str, str] | None) -> Element | None:
+    """Where a robot can go from here, of a dataset that has moves."""
+    return None if leads is None else h.div((_move(leads, *key) for key in MOVE_KEYS), cls="moves")
+
+
 def _step(by: int, label: str, hint: str, possible: bool) -> Element:
-    return h.button(label, cls="try", do=f"next-frame:{by}", title=hint, id=f"step{by}", disabled=not possible)
+    how = {"do": f"next-frame:{by}", "title": hint, "aria_label": hint, "id": f"step{by}", "disabled": not possible}
+    return h.button(label, cls="try", **how)
 
 
 def _move(leads: Mapping[str, str], key: str, label: str, message: str) -> Element:
@@ -112,11 +108,6 @@ def _move(leads: Mapping[str, str], key: str, label: str, message: str) -> Eleme
     mark, word = MOVE_MARKS[move]
     hint = f"{label} ({key}): {leads.get(move, 'there is no picture')}"
     return h.button(h.i(mark), word, do=message, title=hint, id=f"move-{move}", disabled=move not in leads)
-
-
-def keep_html() -> Element:
-    """Buttons for what one may want to keep."""
-    return h.div((h.button(label, cls="try", do=do, title=hint) for do, label, hint in KEPT), cls="keep")
 
 
 def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None:
@@ -129,4 +120,4 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
         h.li(h.button(text, cls="try on" if text == state.text else "try", do=f"try:{i}"))
         for i, text in enumerate(suggestions)
     )
-    return h.ul(tries, cls="suggestions")
+    return panel(h.ul(tries, cls="suggestions"))

@@ -70,7 +70,7 @@ class ViewSettings:
 
     def look_from(self, mode: str) -> None:
         """Fly to one of the places to look from."""
-        modes: dict[str, CameraMode] = {"sensor": "sensor", "orbit": "orbit", "top": "top"}
+        modes: dict[str, CameraMode] = {"pair": "pair", "sensor": "sensor", "orbit": "orbit", "top": "top"}
         state = self._state()
         if mode in modes and state.loaded is not None:
             self._take(replace(state, camera=modes[mode]))

@@ -14,6 +14,8 @@ from spatialviz.app.scene_client import SceneClient
 
 SAMPLE = 20_000
 """Points of a cloud that say where it lies."""
+AROUND, NEAREST = 1.12, 0.9
+"""A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
 
 
 class Viewpoint:
@@ -27,6 +29,7 @@ class Viewpoint:
         self._placed: tuple[str, float, np.ndarray] | None = None
         self._reached = False
         self._moved = False
+        self._about: np.ndarray | None = None
 
         @client.camera.on_update
         async def _(camera: viser.CameraHandle) -> None:
@@ -46,8 +49,15 @@ class Viewpoint:
         """Take over another cloud ((N, 3), shown frame, metres) and its camera."""
         self._points, self._to_show, self._camera = points[:: len(points) // SAMPLE + 1], R_show_camera, camera
 
+    def look_about(self, corners: np.ndarray | None) -> bool:
+        """Have "pair" show these points ((N, 3), shown frame, metres); whether they are others than before."""
+        before, self._about = self._about, corners
+        if before is None or corners is None:
+            return before is not corners
+        return not np.array_equal(before, corners)
+
     def fly(self, kind: str) -> None:
-        """Move the camera to "sensor", "orbit" or "top", smoothly."""
+        """Move the camera to "pair", "sensor", "orbit" or "top", smoothly."""
         eye, look, fov = self._pose(kind)
         self._placed = None
         camera = self._client.camera
@@ -144,6 +154,10 @@ class Viewpoint:
             span = float(max(high[0] - low[0], high[1] - low[1]))
             center = (low + high) / 2
             return center + np.array([0.0, -0.02, span * 1.25]), center, float(np.deg2rad(50))
+        if kind == "pair" and self._about is not None:
+            eye, look, fov = self._fitting_pose(self._about, np.deg2rad(44))
+            # What stands around the pair is in view, too.
+            return look + (eye - look) * max(AROUND, NEAREST / max(float(np.linalg.norm(eye - look)), 1e-6)), look, fov
         return self._fitting_pose(points, np.deg2rad(44))
 
     def _fitting_pose(self, points: np.ndarray, fov: float) -> tuple[np.ndarray, np.ndarray, float]:

@@ -11,7 +11,7 @@ export function roundLength(most) {
   return [5, 2, 1].find(n => n * ten <= most * (1 + 1e-9)) * ten;
 }
 
-export const lengthText = m => (m >= 1 ? `${+m.toPrecision(3)} m` : m >= 0.01 ? `${+(100 * m).toPrecision(3)} cm` : `${+(1000 * m).toPrecision(3)} mm`);
+export const lengthText = m => (m >= 0.1 ? `${+m.toPrecision(3)} m` : m >= 0.01 ? `${+(100 * m).toPrecision(3)} cm` : `${+(1000 * m).toPrecision(3)} mm`);
 
 let looked = null, shown = '';
 
@@ -30,10 +30,10 @@ function scale() {
   const [width, text] = said.split('|');
   byId('scale').hidden = !said;
   if (!said) return;
-  if (!byId('scale').childElementCount) byId('scale').append(el('span', 'text'), el('span', 'bar'));
-  const [words, bar] = byId('scale').children;
+  if (!byId('scale').childElementCount) byId('scale').append(el('span', 'text'), el('span', 'rule'));
+  const [words, rule] = byId('scale').children;
   words.textContent = text;
-  bar.style.width = `${width}px`;
+  rule.style.width = `${width}px`;
 }
 calls.scale = data => {
   looked = data;

@@ -65,6 +65,15 @@ function paint(pen, root, origin) {
         pen.roundRect(x, y, w, h, parseFloat(look.borderTopLeftRadius) || 0);
         pen.fillStyle = look.backgroundColor;
         pen.fill();
+        for (const [side, x0, y0, x1, y1] of [['Left', x, y, x, y + h], ['Bottom', x, y + h, x + w, y + h], ['Right', x + w, y, x + w, y + h]]) {
+          if (look[`border${side}Style`] === 'none') continue;
+          pen.lineWidth = parseFloat(look[`border${side}Width`]);
+          pen.strokeStyle = look[`border${side}Color`];
+          pen.beginPath();
+          pen.moveTo(x0, y0);
+          pen.lineTo(x1, y1);
+          pen.stroke();
+        }
         if (node.tagName === 'IMG') pen.drawImage(node, x, y, w, h);
       }
     }
