@@ -248,7 +248,7 @@ locals.maximise = (_, which) => {
   for (const button of stage.querySelectorAll('.large')) {
     const own = button.dataset.local === 'maximise:' + stage.dataset.max;
     button.setAttribute('aria-pressed', own);
-    button.textContent = own ? 'Back (Esc)' : 'Large';
+    button.textContent = own ? 'Back (Esc)' : '⤢';
   }
 };
 locals.share = () => navigator.clipboard?.writeText(location.href).then(
