@@ -245,11 +245,6 @@ locals.drawer = () => byId('drawer').classList.toggle('closed');
 locals.maximise = (_, which) => {
   const stage = byId('stage');
   if (stage.dataset.max === which) delete stage.dataset.max; else stage.dataset.max = which;
-  for (const button of stage.querySelectorAll('.large')) {
-    const own = button.dataset.local === 'maximise:' + stage.dataset.max;
-    button.setAttribute('aria-pressed', own);
-    button.textContent = own ? 'Back (Esc)' : '⤢';
-  }
 };
 locals.share = () => navigator.clipboard?.writeText(location.href).then(
   () => calls.toast({title: 'Copied', text: 'the address of this view'}), () => {});

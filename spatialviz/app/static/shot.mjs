@@ -107,17 +107,20 @@ function shotOfScene() {
 
 /* ---- the page: the browser asks which tab, and only it can draw frames and canvases as they are */
 
+const HOW = 'The browser\u2019s own way: in Firefox right click, Take Screenshot; in Chrome the developer tools, Ctrl+Shift+P, ' +
+  'Capture screenshot; or the key of the system.';
+
 async function shotOfPage() {
-  const refused = text => calls.toast({title: 'No picture of the page', text, bad: true});
+  const refused = why => calls.toast({title: 'No picture of the page', text: `${why}. ${HOW}`, bad: true});
   if (!navigator.mediaDevices?.getDisplayMedia) {
-    refused('this browser gives none here: use its own (Firefox: right click, Take Screenshot; Chrome: Ctrl+Shift+P in the developer tools, Capture screenshot; or the system\u2019s key)');
+    refused('This browser gives none at this address');
     return;
   }
   let stream;
   try {
     stream = await navigator.mediaDevices.getDisplayMedia({preferCurrentTab: true, video: true, audio: false});
   } catch (error) {
-    refused(error.name === 'NotAllowedError' ? 'it was not allowed' : error.message);
+    refused(error.name === 'NotAllowedError' ? 'It was not allowed' : error.message);
     return;
   }
   try {
