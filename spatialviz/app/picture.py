@@ -44,6 +44,12 @@ def image_html(state: State) -> Element:
             h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false", id="photo"),
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
             _svg(frame, overlay_marks(state), "overlay"),
+            h.button(
+                cls="large",
+                local="maximise:picture",
+                title="only the picture, or both again (Esc)",
+                aria_label="enlarge the picture, or show both",
+            ),
             cls="pic",
             css={"--wh": f"{frame.width / frame.height:.3f}"},
             point="image:",
