@@ -9,8 +9,8 @@ from time import perf_counter
 from typing import Any, Literal
 
 from pipeline.labels.engines import ShardReport, needed_ray, run_local, run_ray
-from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import LabelConfig, SelectConfig, SourceSpec, input_changed, make_plan, part_of, save_plan
+from pipeline.labels.merge import SelectConfig, merge_labels
+from pipeline.labels.plan import LabelConfig, SourceSpec, input_changed, make_plan, part_of, save_plan
 from pipeline.labels.profiles import NONE, TRAINED, open_second_opinion
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest

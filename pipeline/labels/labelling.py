@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -19,7 +19,7 @@ from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import GIVEN, Judged, as_given, doubted
-from pipeline.labels.reading import PART_TABLES, Columns
+from pipeline.labels.reading import PART_TABLES, SENTENCES, Columns
 from pipeline.labels.wording import can_be_worded
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
@@ -36,9 +36,10 @@ class FrameLabels:
     relations: Columns
     candidates: Columns
     judged: Judged | None = None
+    sentences: Columns = field(default_factory=dict)
 
     def tables(self) -> dict[str, Columns]:
-        return {name: getattr(self, name) for name in PART_TABLES}
+        return {name: getattr(self, name) for name in (*PART_TABLES, SENTENCES)}
 
 
 def broken_frame(frame_id: str, frame_index: int, scene: str, problem: str) -> FrameLabels:

@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -140,9 +139,7 @@ class Plan:
 
     def record(self) -> dict[str, Any]:
         """As JSON, for `plan.json`."""
-        record = asdict(self)
-        record["config"]["background"] = list(self.config.background)
-        return {**record, "frames": list(self.frames), "key": self.key}
+        return {**asdict(self), "config": self.config.settings, "frames": list(self.frames), "key": self.key}
 
 
 def make_plan(
@@ -333,6 +330,9 @@ def part_of(shards: Sequence[Shard], k: int, n: int) -> tuple[Shard, ...]:
 
 
 TextStyle = Literal["varied", "plain", "semantic-abstraction"]
+SENTENCE_KINDS = ("attribute", "ordinal", "extreme", "side", "two-relations", "negation")
+"""The sentences that `pipeline.labels.sentence_maker` makes besides the expressions."""
+ALL_KINDS = "all"
 BACKGROUND = (
     "background", "wall", "floor", "ceiling", "ground", "room", "carpet", "unknown", "unlabeled", "otherprop",
     "otherstructure", "otherfurniture",
@@ -362,6 +362,10 @@ class LabelConfig:
     second_opinion : str
         "trained", "none", or the path of a network: see `labels.profiles`.
         Published geometry is taken as published, without one.
+    sentences : tuple of str
+        Kinds of sentences that are made besides the expressions, of SENTENCE_KINDS, or "all".
+    sentences_a_kind : int
+        At most so many of each kind in a frame.
     """
 
     profile: str = PROFILE
@@ -373,8 +377,17 @@ class LabelConfig:
     style: TextStyle = "varied"
     seed: int = 0
     second_opinion: str = "trained"
+    sentences: tuple[str, ...] = ()
+    sentences_a_kind: int = 4
 
     def __post_init__(self) -> None:
+        unknown = next((k for k in self.sentences if k not in (*SENTENCE_KINDS, ALL_KINDS)), None)
+        require(
+            unknown is None, "no such kind of sentence", got=unknown, expected=" | ".join((*SENTENCE_KINDS, ALL_KINDS))
+        )
+        kinds = tuple(k for k in SENTENCE_KINDS if k in self.sentences or ALL_KINDS in self.sentences)
+        object.__setattr__(self, "sentences", kinds)
+        require(self.sentences_a_kind >= 1, "at least one sentence of a kind", got=self.sentences_a_kind)
         if self.profile != PROFILE:
             object.__setattr__(self, "second_opinion", "none")
         require(
@@ -399,45 +412,17 @@ class LabelConfig:
     def is_background(self, label: str) -> bool:
         return normal_form(label) in {normal_form(b) for b in self.background}
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """As JSON; sentences only where there are some, so that other labels keep their hash."""
+        found = {**asdict(self), "background": list(self.background), "sentences": list(self.sentences)}
+        return {name: value for name, value in found.items() if self.sentences or not name.startswith("sentences")}
+
     def record(self) -> dict[str, Any]:
-        """As JSON, the hash of the profile's thresholds included."""
-        return {**asdict(self), "background": list(self.background), "profile_hash": self.rules.hash}
+        """Its settings, with the hash of the profile's thresholds."""
+        return {**self.settings, "profile_hash": self.rules.hash}
 
     @property
     def hash(self) -> str:
         """sha256 of `record`."""
         return canonical_hash(self.record())
-
-
-@dataclass(frozen=True)
-class SelectConfig:
-    """Which of all candidate expressions are kept.
-
-    Attributes
-    ----------
-    total : int or None
-        At most so many; None for as many as the other rules allow.
-    per_frame : int or None
-        At most so many of one frame.
-    balance : float or None
-        No relation has more than so many times the expressions of the rarest
-        one; None keeps the relations as they come.
-    telling : bool
-        Leave out what is true of every object of the target's class, where there
-        are several: such a sentence tells nothing apart.
-    seed : int
-    """
-
-    total: int | None = None
-    per_frame: int | None = 40
-    balance: float | None = 3.0
-    seed: int = 0
-    telling: bool = True
-
-    def __post_init__(self) -> None:
-        for name in ("total", "per_frame"):
-            value = getattr(self, name)
-            require(value is None or value >= 1, f"{name} must be at least 1", got=value)
-        require(
-            self.balance is None or 1 <= self.balance < inf, "balance must be a number of at least 1", got=self.balance
-        )

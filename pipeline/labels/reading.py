@@ -40,11 +40,17 @@ CANDIDATES = "candidates"
 """The table of a shard: expressions before some of them are chosen and put into words. `same_class` counts the
 objects of the frame that are of the target's class."""
 PART_TABLES = ("frames", "objects", "relations", CANDIDATES)
+SENTENCES = "sentences"
+"""The table of a shard that was asked for further sentences: the kind of each, and its line of SENTENCES_FILE."""
+SENTENCES_FILE = "sentences.jsonl"
 
 
 @lru_cache
 def arrow_schema(table: str) -> pa.Schema:
     """The Arrow schema of a table, with the schema's version in its metadata."""
+    if table == SENTENCES:
+        metadata = {VERSION_KEY: SCHEMA_VERSION.encode(), TABLE_KEY: SENTENCES.encode()}
+        return pa.schema([pa.field(name, pa.string(), False) for name in ("kind", "line")], metadata=metadata)
     if table == CANDIDATES:
         worded = arrow_schema("expressions")
         metadata = {**worded.metadata, TABLE_KEY: CANDIDATES.encode()}

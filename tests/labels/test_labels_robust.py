@@ -20,8 +20,8 @@ from pipeline.datasets.demo import demo_path
 from pipeline.labels import merge
 from pipeline.labels.engines import label_shard, open_labeller
 from pipeline.labels.job import label_dataset
-from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import LabelConfig, SelectConfig, SourceSpec, files_hash, load_plan, make_plan, save_plan
+from pipeline.labels.merge import SelectConfig, merge_labels
+from pipeline.labels.plan import LabelConfig, SourceSpec, files_hash, load_plan, make_plan, save_plan
 from pipeline.labels.reading import open_labels
 from pipeline.labels.store import Store
 from pipeline.system import whole_files
