@@ -63,7 +63,7 @@ class Label(Output):
     style: Literal["varied", "plain", "semantic-abstraction"] = "varied"
     """How sentences are worded."""
     sentences: tuple[Literal["attribute", "ordinal", "extreme", "side", "two-relations", "negation", "all"], ...] = ()
-    """Also make sentences of these kinds with all their right answers, in LABELS/sentences.jsonl for eval --sentences."""
+    """Also make sentences of these kinds, each with all its right answers: LABELS/sentences.jsonl, for eval."""
     sentences_a_kind: int = 4
     """At most so many of each kind in a frame."""
     box: Box = "gravity"

@@ -25,7 +25,7 @@ from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
 from pipeline.labels.plan import LabelConfig, Plan, Shard, SourceSpec
 from pipeline.labels.profiles import GIVEN, open_second_opinion
 from pipeline.labels.reading import CANDIDATES, PART_TABLES, SENTENCES, arrow_schema, build_table
-from pipeline.labels.sentence_maker import frame_sentences
+from pipeline.labels.sentence_maker import make_sentences, sentence_rows
 from pipeline.labels.store import Store
 from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
@@ -115,7 +115,8 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
     if not config.sentences:
         return labels
     class_names = source.dataset.class_names or (detector.vocabulary or ())
-    return replace(labels, sentences=frame_sentences(context, objects, labels, config, class_names, detector.exact))
+    made = make_sentences(context, objects, labels, config, class_names)
+    return replace(labels, sentences=sentence_rows(made, frame_id, objects, detector.exact))
 
 
 def detect_shard(shard: Shard, source: Pipeline) -> dict[str, Proposals]:

@@ -1,8 +1,8 @@
 """Sentences of labelled frames as people say them, each with all its right answers: `label --sentences`.
 
 Trees are proposed from the frame's names, relations, colours and orders. One is kept where the labels say of every
-object whether it is meant (`pipeline.labels.tree_truth`), where each of its parts is needed, and where its words are read
-back as that very tree.
+object whether it is meant (`pipeline.labels.tree_truth`), where its parts are needed, and where its words are
+read back as that very tree.
 """
 
 from __future__ import annotations
@@ -23,26 +23,34 @@ from pipeline.labels.tree_wording import tree_text
 from pipeline.labels.wording import VARIED_PHRASES, can_be_worded
 from pipeline.language.attributes import BASIC_COLORS, attribute
 from pipeline.language.expression import parse
-from pipeline.language.naming import same_class
+from pipeline.language.lexicon import SCENE
+from pipeline.language.naming import normal_form, same_class
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tokens import MAX_LENGTH
 from pipeline.language.tree import Attachment, Choice, Node, Order, described
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
 
-LOOKS = (*BASIC_COLORS, "big", "large", "small", "tall", "short")
+LOOKS = (*((color,) for color in BASIC_COLORS), ("big", "large"), ("small",))
 COUNTED = ("second", "third", "fourth", "fifth")
-EXTREMES: tuple[tuple[Order, str], ...] = (
-    ("left", "leftmost"), ("left", "farthest to the left"), ("right", "rightmost"), ("right", "farthest to the right"),
-    ("near", "nearest"), ("near", "closest"), ("far", "farthest"), ("high", "highest"), ("high", "topmost"),
-    ("low", "lowest"), ("tall", "tallest"), ("short", "shortest"), ("big", "biggest"), ("big", "largest"),
-    ("small", "smallest"),
-)  # fmt: skip
-SIDES: tuple[tuple[tuple[Order, ...], str], ...] = (
-    (("left",), "on the left"), (("left",), "on the left side"), (("right",), "on the right"),
-    (("right",), "on the right side"), (("top",), "at the top"), (("bottom",), "at the bottom"),
-    *(((a, b), f"in the {a} {b} corner") for a, b in product(("top", "bottom"), ("left", "right"))),
-)  # fmt: skip
+EXTREMES: dict[Order, tuple[str, ...]] = {
+    "left": ("leftmost", "farthest to the left"), "right": ("rightmost", "farthest to the right"),
+    "near": ("nearest", "closest"), "far": ("farthest",), "high": ("highest", "topmost"), "low": ("lowest",),
+    "tall": ("tallest",), "short": ("shortest",), "big": ("biggest", "largest"), "small": ("smallest",),
+}  # fmt: skip
+SECONDS: dict[Order, str] = {"near": "closest", "tall": "tallest", "big": "biggest", "small": "smallest"}
+SIDES: dict[tuple[Order, ...], tuple[str, ...]] = {
+    ("left",): ("on the left", "on the left side"), ("right",): ("on the right", "on the right side"),
+    ("top",): ("at the top",), ("bottom",): ("at the bottom",),
+    ("top", "left"): ("in the top left corner",), ("top", "right"): ("in the top right corner",),
+    ("bottom", "left"): ("in the bottom left corner",), ("bottom", "right"): ("in the bottom right corner",),
+}  # fmt: skip
+"""What is said, each with its words."""
+PHRASES = {
+    relation: tuple(p for p in phrases if not {"side", "than"} & set(p.split()))
+    for relation, phrases in VARIED_PHRASES.items()
+}
+"""Without `on the left side of`, which may be a place on a thing, and `higher than`, which says less than `above`."""
 TO_VIEWER = (("closest", "closest to"), ("farthest", "farthest from"))
 RELATIONS_A_NAME = 12
 """So many relations of each name are tried, which its number and seed choose."""
@@ -60,7 +68,7 @@ class MadeSentence:
     tree : Node
         What it says.
     answers : tuple of int
-        Indices of all objects that are what it says; of no other is it doubtful.
+        Places in the list of objects, of all that are what it says; of no other is it doubtful.
     """
 
     kind: str
@@ -68,65 +76,47 @@ class MadeSentence:
     tree: Node
     answers: tuple[int, ...]
 
-    def line(self, frame: str, numbers: Sequence[int] | None, boxes: np.ndarray) -> str:
-        """Its line for `eval --sentences`: the annotations that are right, or, without `numbers` of those, the boxes."""
-        right = (
-            {"targets": [numbers[k] for k in self.answers]}
-            if numbers is not None
-            else {"boxes": [[round(float(v), 2) for v in boxes[k]] for k in self.answers]}
-        )
-        return json.dumps({"frame": frame, "sentence": self.text, "kind": self.kind, **right}, ensure_ascii=False)
-
 
 def make_sentences(
-    truth: TreeTruth, frame: str, config: LabelConfig, class_names: Sequence[str]
-) -> tuple[MadeSentence, ...]:
-    """The sentences of a frame, of the kinds that are wanted; equal input gives equal sentences.
-
-    Parameters
-    ----------
-    truth : TreeTruth
-    frame : str
-    config : LabelConfig
-        Says which kinds, and how many of each.
-    class_names : sequence of str
-        The names that a reader of the sentences knows.
-    """
-    maker = _Maker(truth, frame, config, tuple(class_names))
-    return tuple(sentence for kind in config.sentences for sentence in maker.of(kind))
-
-
-def frame_sentences(
     context: PreparedFrame,
     objects: Sequence[SceneObject],
     labels: FrameLabels,
     config: LabelConfig,
     class_names: Sequence[str],
-    exact: bool,
-) -> Columns:
-    """The rows of the table `sentences` of a labelled frame.
+) -> tuple[MadeSentence, ...]:
+    """The sentences of a labelled frame, of the kinds that are wanted; equal input gives equal sentences.
 
     Parameters
     ----------
     objects : sequence of SceneObject
         All of the frame, as they were labelled.
-    exact : bool
-        The objects are the dataset's own annotations.
+    labels : FrameLabels
+    config : LabelConfig
+        Says which kinds, and how many of each.
+    class_names : sequence of str
+        The names that a reader of the sentences knows.
     """
     rows, judged = labels.objects, labels.judged
-    if not rows or judged is None:
-        return {}
     related = [k for k, o in enumerate(objects) if not config.is_background(o.label)]
+    if not related or judged is None:
+        return ()
     usable, occluded = ([rows[name][k] for k in related] for name in ("usable", "occluded"))
-    mine = [objects[k] for k in related]
-    truth = TreeTruth(context, mine, judged.states, usable, occluded)
-    found = make_sentences(truth, context.frame.id, config, class_names)
-    numbers = [o.id for o in mine] if exact else None
-    boxes = np.array([o.bbox for o in mine], np.float64)
-    return {
-        "kind": [s.kind for s in found],
-        "line": [s.line(context.frame.id, numbers, boxes) for s in found],
-    }
+    truth = TreeTruth(context, [objects[k] for k in related], judged.states, usable, occluded)
+    maker = _Maker(truth, context.frame.id, config, tuple(class_names))
+    found = (sentence for kind in config.sentences for sentence in maker.of(kind))
+    return tuple(replace(s, answers=tuple(related[k] for k in s.answers)) for s in found)
+
+
+def sentence_rows(made: Sequence[MadeSentence], frame: str, objects: Sequence[SceneObject], exact: bool) -> Columns:
+    """Rows of the table `sentences`: right are annotations where the objects are those (`exact`), else boxes."""
+
+    def line(sentence: MadeSentence) -> str:
+        mine = [objects[k] for k in sentence.answers]
+        right = {"targets": [o.id for o in mine]} if exact else {"boxes": [np.round(o.bbox, 2).tolist() for o in mine]}
+        said = {"frame": frame, "sentence": sentence.text, "kind": sentence.kind}
+        return json.dumps({**said, **right}, ensure_ascii=False)
+
+    return {"kind": [s.kind for s in made], "line": [line(s) for s in made]}
 
 
 @dataclass(frozen=True)
@@ -136,19 +126,23 @@ class _Maker:
     config: LabelConfig
     class_names: tuple[str, ...]
 
-    def of(self, kind: str) -> Iterator[MadeSentence]:
-        """At most as many as are wanted of a kind, no two with the same answers."""
-        answered: set[tuple[int, ...]] = set()
+    def of(self, kind: str) -> list[MadeSentence]:
+        """At most as many as are wanted of a kind, with as many different answers as there are."""
+        fresh: dict[tuple[int, ...], MadeSentence] = {}
+        more: list[MadeSentence] = []
         for key, tree in sorted(self._keyed(kind), key=lambda found: found[0]):
-            if len(answered) >= self.config.sentences_a_kind:
-                return
+            if len(fresh) == self.config.sentences_a_kind:
+                break
             made = self._made(kind, tree, key)
-            if made is not None and made.answers not in answered:
-                answered.add(made.answers)
-                yield made
+            if made is not None and fresh.setdefault(made.answers, made) is not made:
+                more.append(made)
+        return [*fresh.values(), *more][: self.config.sentences_a_kind]
 
     def _key(self, *parts: object) -> int:
         return row_hash(self.config.seed, self.frame, *parts)
+
+    def _one_of(self, words: Sequence[str], *parts: object) -> str:
+        return words[self._key(*words, *parts) % len(words)]
 
     def _keyed(self, kind: str) -> Iterator[tuple[int, Node]]:
         for tree in _KINDS[kind](self):
@@ -156,12 +150,12 @@ class _Maker:
 
     def _made(self, kind: str, tree: Node, key: int) -> MadeSentence | None:
         found = self.truth.means(tree)
-        alike = self.truth.means(Node(tree.name)) >= U
+        alike = self.truth.means(Node(tree.name)) == T
         answers = np.flatnonzero(found == T)
-        # Of several answers fewer than half of those of the name: else little is said.
+        # Of several answers at most half of those of the name: else little is said.
         if (found == U).any() or not len(answers) or (len(answers) > 1 and 2 * len(answers) > alike.sum()):
             return None
-        if kind == "ordinal" and (self.truth.means(replace(tree, choices=())) >= U).sum() < 3:
+        if kind == "ordinal" and (self.truth.means(replace(tree, choices=())) == T).sum() < 3:
             return None
         several = {0} if len(answers) > 1 else set()
         for reference in (n for a in tree.attachments for n in a.nodes if not n.viewer):
@@ -169,7 +163,9 @@ class _Maker:
             if (there == U).any():
                 return None
             several |= {reference.mention} if (there == T).sum() > 1 else set()
-        if any(((self.truth.means(less) >= U) == (found == T)).all() for less in _lessened(tree)):
+        # What is left out must be missed, among things of that very name; of two relations one may say the same again.
+        missed = [((alike & (self.truth.means(less) >= U)) != (found == T)).any() for less in _lessened(tree)]
+        if not (any(missed) if kind == "two-relations" else all(missed)):
             return None
         text = tree_text(tree, several, key)
         return MadeSentence(kind, text, tree, tuple(answers.tolist())) if self._reads(text, tree) else None
@@ -190,7 +186,7 @@ class _Maker:
                 yield looks
                 for relation in self._relations(name):
                     yield replace(looks, attachments=(relation,))
-            for relation in self._relations(name):
+            for relation in self._relations(name, several=True):
                 for looks in self._looking(relation.nodes[0].label):
                     yield Node(name, (replace(relation, nodes=(looks,)),))
 
@@ -198,13 +194,12 @@ class _Maker:
         for base in self._bases():
             for (number, word), side in product(enumerate(COUNTED, start=2), ("left", "right")):
                 yield replace(base, choices=(Choice(side, number, f"{word} from the {side}"),))
-            for order, text in EXTREMES:
-                if text in ("closest", "tallest", "biggest", "smallest"):
-                    yield replace(base, choices=(Choice(order, 2, text),))
+            yield from (replace(base, choices=(Choice(order, 2, text),)) for order, text in SECONDS.items())
 
     def extremes(self) -> Iterator[Node]:
         for base in self._bases():
-            yield from (replace(base, choices=(Choice(order, 1, text),)) for order, text in EXTREMES)
+            for order, words in EXTREMES.items():
+                yield replace(base, choices=(Choice(order, 1, self._one_of(words, order, base.label)),))
             if not base.attachments:
                 for relation, phrase in TO_VIEWER:
                     yield replace(
@@ -212,13 +207,15 @@ class _Maker:
                     )
 
     def sides(self) -> Iterator[Node]:
-        for name, (orders, text) in product(self._names(several=True), SIDES):
+        for name, (orders, words) in product(self._names(several=True), SIDES.items()):
+            text = self._one_of(words, orders, name)
             yield Node(name, choices=tuple(Choice(order, None, text) for order in orders))
 
     def two_relations(self) -> Iterator[Node]:
         for name in self._names(several=True):
-            for pair in combinations(self._relations(name), 2):
-                yield Node(name, pair)
+            for one, other in combinations(self._relations(name), 2):
+                if one.nodes != other.nodes and one.relation != other.relation:
+                    yield Node(name, (one, other))
 
     def negations(self) -> Iterator[Node]:
         for name in self._names(several=True):
@@ -243,23 +240,25 @@ class _Maker:
 
     def _looking(self, name: str) -> Iterator[Node]:
         """A name with each attribute that one of its things has."""
-        for word in LOOKS:
+        for words in LOOKS:
+            word = self._one_of(words, name)
             told = attribute(word)
             assert told is not None
             node = Node(f"{word} {name}", head=name, attributes=(told,))
             if (self.truth.means(node) == T).any():
                 yield node
 
-    def _relations(self, name: str) -> list[Attachment]:
-        """Some of the relations that a thing of a name has to things of other names."""
+    def _relations(self, name: str, *, several: bool = False) -> list[Attachment]:
+        """Some of the relations that a thing of a name has to things of other names, or of those with several."""
         mine = np.flatnonzero(self.truth.means(Node(name)) == T)
         found = []
-        for other, relation in product(self._names(several=False), self.config.relations):
+        others = (n for n in self._names(several=several) if normal_form(n) not in SCENE)
+        for other, relation in product(others, self.config.relations):
             theirs = np.flatnonzero(self.truth.means(Node(other)) == T)
             held = self.truth.states[np.ix_(mine, theirs)][..., PAIRWISE.index(relation)] == T
             if held.any() and not same_class(name, other):
-                key, phrases = self._key(name, relation, other), VARIED_PHRASES[relation]
-                found.append((key, Attachment(relation, (Node(other),), False, phrases[key % len(phrases)])))
+                phrase = self._one_of(PHRASES[relation], name, other)
+                found.append((self._key(name, relation, other), Attachment(relation, (Node(other),), False, phrase)))
         return [attachment for _, attachment in sorted(found, key=lambda k: k[0])[:RELATIONS_A_NAME]]
 
 

@@ -14,31 +14,36 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.geometry.boxes import Box3D
-from pipeline.language.attributes import Attribute
+from pipeline.language.attributes import BASIC_COLORS, Attribute
 from pipeline.language.naming import match, normal_form, same_class
 from pipeline.language.noun_phrase import readable
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment, Choice, Node
-from pipeline.relations.attributes import SIZES, attribute_probabilities, size_keys
-from pipeline.relations.colors import object_colors
+from pipeline.relations.attributes import SIZES, size_keys, size_probabilities
+from pipeline.relations.colors import color_probabilities, object_colors
 from pipeline.relations.relations import F, T, U
 
-SURE = {"color": (0.8, 0.3), "size": (0.95, 0.3)}
-"""From which probability on a thing has an attribute, and up to which it has not. Between them people may differ."""
+SIZED, UNLIKE = 0.95, 0.3
+"""The probability from which on a thing is big among its like, and that up to which it has not an attribute."""
+OTHERS, OTHERS_SHADED = 0.9, 0.6
+"""A thing has its main colour if no other has more than this; gray and brown, which are also others in the shade, than
+that."""
 APART_PX = 0.03
 """Centres that differ by less of the picture's width, and a quarter of the smaller thing, are in no order."""
 APART_M, APART_SHARE = 0.1, 0.05
 """Likewise of heights, and of distances, of which the share counts too."""
 APART_LOG = {"volume": 0.75}
 """Log ratio of sizes that anybody sees; of a length 0.25."""
-IN_HALF, IN_OTHER = 0.38, 0.55
+IN_HALF, IN_OTHER = 0.33, 0.55
 """Share of the picture up to which a centre is on a side, and from which it is not."""
-REACHES = 0.6
+REACHES = 0.55
 """How far a thing that is on a side may reach."""
 HIDDEN = 0.1
 """Of its border, from which on what is seen of an object does not tell its size."""
 _ALONG = {"left": (0, 1), "right": (0, -1), "top": (1, 1), "bottom": (1, -1)}
 """Axis of the picture, and which end of it is the side."""
+_SEEN_AS = {"left": "left", "right": "right", "front": "near", "behind": "far", "above": "high", "below": "low"}
+"""The order in which people may see a relation that does not hold by its rule."""
 _VIEWER = {"closest": "near", "farthest": "far"}
 
 
@@ -101,24 +106,30 @@ class TreeTruth:
 
     def _stands(self, attachment: Attachment) -> np.ndarray:
         (end,) = attachment.nodes
-        state = self.states[..., PAIRWISE.index(attachment.relation)]
-        held = np.minimum(state.T if attachment.inverse else state, self.means(end)[None])
-        np.fill_diagonal(held := held.copy(), F)
+        held = np.minimum(self._state(attachment.relation), self.means(end)[None])
+        np.fill_diagonal(held, F)
         found = held.max(axis=1, initial=F)
         return -found if attachment.negated else found
 
+    def _state(self, relation: str) -> np.ndarray:
+        """The labels' states; for some people left is what is farther left in the picture, whatever the rule says."""
+        state = self.states[..., PAIRWISE.index(relation)]
+        if relation in _SEEN_AS:
+            return np.where((state == F) & (self._before(_SEEN_AS[relation]) == T), U, state)
+        if relation == "on":
+            # On a book that lies on the table is on the table for some.
+            return np.where((state == F) & (self.states[..., PAIRWISE.index("above")] >= U), U, state)
+        return state
+
     def _has(self, attribute: Attribute, alike: np.ndarray) -> np.ndarray:
-        """Sizes count where all boxes agree that there are."""
-        least, most = SURE[attribute.kind]
+        if attribute.kind == "color":
+            mine = BASIC_COLORS.index(attribute.value)
+            p, others = self._colored[mine], np.delete(self._colored, mine, axis=0).max(axis=0)
+            most = OTHERS_SHADED if attribute.value in ("gray", "brown") else OTHERS
+            return np.where((p > others) & (others <= most), T, np.where(p <= UNLIKE, F, U)).astype(np.int8)
         pairs = alike[:, None] & alike[None]
-        told = [
-            attribute_probabilities(
-                attribute, self.context.frame.rgb, self._masks, boxes, pairs, self.context.viewer, self._colors
-            )
-            for boxes in (self._boxes if attribute.kind == "size" else self._boxes[:1])
-        ]
-        p = np.stack([p for p in told if p is not None])
-        return np.where((p >= least).all(axis=0), T, np.where((p <= most).all(axis=0), F, U)).astype(np.int8)
+        p = np.stack([size_probabilities(attribute.value, boxes, pairs, self.context.viewer) for boxes in self._boxes])
+        return np.where((p >= SIZED).all(axis=0), T, np.where((p <= UNLIKE).all(axis=0), F, U)).astype(np.int8)
 
     def _chosen(self, choice: Choice, fitting: np.ndarray) -> np.ndarray:
         """Of the objects that fit all the rest, the one of that rank, or those at that side."""
@@ -185,12 +196,10 @@ class TreeTruth:
         return np.array([o.bbox for o in self.objects], np.float64).reshape(-1, 4)
 
     @cached_property
-    def _masks(self) -> list[np.ndarray]:
-        return [o.mask for o in self.objects]
-
-    @cached_property
-    def _colors(self):
-        return object_colors(self.context.frame.rgb, self._masks)
+    def _colored(self) -> np.ndarray:
+        """(11, N) float64: P(colour | object) by the pixels of the labels' masks."""
+        colors = object_colors(self.context.frame.rgb, [o.mask for o in self.objects])
+        return np.stack([color_probabilities(Attribute("color", name), colors) for name in BASIC_COLORS])
 
     @cached_property
     def _boxes(self) -> tuple[list[Box3D | None], list[Box3D | None]]:

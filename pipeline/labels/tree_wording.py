@@ -38,6 +38,8 @@ def phrase_text(node: Node, several: Collection[int], *, linked: bool = False) -
     noun = noun_phrase(" ".join(w for w in words if w))
     parts = [noun.indefinite() if node.mention in several else noun.definite(), *dict.fromkeys(after)]
     for number, attachment in enumerate(node.attachments):
+        # `from the left on the table` would be hard to read.
+        linked = linked or any(after)
         parts.append(_relation(attachment, several, number, linked=linked, verb=noun.verb))
     return " ".join(p for p in parts if p)
 
