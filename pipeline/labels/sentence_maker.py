@@ -10,7 +10,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from functools import cached_property
+from itertools import combinations, islice, product
 
 import numpy as np
 
@@ -181,12 +182,13 @@ class _Maker:
     # ---- what is proposed -------------------------------------------------------------------------------------------
 
     def attributes(self) -> Iterator[Node]:
-        for name in self._names(several=True):
+        for name in self._several:
             for looks in self._looking(name):
                 yield looks
                 for relation in self._relations(name):
                     yield replace(looks, attachments=(relation,))
-            for relation in self._relations(name, several=True):
+            to_several = (r for r in self._related[name] if r.nodes[0].label in self._several)
+            for relation in islice(to_several, RELATIONS_A_NAME):
                 for looks in self._looking(relation.nodes[0].label):
                     yield Node(name, (replace(relation, nodes=(looks,)),))
 
@@ -207,18 +209,18 @@ class _Maker:
                     )
 
     def sides(self) -> Iterator[Node]:
-        for name, (orders, words) in product(self._names(several=True), SIDES.items()):
+        for name, (orders, words) in product(self._several, SIDES.items()):
             text = self._one_of(words, orders, name)
             yield Node(name, choices=tuple(Choice(order, None, text) for order in orders))
 
     def two_relations(self) -> Iterator[Node]:
-        for name in self._names(several=True):
+        for name in self._several:
             for one, other in combinations(self._relations(name), 2):
                 if one.nodes != other.nodes and one.relation != other.relation:
                     yield Node(name, (one, other))
 
     def negations(self) -> Iterator[Node]:
-        for name in self._names(several=True):
+        for name in self._several:
             relations = self._relations(name)
             for relation in relations:
                 yield Node(name, (replace(relation, negated=True),))
@@ -228,15 +230,20 @@ class _Maker:
 
     def _bases(self) -> Iterator[Node]:
         """Names that mean several things, alone and with what they are on or in."""
-        for name in self._names(several=True):
+        for name in self._several:
             yield Node(name)
-            yield from (Node(name, (r,)) for r in self._relations(name) if r.relation in ("on", "in"))
+            yield from (Node(name, (r,)) for r in self._related[name] if r.relation in ("on", "in"))
 
-    def _names(self, *, several: bool) -> tuple[str, ...]:
-        """Names of usable things that can be said; those that mean more than one."""
+    @cached_property
+    def _sure(self) -> dict[str, np.ndarray]:
+        """The usable things of each name that can be said."""
         names = dict.fromkeys(o.label for o, ok in zip(self.truth.objects, self.truth.usable, strict=True) if ok)
-        least = 2 if several else 1
-        return tuple(n for n in names if can_be_worded(n) and (self.truth.means(Node(n)) == T).sum() >= least)
+        return {n: np.flatnonzero(self.truth.means(Node(n)) == T) for n in names if can_be_worded(n)}
+
+    @cached_property
+    def _several(self) -> tuple[str, ...]:
+        """Names that mean more than one thing."""
+        return tuple(name for name, there in self._sure.items() if len(there) > 1)
 
     def _looking(self, name: str) -> Iterator[Node]:
         """A name with each attribute that one of its things has."""
@@ -248,18 +255,23 @@ class _Maker:
             if (self.truth.means(node) == T).any():
                 yield node
 
-    def _relations(self, name: str, *, several: bool = False) -> list[Attachment]:
-        """Some of the relations that a thing of a name has to things of other names, or of those with several."""
-        mine = np.flatnonzero(self.truth.means(Node(name)) == T)
-        found = []
-        others = (n for n in self._names(several=several) if normal_form(n) not in SCENE)
-        for other, relation in product(others, self.config.relations):
-            theirs = np.flatnonzero(self.truth.means(Node(other)) == T)
-            held = self.truth.states[np.ix_(mine, theirs)][..., PAIRWISE.index(relation)] == T
-            if held.any() and not same_class(name, other):
-                phrase = self._one_of(PHRASES[relation], name, other)
-                found.append((self._key(name, relation, other), Attachment(relation, (Node(other),), False, phrase)))
-        return [attachment for _, attachment in sorted(found, key=lambda k: k[0])[:RELATIONS_A_NAME]]
+    @cached_property
+    def _related(self) -> dict[str, list[Attachment]]:
+        """The relations that a thing of a name has to things of other names, in an order of the seed's."""
+        found: dict[str, list[tuple[int, Attachment]]] = {name: [] for name in self._several}
+        for name, other in product(self._several, self._sure):
+            if same_class(name, other) or normal_form(other) in SCENE:
+                continue
+            states = self.truth.states[np.ix_(self._sure[name], self._sure[other])]
+            for relation in self.config.relations:
+                if (states[..., PAIRWISE.index(relation)] == T).any():
+                    phrase = self._one_of(PHRASES[relation], name, other)
+                    attachment = Attachment(relation, (Node(other),), False, phrase)
+                    found[name].append((self._key(name, relation, other), attachment))
+        return {name: [a for _, a in sorted(all_of, key=lambda k: k[0])] for name, all_of in found.items()}
+
+    def _relations(self, name: str) -> list[Attachment]:
+        return self._related[name][:RELATIONS_A_NAME]
 
 
 _KINDS: dict[str, Callable[[_Maker], Iterator[Node]]] = {

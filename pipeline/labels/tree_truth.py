@@ -113,13 +113,17 @@ class TreeTruth:
 
     def _state(self, relation: str) -> np.ndarray:
         """The labels' states; for some people left is what is farther left in the picture, whatever the rule says."""
-        state = self.states[..., PAIRWISE.index(relation)]
-        if relation in _SEEN_AS:
-            return np.where((state == F) & (self._before(_SEEN_AS[relation]) == T), U, state)
-        if relation == "on":
-            # On a book that lies on the table is on the table for some.
-            return np.where((state == F) & (self.states[..., PAIRWISE.index("above")] >= U), U, state)
-        return state
+        key = "relation", relation
+        if key not in self._known:
+            state = self.states[..., PAIRWISE.index(relation)]
+            seen = np.full_like(state, F)
+            if relation in _SEEN_AS:
+                seen = self._before(_SEEN_AS[relation])
+            elif relation == "on":
+                # On a book that lies on the table is on the table for some.
+                seen = self.states[..., PAIRWISE.index("above")]
+            self._known[key] = np.where((state == F) & (seen >= U), U, state)
+        return self._known[key]
 
     def _has(self, attribute: Attribute, alike: np.ndarray) -> np.ndarray:
         if attribute.kind == "color":
