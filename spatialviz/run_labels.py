@@ -14,7 +14,7 @@ from pipeline.labels.check.view import Finding
 from pipeline.labels.job import LabelReport, label_dataset
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import SelectConfig, merge_labels
-from pipeline.labels.plan import LabelConfig
+from pipeline.labels.plan import SENTENCE_KINDS, LabelConfig
 from pipeline.labels.reading import SENTENCES_FILE, open_labels
 from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
 from pipeline.labels.schema import Manifest
@@ -36,7 +36,7 @@ def run_label(command: Label) -> int:
         style=command.style,
         seed=command.seed,
         second_opinion=command.second_opinion,
-        sentences=command.sentences,
+        sentences=SENTENCE_KINDS if command.sentences == () else command.sentences or (),
         sentences_a_kind=command.sentences_a_kind,
     )
     part, spec, selection = task_of(command.shard), command.source.spec(command.dataset), _selection(command.selection)

@@ -332,7 +332,6 @@ def part_of(shards: Sequence[Shard], k: int, n: int) -> tuple[Shard, ...]:
 TextStyle = Literal["varied", "plain", "semantic-abstraction"]
 SENTENCE_KINDS = ("attribute", "ordinal", "extreme", "side", "two-relations", "negation")
 """The sentences that `pipeline.labels.sentence_maker` makes besides the expressions."""
-ALL_KINDS = "all"
 BACKGROUND = (
     "background", "wall", "floor", "ceiling", "ground", "room", "carpet", "unknown", "unlabeled", "otherprop",
     "otherstructure", "otherfurniture",
@@ -363,7 +362,7 @@ class LabelConfig:
         "trained", "none", or the path of a network: see `labels.profiles`.
         Published geometry is taken as published, without one.
     sentences : tuple of str
-        Kinds of sentences that are made besides the expressions, of SENTENCE_KINDS, or "all".
+        Kinds of sentences that are made besides the expressions, of SENTENCE_KINDS.
     sentences_a_kind : int
         At most so many of each kind in a frame.
     """
@@ -381,11 +380,9 @@ class LabelConfig:
     sentences_a_kind: int = 4
 
     def __post_init__(self) -> None:
-        unknown = next((k for k in self.sentences if k not in (*SENTENCE_KINDS, ALL_KINDS)), None)
-        require(
-            unknown is None, "no such kind of sentence", got=unknown, expected=" | ".join((*SENTENCE_KINDS, ALL_KINDS))
-        )
-        kinds = tuple(k for k in SENTENCE_KINDS if k in self.sentences or ALL_KINDS in self.sentences)
+        unknown = next((k for k in self.sentences if k not in SENTENCE_KINDS), None)
+        require(unknown is None, "no such kind of sentence", got=unknown, expected=" | ".join(SENTENCE_KINDS))
+        kinds = tuple(k for k in SENTENCE_KINDS if k in self.sentences)
         object.__setattr__(self, "sentences", kinds)
         require(self.sentences_a_kind >= 1, "at least one sentence of a kind", got=self.sentences_a_kind)
         if self.profile != PROFILE:

@@ -46,7 +46,7 @@ from pipeline.system.errors import InputError
 
 DEMO = SourceSpec("demo")
 FRAMES = 6
-ALL = LabelConfig(sentences=("all",), sentences_a_kind=50)
+ALL = LabelConfig(sentences=SENTENCE_KINDS, sentences_a_kind=50)
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def test_relations_are_those_of_the_labels(seen: tuple[Seen, ...]) -> None:
                 holds = holds & (~maybe if attachment.negated else some)
             assert tuple(np.flatnonzero(holds)) == sentence.answers, sentence.text
             checked += 1
-    assert checked > 100
+    assert checked > 60
 
 
 def test_orders_are_those_of_the_picture_and_of_space(seen: tuple[Seen, ...]) -> None:
@@ -248,7 +248,7 @@ def test_a_relation_that_is_undecided_decides_nothing(seen: tuple[Seen, ...]) ->
 @pytest.fixture(scope="module")
 def labelled(tmp_path_factory: pytest.TempPathFactory) -> Labels:
     out = tmp_path_factory.mktemp("sentences") / "labels"
-    label_dataset(DEMO, out, LabelConfig(sentences=("all",)), limit=FRAMES, frames_a_shard=2)
+    label_dataset(DEMO, out, LabelConfig(sentences=SENTENCE_KINDS), limit=FRAMES, frames_a_shard=2)
     return open_labels(out)
 
 
