@@ -48,7 +48,7 @@ SIDES: dict[tuple[Order, ...], tuple[str, ...]] = {
 }  # fmt: skip
 """What is said, each with its words."""
 PHRASES = {
-    relation: tuple(p for p in phrases if not {"side", "than"} & set(p.split()))
+    relation: tuple(p for p in phrases if not {"side", "than"} & set(p.split())) or phrases
     for relation, phrases in VARIED_PHRASES.items()
 }
 """Without `on the left side of`, which may be a place on a thing, and `higher than`, which says less than `above`."""
