@@ -54,7 +54,7 @@ PHRASES = {
 """Without `on the left side of`, which may be a place on a thing, and `higher than`, which says less than `above`."""
 TO_VIEWER = (("closest", "closest to"), ("farthest", "farthest from"))
 RELATIONS_A_NAME = 12
-"""So many relations of each name are tried, which its number and seed choose."""
+"""So many relations of each name are tried; the seed chooses which."""
 
 
 @dataclass(frozen=True)
@@ -204,9 +204,7 @@ class _Maker:
                 yield replace(base, choices=(Choice(order, 1, self._one_of(words, order, base.label)),))
             if not base.attachments:
                 for relation, phrase in TO_VIEWER:
-                    yield replace(
-                        base, attachments=(Attachment(relation, (Node("camera", viewer=True),), False, phrase),)
-                    )
+                    yield Node(base.label, (Attachment(relation, (Node("camera", viewer=True),), False, phrase),))
 
     def sides(self) -> Iterator[Node]:
         for name, (orders, words) in product(self._several, SIDES.items()):

@@ -92,10 +92,12 @@ class TreeTruth:
         return self._known[node]
 
     def _named(self, name: str) -> np.ndarray:
-        if name not in self._known:
+        key = "name", name
+        if key not in self._known:
             said = normal_form(readable(name))
-            self._known[name] = np.array([self._is_called(o.label, name, said) for o in self.objects], np.int8)
-        return np.where(self.usable, self._known[name], np.minimum(self._known[name], U))
+            found = np.array([self._is_called(o.label, name, said) for o in self.objects], np.int8)
+            self._known[key] = np.where(self.usable, found, np.minimum(found, U))
+        return self._known[key]
 
     @staticmethod
     def _is_called(label: str, name: str, said: str) -> int:
@@ -158,7 +160,8 @@ class TreeTruth:
 
     def _before(self, order: str) -> np.ndarray:
         """(N, N) int8: the first comes before the second in an order, by every measure of it and clearly."""
-        if order not in self._known:
+        key = "order", order
+        if key not in self._known:
             told = []
             for keys, apart in self._measures(order):
                 ahead = keys[None] - keys[:, None]
@@ -166,8 +169,8 @@ class TreeTruth:
             found = np.stack(told).astype(np.int8)
             agreed = np.where((found == T).all(axis=0), T, np.where((found == F).all(axis=0), F, U))
             np.fill_diagonal(agreed, F)
-            self._known[order] = agreed.astype(np.int8)
-        return self._known[order]
+            self._known[key] = agreed.astype(np.int8)
+        return self._known[key]
 
     def _measures(self, order: str) -> list[tuple[np.ndarray, np.ndarray | float]]:
         """Keys, the smallest first, NaN for unknown, and how far apart they must be."""
