@@ -31,6 +31,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
+from pipeline.diagnosis.needed import needed_changes
 from pipeline.diagnosis.substitution import (
     CONF,
     LIFT,
@@ -39,7 +40,6 @@ from pipeline.diagnosis.substitution import (
     CandidateSet,
     OracleScores,
     names_of,
-    needed_changes,
     substitute,
 )
 from pipeline.diagnosis.verdict import Diagnosis, Missed, explain

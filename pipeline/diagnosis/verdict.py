@@ -12,7 +12,8 @@ import numpy as np
 
 from pipeline.answering.pair_table import HOLDS, ScoredPair, one_object_twice
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.substitution import Needed, substitute
+from pipeline.diagnosis.needed import Needed
+from pipeline.diagnosis.substitution import substitute
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.relation_names import PHRASE
