@@ -12,7 +12,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import holds, pair_words, present, told, trace_record, why_no_answer
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.substitution import names_of
+from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.system.errors import InputError
 

@@ -32,16 +32,8 @@ import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.needed import needed_changes
-from pipeline.diagnosis.substitution import (
-    CONF,
-    LIFT,
-    SRM,
-    SUBSETS,
-    CandidateSet,
-    OracleScores,
-    names_of,
-    substitute,
-)
+from pipeline.diagnosis.oracles import CONF, LIFT, SRM, SUBSETS, CandidateSet, OracleScores, names_of
+from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.verdict import Diagnosis, Missed, explain
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame

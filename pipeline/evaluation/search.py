@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pipeline.diagnosis.substitution import ORACLES
+from pipeline.diagnosis.oracles import ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
 from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.diagnosis.substitution import ORACLES, SUBSETS, names_of
+from pipeline.diagnosis.oracles import ORACLES, SUBSETS, names_of
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, bootstrap, mcnemar, mean_estimate, ratio

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.answering.ranking import Candidates
-from pipeline.diagnosis.substitution import ORACLES
+from pipeline.diagnosis.oracles import ORACLES
 from pipeline.diagnosis.verdict import Diagnosis, threshold
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS as COLORS
