@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, inf, log
+from math import exp, inf, log, prod
 
 import numpy as np
 
 from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, PairTable
 
-FACTORS = ("target", "reference", "relation")
+FACTORS = ("target", "reference", "relation", "attributes")
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Needed:
     Attributes
     ----------
     factor : str
-        target, reference or relation.
+        target, reference or relation; attributes, what is said of the target alone.
     right, winner : float
         The factor of the best acceptable pair and of the answer now.
     right_above : float or None
@@ -36,18 +36,24 @@ class Needed:
     winner_below: float | None
 
 
-def needed_changes(table: PairTable, winner: int, right: int) -> tuple[Needed, ...]:
+def needed_changes(
+    table: PairTable, winner: int, right: int, looks: tuple[float, float] | None = None
+) -> tuple[Needed, ...]:
     """For each factor of weight above 0 the change that alone would put the right pair first, the smallest first.
 
     Parameters
     ----------
     table : PairTable
-        Of one scene, with one reference.
+        Of one scene, with one reference or none.
     winner, right : int
         The pair that comes first, and the one that should.
+    looks : (float, float), optional
+        P(attributes | x) of the right pair's target and of the answer's, where the expression has any.
     """
     config, ours, theirs = table.config, table.pair(right), table.pair(winner)
-    weights = (config.target_weight, config.reference_weight, config.relation_weight)
+    of_pairs = len(table.ends) > 0
+    weights = [config.target_weight, config.reference_weight * of_pairs, config.relation_weight * of_pairs]
+    weights.append(0.0 if looks is None else 1.0)
     order = table.order()
     ahead = np.zeros(table.flat.shape[1], np.bool_)
     ahead[order[: int(np.flatnonzero(order == right)[0])]] = True
@@ -56,7 +62,11 @@ def needed_changes(table: PairTable, winner: int, right: int) -> tuple[Needed, .
         if weight <= 0:
             continue
         low, high = (MIN_RELATION, 1.0) if factor == "relation" else (MIN_SCORE, 1 - MIN_SCORE)
-        mine, other = (max(getattr(pair, f"p_{factor}"), low) for pair in (ours, theirs))
+        if factor == "attributes" and looks is not None:
+            now = looks
+        else:
+            now = tuple(getattr(pair, f"p_{factor}") for pair in (ours, theirs))
+        mine, other = (max(p, low) for p in now)
         up, down = _least_rise(table, factor, right, ahead), _least_fall(table, factor, winner, right, ahead)
         above, below = mine * exp(min(up / weight, 700.0)), other * exp(-min(down / weight, 700.0))
         found.append(Needed(factor, mine, other, above if above < high else None, below if below >= low else None))
@@ -65,11 +75,11 @@ def needed_changes(table: PairTable, winner: int, right: int) -> tuple[Needed, .
 
 def _touched(table: PairTable, factor: str, pair: int) -> np.ndarray:
     """(P,) bool: the pairs of which a pair's factor is a factor."""
-    columns = table.shape[1]
+    columns = prod(table.shape[1:])
     at = np.arange(table.flat.shape[1])
     if factor == "relation":
         return at == pair
-    return at // columns == pair // columns if factor == "target" else at % columns == pair % columns
+    return at // columns == pair // columns if factor in ("target", "attributes") else at % columns == pair % columns
 
 
 def _least_rise(table: PairTable, factor: str, right: int, ahead: np.ndarray) -> float:
@@ -99,7 +109,7 @@ def _bounds(
     weight = np.exp(np.minimum(scores - scores[right], 700.0))
     moving, fixed = np.where(touched, weight, 0.0), np.where(touched, 0.0, weight)
     others = np.isfinite(scores) & (np.arange(len(scores)) != right)
-    rows = np.arange(len(scores)) // table.shape[1]
+    rows = np.arange(len(scores)) // prod(table.shape[1:])
     if table.config.aggregate == "marginal":
         # Of the pairs only those of its own target are compared with it; targets by the sums of their pairs.
         others &= rows == rows[right]

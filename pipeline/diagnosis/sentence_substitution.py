@@ -153,6 +153,10 @@ class SubstitutedTree:
         sizes = self._evidence.mask_sizes[every.index]
         return solve(self._meant.root, candidates, lookup, self._same[lift], sizes, config, scene)
 
+    def attribute(self, name: str, attribute: Attribute) -> np.ndarray | None:
+        """(K,) float64: what true pixels and boxes say of all that may fill a name; None where nothing can judge it."""
+        return self._scene(1, False, False).attribute(attribute, self._entries[name])
+
     def of_frame(self, pair: ScoredPair) -> ScoredPair:
         """A pair whose links and factors number the entries of this list, with the numbers of the evidence's."""
         index = self._all.index.tolist()
