@@ -255,11 +255,10 @@ def case_of(truth: FrameCases, trace: Trace, source: Pipeline, context: Prepared
     """
     query = trace.query
     e = query.expression
-    if len(query.readings) > 1 or e is None or query.default.root.triple is None or e.second_reference or e.inverse:
+    plain = len(query.readings) == 1 and query.default.root.triple is not None
+    if e is None or not plain or e.second_reference or e.inverse or e.relation not in truth.states:
         made = sentence_case(truth, trace, source, context)
         return made if isinstance(made, str) else (truth, made)
-    if e.relation not in truth.states:
-        return f"the truth of {e.relation!r} is not known"
     known = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))
     meant = [match(name, known, source.synonyms) for name in (e.target, e.reference)]
     ends = [np.array([label in names for label in truth.labels], np.bool_) for names in meant]
@@ -324,6 +323,16 @@ def judge_trace(
     else:
         answers = FrameAnswers(source, context, names, case.relations)
     return judge_answers(answers, truth, case, trace.query, mark=mark, confidence=confidence)
+
+
+def judge_sentence(
+    trace: Trace, source: Pipeline, context: PreparedFrame, truth: FrameCases, right: np.ndarray
+) -> Diagnosis | str:
+    """The verdict on a trace whose right answers are given, (K,) int64 labelled objects; or why there can be none."""
+    case = sentence_case(truth, trace, source, context, right)
+    if isinstance(case, str):
+        return case
+    return judge_answers(FrameAnswers.of_trace(source, context, trace), truth, case, trace.query)
 
 
 def judge_answers(

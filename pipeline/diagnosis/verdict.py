@@ -29,11 +29,18 @@ ORACLE_WORDS = {
     "ATTRIBUTE": "true attributes",
 }  # fmt: skip
 
-VERDICTS = (
+VERDICTS: tuple[str, ...] = (
     "CORRECT", "PARSE", "LABEL", "OPM-TARGET", "OPM-REF", "LIFT", "ATTRIBUTE", "SRM", "OPM-CONF", "PRM",
     "COMPOUND",
 )  # fmt: skip
 """In the order in which they are decided; ATTRIBUTE only of expressions with attributes."""
+
+
+def shown_verdicts(occurring: Collection[str]) -> tuple[str, ...]:
+    """VERDICTS; ATTRIBUTE only where it occurs, for plain expressions cannot have it."""
+    return tuple(v for v in VERDICTS if v != "ATTRIBUTE" or v in occurring)
+
+
 MODULE_OF = {
     "PARSE": "PARSE", "LABEL": "LABEL", "OPM-TARGET": "OPM", "OPM-REF": "OPM", "LIFT": "LIFT",
     "ATTRIBUTE": "ATTRIBUTE", "SRM": "SRM", "OPM-CONF": "OPM", "PRM": "PRM",

@@ -132,7 +132,7 @@ def test_the_report_counts_what_the_lines_say(source: Pipeline, tmp_path: Path) 
     assert record["all"]["told"]["value"] == pytest.approx(2 / 3)
     assert record["kinds"]["bare"]["refused_rightly"]["value"] is None
     assert sum(f["count"] for f in record["failures"]) == 3
-    shown, failures = found.tables
+    shown, failures, *_ = found.tables
     assert [row.name for row in shown.rows] == [*record["kinds"], "all"]
     assert [(row.name, row.cells[0]) for row in failures.rows] == [
         ("PARSE: WORDS", 1), ("REFUSED: TIED", 1), ("WRONG: OBJECT", 1),
