@@ -36,7 +36,8 @@ from .planted_parts import share
 
 COLORS = {
     "red": (190, 30, 35), "blue": (40, 70, 180), "green": (50, 130, 60), "yellow": (235, 205, 45),
-    "white": (240, 240, 238), "black": (20, 20, 22), "brown": (105, 65, 35), "gray": (128, 128, 128), "orange": (240, 130, 30),
+    "white": (240, 240, 238), "black": (20, 20, 22), "brown": (105, 65, 35), "gray": (128, 128, 128),
+    "orange": (240, 130, 30),
 }  # fmt: skip
 OTHER = {"blue": "yellow", "black": "yellow", "gray": "yellow", "green": "red"}
 """What a thing of a colour is repainted in; blue where nothing is said."""
