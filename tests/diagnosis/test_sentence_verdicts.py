@@ -138,7 +138,7 @@ def test_what_is_known_of_attributes_follows_from_the_right_answers(weak: Pipeli
     assert with_relation.meant is not None
     told = with_relation.meant.attributes["red mug", "red"]
     pots = np.array(truth.labels) == "teapot"
-    left = (truth.states["left"][:, pots] > 0).any(axis=1)
+    left = np.asarray((truth.states["left"][:, pots] > 0).any(axis=1))
     assert (np.isnan(told[mugs[1:]]) | left[mugs[1:]]).all()
     assert (told[mugs[1:]][left[mugs[1:]]] == 0.01).all()
     chosen = sentence_case(truth, weak.ask(context, "the leftmost red mug"), weak, context, right)
