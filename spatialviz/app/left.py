@@ -129,12 +129,12 @@ def _chips(state: State, trace: Trace) -> str:
 
 
 def modules_html(state: State, working: str = "") -> str:
-    """The module strip: OPM, LIFT, SRM, PRM and LABEL with their state and cost.
+    """The module strip: OPM, LIFT, ATTRIBUTE where one is asked, SRM, PRM and LABEL with their state and cost.
 
     `working` says what is being done now; it is seen from 0.15 s on, so that quick work does not flicker.
     """
     cells = "".join(
-        f'<div class="mod" style="--c:{color}" title="{safe(hint)}"><b>{name}</b><i>{safe(cost)}</i></div>'
+        f'<div class="mod" style="--c:{color}" title="{safe(hint)}"><b>{name[:5]}</b><i>{safe(cost)}</i></div>'
         for name, color, cost, hint in _modules(state)
     )
     strip = f'<div class="strip">{cells}</div>'
@@ -183,7 +183,12 @@ def _modules(state: State) -> list[tuple[str, str, str, str]]:
         close = len(trace.ranking.pairs) > 1 and trace.ranking.margin < 0.1
         hint = f"{counted(len(trace.ranking.pairs), 'pair')}, margin {trace.ranking.margin:.2f} to the runner-up"
         prm = ("PRM", DOUBT if close else GOOD, ms("prm"), hint)
-    return [_blamed(cell, state) for cell in (opm, lift, srm, prm, label)]
+    seen = [f for f in (() if chosen is None else chosen.factors) if f.kind == "attribute"]
+    attribute = [
+        ("ATTRIBUTE", GOOD if f.holds else DOUBT, f"{f.probability:.2f}", f"{f.text}: {f.probability:.2f}")
+        for f in sorted(seen, key=lambda f: f.probability)[:1]
+    ]
+    return [_blamed(cell, state) for cell in (opm, lift, *attribute, srm, prm, label)]
 
 
 def _blamed(cell: tuple[str, str, str, str], state: State) -> tuple[str, str, str, str]:

@@ -26,7 +26,7 @@ CSS = """<style>
 .sv .try[aria-disabled]{opacity:.4;cursor:default;pointer-events:none}
 .sv .try.on{color:var(--mantine-color-text);border-color:var(--mantine-primary-color-filled)}
 .sv .note{margin-top:.35em;border-left:3px solid var(--c);padding:4px 8px;background:color-mix(in srgb,var(--c) 12%,transparent);border-radius:0 4px 4px 0;overflow-wrap:anywhere}
-.sv .strip{display:grid;grid-template-columns:repeat(5,1fr);gap:3px}
+.sv .strip{display:grid;grid-auto-flow:column;grid-auto-columns:minmax(0,1fr);gap:3px}
 .sv .mod{border-radius:4px;padding:3px 2px;text-align:center;background:color-mix(in srgb,var(--c) 13%,transparent);border-top:3px solid var(--c);cursor:help;overflow:hidden}
 .sv .mod b{display:block;font-size:11px;font-weight:650}
 .sv .mod i{display:block;font-style:normal;font-size:10px;color:var(--mantine-color-dimmed);white-space:nowrap}

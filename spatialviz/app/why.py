@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.answering.ranking import Candidates
-from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import Diagnosis, threshold
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS as COLORS
@@ -23,6 +22,7 @@ ORACLE_WORDS = {
     "LIFT": ("true geometry", "every candidate that is an object gets the geometry of its own labelled pixels"),
     "SRM": ("true relations", "the relation of every pair of real objects is .99, .5 or .01, as labelled"),
     "CONF": ("true confidences", "real objects of the asked class get .99, false positives .01"),
+    "ATTRIBUTE": ("true attributes", "attributes of real objects are .99, .5 or .01, as far as they are known"),
 }
 
 
@@ -139,8 +139,8 @@ def _decomposition(state: State, d: Diagnosis) -> str:
         return ""
     colors = palette(state.dark)
     config = d.evidence.answers.source.config.rank
-    weights = (config.target_weight, config.reference_weight, config.relation_weight)
-    shares = {name: w * d.contributions[name] for name, w in zip(d.contributions, weights, strict=True)}
+    weights = {"target": config.target_weight, "reference": config.reference_weight, "relation": config.relation_weight}
+    shares = {name: weights.get(name, 1.0) * share for name, share in d.contributions.items()}
     scale = max(1e-9, *(abs(v) for v in shares.values()))
     needed = {n.factor: n for n in d.needed}
     rows = []
@@ -184,7 +184,7 @@ def _name(state: State, place: int | None) -> str:
 def _oracles(d: Diagnosis) -> str:
     """Each oracle alone: is the answer right with it, and by what margin."""
     rows = []
-    for k, name in enumerate(("", *ORACLES)):
+    for k, name in enumerate(("", *d.oracles)):
         subset = 0 if k == 0 else 1 << (k - 1)
         right, margin = bool(d.right_with >> subset & 1), float(d.margins[subset])
         words, hint = ("nothing: as it is", "the pipeline's own answer") if k == 0 else ORACLE_WORDS[name]

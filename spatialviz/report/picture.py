@@ -324,7 +324,7 @@ def answer_roles(answered: Answer) -> AnswerRoles:
             right = None if pair is None or pair.reference is None else (pair.target, pair.reference)
             labelled = {index: int(k) for index, k in enumerate(evidence.match) if k >= 0}
         ends: tuple[tuple[Role, int], ...] = (("target", case.target_object), ("reference", case.reference_object))
-        for role, k in ends:
+        for role, k in ends[: 2 if case.reference else 1]:
             entry = evidence.objects.get(k, points=True)
             if entry is not None:
                 truth[k] = role, entry

@@ -195,7 +195,10 @@ class TrueExpression(_Strict):
 
 
 class TruthRecord(_Strict):
-    """Rows of letters are tables of ordered pairs: row a, column b; T, U, F, or "." where a pair was not judged."""
+    """Rows of letters are tables of ordered pairs: row a, column b; T, U, F, or "." where a pair was not judged.
+
+    `expression` is null where the truth of a sentence is worked out from the objects and their relations.
+    """
 
     frame_index: int
     scene: str
@@ -203,7 +206,7 @@ class TruthRecord(_Strict):
     alike: tuple[str, ...]
     judged: tuple[str, ...]
     states: dict[str, tuple[str, ...]]
-    expression: TrueExpression
+    expression: TrueExpression | None
     mark: Literal["BAD_LABEL", "BAD_BOX"] | None = None
     confidence: FiniteFloat | None = None
 
@@ -220,7 +223,7 @@ def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: fl
         "frame_index": truth.frame_index, "scene": truth.scene, "objects": objects,
         "alike": _bits(truth.alike), "judged": _bits(truth.judged),
         "states": {name: _letters(table, truth.judged) for name, table in truth.states.items()},
-        "expression": {
+        "expression": None if case.meant is not None else {
             "id": case.id, "text": case.text, "target": case.target, "relation": case.relation,
             "reference": case.reference, "target_object": int(case.target_object),
             "reference_object": int(case.reference_object), "strict": case.strict.tolist(),
@@ -230,7 +233,7 @@ def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: fl
     }  # fmt: skip
 
 
-def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case, str | None, float | None]:
+def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case | None, str | None, float | None]:
     """Truth, expression, a person's mark, and the confidence of recalled objects.
 
     Raises
@@ -240,12 +243,12 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
     """
     saved = validated(TruthRecord, record, path, "truth")
     n, e = len(saved.objects), saved.expression
-    indices = [e.target_object, e.reference_object, *e.strict, *e.acceptable]
+    indices = [] if e is None else [e.target_object, e.reference_object, *e.strict, *e.acceptable]
     if not all(0 <= p < n for p in indices):
         among = f"objects 0 to {n - 1}"
         raise InputError("the case is damaged at truth.expression", got=indices, expected=among, path=path)
     require(
-        e.relation in saved.states and set(saved.states) <= set(PAIRWISE),
+        (e is None or e.relation in saved.states) and set(saved.states) <= set(PAIRWISE),
         "the case is damaged at truth.states",
         got=list(saved.states),
         path=path,
@@ -256,7 +259,7 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
         expected="R of nine numbers",
         path=path,
     )
-    case = Case(
+    case = None if e is None else Case(
         e.id, e.text, e.target, e.relation, e.reference, e.target_object, e.reference_object,
         np.array(e.strict, np.int64), np.array(e.acceptable, np.int64), e.ambiguous, _float(e.margin),
     )  # fmt: skip
@@ -271,7 +274,8 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
     truth = FrameCases(
         frame_id, saved.frame_index, saved.scene, tuple(o.label for o in saved.objects),
         np.array([o.bbox for o in saved.objects], np.float64).reshape(-1, 4),
-        _table(saved.alike, n, "alike", {"0": 0, "1": 1}, path).astype(np.bool_), states, (case,),
+        _table(saved.alike, n, "alike", {"0": 0, "1": 1}, path).astype(np.bool_), states,
+        () if case is None else (case,),
         np.array([o.number for o in saved.objects], np.int64), judged, geometry,
         {name: np.array([_float(getattr(o, name)) for o in saved.objects], np.float64) for name in _FACTS},
         tuple(o.mask for o in saved.objects),

@@ -188,7 +188,7 @@ def _proposals(source: Pipeline, context: PreparedFrame, now: Answer, case: Case
     names: list[str] = [] if now.trace is None else list(now.trace.query.labels)
     case = now.diagnosis.case if now.diagnosis is not None else case
     if case is not None:
-        names += [case.target, case.reference]
+        names += filter(None, (case.target, case.reference))
     return keep_proposals(context.frame, source.needed_detector(), source.unfiltered_detector(), names)
 
 
