@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat
 
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import RunLength, decode_run_length, fill_polygons
+from pipeline.geometry.masks import RunLength, fill_polygons
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter, Segments, segment_from
@@ -170,18 +170,7 @@ class CocoMasks:
     def _decode(self, annotation: CocoAnnotation, shape: tuple[int, int], where: str) -> np.ndarray:
         content = annotation.segmentation
         if isinstance(content, RunLength):
-            # The size is checked before memory for it is asked for.
-            require(
-                content.size == shape,
-                f"{where}: the mask has another size",
-                got=content.size,
-                expected=shape,
-                path=self.path,
-            )
-            try:
-                return decode_run_length(content.size, content.counts, where)
-            except InputError as error:
-                raise InputError(str(error), path=self.path) from error
+            return content.decoded(shape, where, self.path)
         return _filled(content, shape, where, self.path)
 
 

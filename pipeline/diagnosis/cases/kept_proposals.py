@@ -20,7 +20,7 @@ from pydantic import BaseModel, Field
 from pipeline.answering.recording import detection_record, finding_of
 from pipeline.diagnosis.cases.manifest import validated
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import RunLength, decode_run_length
+from pipeline.geometry.masks import RunLength
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, no_proposals
 from pipeline.proposals.recorded import RecordedDetection
@@ -146,10 +146,7 @@ def _proposals(rows: Sequence[KeptDetection], shape: tuple[int, int]) -> Proposa
         if row.mask is None:
             masks[k] = box_mask(boxes[k], *shape)
             continue
-        require(
-            row.mask.size == shape, f"the mask of detection {k} has another size", got=row.mask.size, expected=shape
-        )
-        masks[k] = decode_run_length(row.mask.size, row.mask.counts, f"detection {k}")
+        masks[k] = row.mask.decoded(shape, f"detection {k}")
     return Proposals(
         boxes,
         np.array([r.score for r in rows], np.float32),

@@ -22,10 +22,10 @@ from pipeline.answering.asked_names import detections
 from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import Candidates, RelationLookup
-from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
+from pipeline.diagnosis.whatif.edits import Edits, PlacedBox
 from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
-from pipeline.geometry.masks import MaskCrop
+from pipeline.geometry.masks import MaskCrop, RunLength
 from pipeline.language.expression import parse
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
@@ -261,17 +261,21 @@ def _last_made(baseline: Baseline, kind: str, slot: Hashable, inputs: tuple[Any,
 
 
 def _alike(a: Any, b: Any) -> bool:
-    return a is b or (isinstance(a, PlacedBox | RunLengthMask) and a == b)
+    return a is b or (isinstance(a, PlacedBox | RunLength) and a == b)
 
 
 def _repainted(
-    baseline: Baseline, context: PreparedFrame, entry: SceneObject, key: str, code: RunLengthMask
+    baseline: Baseline, context: PreparedFrame, entry: SceneObject, key: str, code: RunLength
 ) -> SceneObject:
     """The object by other pixels; one thing that several names found is lifted once, and stays one thing."""
     frame = context.frame
 
     def relift() -> tuple[np.ndarray, LiftedObject]:
-        mask = code.decoded(frame.height, frame.width, key)
+        what, shape = f"the mask of {key}", (frame.height, frame.width)
+        require(
+            code.size == shape, f"{what} is of another picture size", got=list(code.size), expected=f"{list(shape)}"
+        )
+        mask = code.decoded(shape, what)
         found = lift(frame.depth, frame.camera, [mask], context.viewer, config=context.config, edges=context.edges)
         return mask, found[0]
 
