@@ -29,8 +29,8 @@ from pipeline.answering.agreement.frames import agree_frames, agreement_record, 
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import open_pipeline
 from pipeline.geometry.boxes import iou_2d
-from pipeline.proposals.registry import DetectorSetup
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions
+from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError
 
 WORDS = ("mug", "trash can", "bin", "lamp")

@@ -22,7 +22,8 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.reading import Labels
 from pipeline.language.naming import Synonyms, match, same_or_kind
 from pipeline.proposals.base import Detector, Proposals
-from pipeline.proposals.registry import DetectorSetup, made_by
+from pipeline.proposals.registry import made_by
+from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import column_arrays, rows_of_frame
 
