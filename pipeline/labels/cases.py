@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import AfterValidator, ConfigDict, FiniteFloat, PlainSerializer
 
 from pipeline.geometry.frame import Frame
 from pipeline.labels.reading import Labels
@@ -20,10 +21,25 @@ from pipeline.relations.relations import U
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, require
 
+if TYPE_CHECKING:
+    Indices = np.ndarray
+    Margin = float
+else:
+    Indices = Annotated[
+        tuple[int, ...],
+        AfterValidator(lambda found: np.array(found, np.int64)),
+        PlainSerializer(lambda found: found.tolist()),
+    ]
+    Margin = Annotated[
+        FiniteFloat | None,
+        AfterValidator(lambda found: np.nan if found is None else found),
+        PlainSerializer(lambda found: float(found) if np.isfinite(found) else None),
+    ]
+
 
 @dataclass(frozen=True)
 class Case:
-    """One expression with its truth.
+    """One expression with its truth; as JSON its arrays are lists, and a margin that is not known is null.
 
     Attributes
     ----------
@@ -39,6 +55,8 @@ class Case:
         Of the labelled pair, metres.
     """
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     id: str
     text: str
     target: str
@@ -46,10 +64,10 @@ class Case:
     reference: str
     target_object: int
     reference_object: int
-    strict: np.ndarray
-    acceptable: np.ndarray
+    strict: Indices
+    acceptable: Indices
     ambiguous: bool
-    margin: float
+    margin: Margin
 
 
 @dataclass(frozen=True)
