@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -67,7 +67,10 @@ class FrameDetections:
     scores : (N,) float32
     names : tuple of str
     ids : (N,) int64
+        -1 where there is none.
     masks : sequence of MaskCode or None, or (N, H, W) bool
+    segmented : (N,) bool or None
+        As of `Proposals`.
     """
 
     boxes: np.ndarray
@@ -75,9 +78,10 @@ class FrameDetections:
     names: tuple[str, ...]
     ids: np.ndarray
     masks: Sequence[MaskCode | None] | np.ndarray
+    segmented: np.ndarray | None = None
 
 
-class _Playback:
+class Playback:
     """One frame of a recording: masks are decoded when they are asked for, and only to their boxes."""
 
     def __init__(self, frame: Frame, found: FrameDetections, path: Path) -> None:
@@ -110,6 +114,7 @@ class _Playback:
             masks,
             self.found.ids[index],
             has_mask,
+            None if self.found.segmented is None else self.found.segmented[index],
         )
 
     def _paint(self, i: int, picture: np.ndarray) -> bool:
@@ -175,7 +180,7 @@ class RecordedDetector:
         maker = "" if self.made_by is None else f"<{self.made_by}"
         self._fingerprint = f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{min_score}{maker}"
         self._meanings: dict[str, tuple[str, ...]] = {}
-        self._last: _Playback | None = None
+        self._last: Playback | None = None
 
     @property
     def vocabulary(self) -> tuple[str, ...] | None:
@@ -198,7 +203,7 @@ class RecordedDetector:
         key = None if labels is None else tuple(labels)
         return playback.answers.get(key, lambda: self._answer(frame, playback, key))
 
-    def _answer(self, frame: Frame, playback: _Playback, labels: tuple[str, ...] | None) -> Proposals:
+    def _answer(self, frame: Frame, playback: Playback, labels: tuple[str, ...] | None) -> Proposals:
         keep = playback.found.scores >= self.min_score
         if labels is not None:
             wanted = [name for label in labels for name in self._meant(label)]
@@ -218,7 +223,7 @@ class RecordedDetector:
             self._meanings[label] = meant = meant_names(label, self.vocabulary or (), self.synonyms, where)
         return meant
 
-    def _of_frame(self, frame: Frame) -> _Playback:
+    def _of_frame(self, frame: Frame) -> Playback:
         if self._last is None or not self._last.shows(frame):
             found = needed(
                 self._read_arrays(frame) if self._recording is None else self._recording.get(frame.id),
@@ -226,7 +231,9 @@ class RecordedDetector:
                 path=self.path,
                 error=FrameUnusable,
             )
-            self._last = _Playback(frame, found, self.path)
+            if (found.ids < 0).any():
+                found = replace(found, ids=np.arange(len(found.ids)))
+            self._last = Playback(frame, found, self.path)
         return self._last
 
     def _read_arrays(self, frame: Frame) -> FrameDetections | None:
@@ -303,19 +310,18 @@ def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetectio
         # What was read goes, frame by frame, so that both forms never stand side by side.
         wrong = "the recording does not follow the format at {}"
         entries = checked(reader.validate_python, frames.pop(frame_id), wrong, path, inside=("frames", frame_id))
-        found[frame_id] = _compact(entries, shared)
+        found[frame_id] = as_arrays(entries, shared)
     return found
 
 
-def _compact(entries: Sequence[RecordedDetection], shared: dict[str, str]) -> FrameDetections:
+def as_arrays(entries: Sequence[RecordedDetection], shared: dict[str, str]) -> FrameDetections:
     """Detections as arrays; equal names of all frames, and equal masks of this one, stand once in memory."""
     codes: dict[MaskCode | None, MaskCode | None] = {}
-    numbered = all(entry.id is not None for entry in entries)
     return FrameDetections(
         np.array([e.bbox for e in entries], np.float32).reshape(-1, 4),
         np.array([e.score for e in entries], np.float32),
         tuple(shared.setdefault(e.label, e.label) for e in entries),
-        np.array([e.id if numbered else i for i, e in enumerate(entries)], np.int64),
+        np.array([-1 if e.id is None else e.id for e in entries], np.int64),
         [codes.setdefault(e.mask, e.mask) for e in entries],
     )
 
@@ -367,6 +373,4 @@ def _read_npz(file: Path) -> FrameDetections:
         "the arrays of a recording differ in length",
         path=file,
     )
-    if (ids < 0).any():
-        ids = np.arange(len(ids))
     return FrameDetections(boxes, scores, tuple(labels.tolist()), ids, codes)
