@@ -77,8 +77,7 @@ class FolderDataset(Recording):
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
         pair = self._found(self._pairs, frame_id)
-        present = pair.color or pair.depth or self.root
-        color, depth = files_of(pair, present, present)
+        color, depth = files_of(pair, self.root)
         images = read_pair(color, depth, self._settings.depth_scale)
         notes: list[str] = [] if self._pose_problem is None else [f"no camera pose: {self._pose_problem}"]
         place = self._poses.get(pair.key)

@@ -81,8 +81,7 @@ class RedwoodDataset(Recording):
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
         files = self._found(self._pairs, frame_id)
-        present = files.color or files.depth or self.root
-        color, depth = files_of(files, present, present)
+        color, depth = files_of(files, self.root)
         pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE)
         notes = list(self._pose_notes)
         pose = None

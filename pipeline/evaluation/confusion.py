@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import glob
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pipeline.evaluation.relation_records import RelationRecords
-from pipeline.labels.reading import Labels, read_table
-from pipeline.labels.statistics import quoted
+from pipeline.labels.reading import Labels
+from pipeline.labels.statistics import add_views, quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Row, Table
 from pipeline.relations.relations import F, T, U
@@ -183,11 +182,7 @@ def _pairs_of_answers(
     rows = records.select(["frame_index", "matched_target", "matched_reference"])
     rows = rows.append_column("row", [np.arange(records.num_rows)])
     with duckdb.connect(":memory:") as connection:
-        for name in ("objects", "relations"):
-            path = labels.root / f"{name}.parquet"
-            # Reads the footer alone, and checks it.
-            read_table(path, name, [])
-            connection.read_parquet(glob.escape(str(path))).create_view(name)
+        add_views(connection, labels, ("objects", "relations"))
         connection.register("run", rows)
         told = ", ".join(
             f"coalesce(l.{quoted(n)}, {F}) AS s{k}, coalesce(l.{quoted(f'{n}_margin')}, 0) AS m{k}"

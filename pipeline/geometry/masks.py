@@ -153,8 +153,8 @@ class MaskCrop:
     @property
     def box(self) -> tuple[int, int, int, int]:
         """x0, y0, x1, y1 of the mask, exclusive right and bottom edges; empty where the mask is."""
-        x, y, w, h = cv2.boundingRect(self.mask.view(np.uint8))
-        return self.x + x, self.y + y, self.x + x + w, self.y + y + h
+        x0, y0, x1, y1 = mask_box(self.mask)
+        return self.x + x0, self.y + y0, self.x + x1, self.y + y1
 
     @property
     def area(self) -> int:
@@ -171,6 +171,12 @@ class MaskCrop:
         """Set its pixels in an empty mask of the whole picture, (H, W) bool."""
         h, w = self.mask.shape
         picture[self.y : self.y + h, self.x : self.x + w] = self.mask
+
+
+def mask_box(mask: np.ndarray) -> tuple[int, int, int, int]:
+    """x0, y0, x1, y1 of a mask ((H, W) bool), exclusive right and bottom edges; zeros for an empty one."""
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    return x, y, x + w, y + h
 
 
 def fill_polygons(size: tuple[int, int], polygons: Sequence[np.ndarray]) -> np.ndarray:

@@ -18,7 +18,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.language.relation_names import DIRECTIONAL, RELATIONS
-from pipeline.metrics.calibration_metrics import Platt, calibration_metrics, expected_calibration_error, fit_calibration
+from pipeline.metrics.calibration_metrics import (
+    Platt,
+    calibration_metrics,
+    expected_calibration_error,
+    fit_calibration,
+    labelled_pairs,
+)
 from pipeline.metrics.intervals import mean_of_defined, ratio
 from pipeline.metrics.relation_metrics import multi_label_metrics, single_label_metrics
 from pipeline.relations.class_vectors import vectors_beside
@@ -338,9 +344,7 @@ def evaluate_classes(
         probability of the answer, and `relations` (name -> precision,
         recall, f1, positives). None where a figure has no meaning.
     """
-    rows = [(p[t >= 0], t[t >= 0]) for p, t in zip(probabilities, truth, strict=True)]
-    p = np.concatenate([np.zeros((0, len(vocabulary))), *(p for p, _ in rows)])
-    t = np.concatenate([np.zeros(0, np.int64), *(t for _, t in rows)]).astype(np.int64)
+    p, t = labelled_pairs(probabilities, truth, len(vocabulary))
     metrics = single_label_metrics(p, t, vocabulary)
     weighted = p / np.asarray(prior, np.float64)
     divided = single_label_metrics(weighted / weighted.sum(axis=1, keepdims=True), t, vocabulary)

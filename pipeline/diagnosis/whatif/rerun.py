@@ -25,7 +25,7 @@ from pipeline.answering.ranking import Candidates, RelationLookup
 from pipeline.diagnosis.whatif.edits import Edits, PlacedBox
 from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
-from pipeline.geometry.masks import MaskCrop, RunLength
+from pipeline.geometry.masks import RunLength, mask_box
 from pipeline.language.expression import parse
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
@@ -280,7 +280,7 @@ def _repainted(
         return mask, found[0]
 
     mask, lifted = _last_made(baseline, "relifted", (context.config, key), (code,), relift)
-    bbox = np.array(MaskCrop(0, 0, mask).box, np.float32) if mask.any() else entry.bbox
+    bbox = np.array(mask_box(mask), np.float32) if mask.any() else entry.bbox
     return replace(entry, mask=mask, bbox=bbox, lifted=lifted)
 
 

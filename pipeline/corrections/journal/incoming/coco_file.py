@@ -27,7 +27,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame, Row
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.masks import MaskCrop, decode_run_length, encode_run_length, fill_polygons
+from pipeline.geometry.masks import decode_run_length, encode_run_length, fill_polygons, mask_box
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.proposals.segmenter import share_inside
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
@@ -305,7 +305,7 @@ class _Reader:
             if box is None or box == before:
                 return
         # The box around the pixels that the file has follows from them, and was not moved.
-        around: list[Sequence[float]] = [] if drawn is None else [list(MaskCrop(0, 0, drawn).box)]
+        around: list[Sequence[float]] = [] if drawn is None else [list(mask_box(drawn))]
         if outline and isinstance(outline, list) and was["mask"] is not None:
             around += [before, bounds_of(np.concatenate(polygons_of(outline)))]
         if not any(_near(box, other, slack) for other in around):
