@@ -76,7 +76,7 @@ class Pipeline:
         return prepare_frame(self.dataset, frame, self.config.lift)
 
     @property
-    def sides(self) -> tuple[str, str]:
+    def detector_names(self) -> tuple[str, str]:
         """The names of both detectors; those of their model files where they are of one kind."""
         a, b = (None if one is None else one.name for one in (self.detector, self.second_detector))
         files = [None if one is None else one.model for one in (self.setup, self.second_setup)]

@@ -16,8 +16,8 @@ from pipeline.relations.relations import F, T, U
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 
-DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
-OTHERS = (DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
+UNDECIDED, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
+OTHERS = (UNDECIDED, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None
     cell = np.full(len(asked), other[NO_ANSWER], np.int64)
     cell[answered] = other[UNLABELLED]
     cell[answered & matched] = other[UNJUDGED]
-    cell[index] = stands_in(states, margins, meant[index], other[DOUBT], other[NOTHING])
+    cell[index] = stands_in(states, margins, meant[index], other[UNDECIDED], other[NOTHING])
     return Standings(names, meant, cell)
 
 
@@ -148,8 +148,8 @@ def count_standings(found: Standings) -> Confusion:
     )
 
 
-def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt: int, nothing: int) -> np.ndarray:
-    """The column of each pair: the meant relation where it holds, `doubt` where it may, else the clearest other one.
+def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, undecided: int, nothing: int) -> np.ndarray:
+    """The column of each pair: the meant relation where it holds, `undecided` where it may, else the clearest other.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt:
     held = np.where(states == T, np.nan_to_num(np.asarray(margins, np.float64)), -np.inf)
     clearest = np.where((states == T).any(axis=1), held.argmax(axis=1) if held.size else 0, nothing)
     own = states[every, meant]
-    return np.where(own == T, meant, np.where(own == U, doubt, clearest)).astype(np.int64)
+    return np.where(own == T, meant, np.where(own == U, undecided, clearest)).astype(np.int64)
 
 
 def _pairs_of_answers(

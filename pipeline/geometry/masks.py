@@ -71,8 +71,8 @@ def run_lengths(code: str) -> np.ndarray | str:
     length = ends - starts + 1
     if length.max() > _LONGEST:
         return "it has a number that is too long"
-    place = np.arange(len(raw)) - np.repeat(starts, length)
-    value = np.add.reduceat((raw & 31) << (5 * place), starts)
+    digit = np.arange(len(raw)) - np.repeat(starts, length)
+    value = np.add.reduceat((raw & 31) << (5 * digit), starts)
     value -= np.where(raw[ends] & 16, np.int64(1) << (5 * length), 0)
     value[1::2], value[2::2] = np.cumsum(value[1::2]), np.cumsum(value[2::2])
     if value.min() < 0:

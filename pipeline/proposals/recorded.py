@@ -271,7 +271,7 @@ def _mask_file(path: Path, name: str, where: str) -> np.ndarray:
 
 
 def _each_thing_once(index: np.ndarray, found: FrameDetections) -> np.ndarray:
-    """The places out of `index` ((M,) int, rising) without those of a thing that has a higher score elsewhere."""
+    """Those of `index` ((M,) int, rising) without those of a thing that has a higher score elsewhere."""
     ids = found.ids[index]
     if len(np.unique(ids)) == len(ids):
         return index

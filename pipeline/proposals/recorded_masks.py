@@ -221,7 +221,7 @@ class PngMasks:
             from scipy.ndimage import find_objects
 
             values = _read_png(file, frame)
-            found = [(v, place) for v, place in enumerate(find_objects(values.astype(np.int32)), start=1) if place]
+            found = [(v, window) for v, window in enumerate(find_objects(values.astype(np.int32)), start=1) if window]
             rectangles = [(x.start, y.start, x.stop, y.stop) for _, (y, x) in found]
             numbers = [v for v, _ in found]
             return Segments(

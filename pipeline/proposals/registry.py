@@ -85,7 +85,7 @@ def _simulated(request: DetectorRequest) -> Detector:
     )
 
 
-_BESIDE = "an ONNX file with its tokenizer.json beside it"
+_OWL = "an ONNX file with its tokenizer.json beside it"
 DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
     "annotations": lambda request: AnnotationDetector(request.class_names, request.synonyms),
     "recorded": _recorded,
@@ -106,10 +106,10 @@ DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
         lambda request: {"default_labels": request.class_names},
     ),
     "owlv2": _network(
-        "owlv2", "owl.OwlDetector", _BESIDE, lambda request: {"kind": "owlv2", "default_labels": request.class_names}
+        "owlv2", "owl.OwlDetector", _OWL, lambda request: {"kind": "owlv2", "default_labels": request.class_names}
     ),
     "owlvit": _network(
-        "owlvit", "owl.OwlDetector", _BESIDE, lambda request: {"kind": "owlvit", "default_labels": request.class_names}
+        "owlvit", "owl.OwlDetector", _OWL, lambda request: {"kind": "owlvit", "default_labels": request.class_names}
     ),
     "simulated": _simulated,
 }  # fmt: skip

@@ -134,8 +134,8 @@ def _vertical_states(measured: Measured) -> tuple[np.ndarray, np.ndarray]:
     elevation = np.rad2deg(np.arctan2(np.maximum(clearance, 0), sideways))
     resting, raised = clearance >= -tolerance, clearance > profile.clear_height
     holds = (plan >= profile.plan_overlap) & resting | raised & (elevation >= profile.elevation)
-    doubtful = (plan >= profile.plan_overlap_doubtful) & resting | raised & (elevation >= profile.elevation_doubtful)
-    state = np.where(holds, T, np.where(doubtful, U, F))
+    undecided = (plan >= profile.plan_overlap_doubtful) & resting | raised & (elevation >= profile.elevation_doubtful)
+    state = np.where(holds, T, np.where(undecided, U, F))
     above = _sign_gate(state, pairs.delta[..., 1], profile.dead_zone)
     return above, above.swapaxes(-1, -2)
 

@@ -27,7 +27,7 @@ from pipeline.metrics.calibration_metrics import (
 )
 from pipeline.metrics.intervals import mean_of_defined, ratio
 from pipeline.metrics.relation_metrics import multi_label_metrics, single_label_metrics
-from pipeline.relations.class_vectors import vectors_beside
+from pipeline.relations.class_vectors import vectors_path
 from pipeline.relations.contract import TrainedOn
 from pipeline.relations.features import cli_features
 from pipeline.relations.model import OnnxScorer
@@ -262,7 +262,7 @@ def save_onnx(
     """The trained network with its contract, as `OnnxScorer` reads it, and its class vectors beside it."""
     write_onnx(path, model.layers, replace(model.contract(calibration), trained_on=trained_on).metadata())
     if model.vectors is not None:
-        vectors_beside(path).write_bytes(model.vectors.content())
+        vectors_path(path).write_bytes(model.vectors.content())
 
 
 CLEAR_GAP_M = 0.10

@@ -46,7 +46,7 @@ from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_
 from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError, require
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import sha256_of, temporary_beside, write_synced, write_whole
+from pipeline.system.whole_files import sha256_of, temporary_sibling, write_synced, write_whole
 
 LARGEST_COPY = 16 * 2**20
 """Bytes of a relation network that may be copied into a case."""
@@ -159,7 +159,7 @@ def save_case(
 
 def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record: dict[str, Any]) -> None:
     """Write beside the folder, replay, and rename."""
-    partial = temporary_beside(folder)
+    partial = temporary_sibling(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         partial.mkdir()

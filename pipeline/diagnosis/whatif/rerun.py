@@ -29,7 +29,7 @@ from pipeline.geometry.masks import RunLength, mask_box
 from pipeline.language.expression import parse
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
-from pipeline.proposals.base import top_k_places
+from pipeline.proposals.base import top_k_indices
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
@@ -226,7 +226,7 @@ def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
         if baseline.detector.exact:
             return shown
         bare = replace(found, masks=None, has_mask=None, segmented=None)
-        return shown[top_k_places(bare.take(shown), k, min_score=least)]
+        return shown[top_k_indices(bare.take(shown), k, min_score=least)]
 
     return baseline.kept("selected", (name, hidden, k, least), select)
 
