@@ -7,7 +7,7 @@ relation is judged in the viewer's level axes (right, up, forward) of
 `pipeline.geometry.viewer`; nothing here knows an object's own front.
 
 The profile: left, right, front (nearer) and behind (farther) are cones of 45
-degrees with a doubtful band to 67.5 degrees around the axis, on signed gaps
+degrees with an undecided band to 67.5 degrees around the axis, on signed gaps
 between extents; above and below ask for overlap in plan. on, in and near are
 extras of the same profile; `pipeline.relations.scorer` has between, closest and farthest.
 

@@ -35,7 +35,10 @@ class _Strict(BaseModel):
 
 
 class DetectorRecord(_Strict):
-    """What made the proposals; the fingerprint is hashed, since it may hold a path of somebody's machine."""
+    """What made the kept proposals, and no `DetectorSetup`: a case is opened without its files, elsewhere.
+
+    The fingerprint is hashed, since it may hold a path of somebody's machine.
+    """
 
     name: str
     exact: bool
