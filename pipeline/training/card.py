@@ -338,11 +338,9 @@ def evaluate_classes(
     Returns
     -------
     dict
-        `pairs`, `top1`, `top2`, `top1_prior_divided` (argmax of p / prior),
-        `mean_recall` over classes that occur, `most_frequent` (what always
-        saying the most frequent class gets), `log_loss`, `ece` of the
-        probability of the answer, and `relations` (name -> precision,
-        recall, f1, positives). None where a figure has no meaning.
+        `pairs`, `top1`, `top2`, `top1_prior_divided` (argmax of p / prior), `mean_recall` over classes that occur,
+        `most_frequent` (what always saying the most frequent class gets), `log_loss`, `ece` of the probability of the
+        answer, and `relations` (name -> precision, recall, f1, positives). None where a figure has no meaning.
     """
     p, t = labelled_pairs(probabilities, truth, len(vocabulary))
     metrics = single_label_metrics(p, t, vocabulary)

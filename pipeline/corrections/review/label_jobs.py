@@ -1,10 +1,8 @@
-"""Long work on corrected labels, shared by everyone who corrects them: making their review queue, and retraining.
+"""Long work on corrected labels, shared by everyone who corrects them: building their review queue, and retraining.
 
-Retraining goes from corrections to a new relation network, and what it does to
-the answers: the labels with their corrections become a folder of their own, a
-network is learnt from them and compared with the one learnt from the labels
-before, and a run is made again with the mended labels, once with its own
-relation scorer and once with the new network.
+Retraining goes from corrections to a new relation network, and what it does to the answers: the labels with their
+corrections become a folder of their own, a network is learnt from them and compared with the one learnt from the labels
+before, and a run is made again with the mended labels, once with its own relation scorer and once with the new network.
 """
 
 from __future__ import annotations
