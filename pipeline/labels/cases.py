@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import numpy as np
+from pydantic import AfterValidator, ConfigDict, Field, FiniteFloat, PlainSerializer
 
 from pipeline.geometry.frame import Frame
 from pipeline.labels.reading import Labels
@@ -19,6 +20,23 @@ from pipeline.language.unreadable import Unread, why_unread, why_unused
 from pipeline.relations.relations import U
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, require
+
+if TYPE_CHECKING:
+    Indices = np.ndarray
+    Margin = float
+    NotSaved: TypeAlias = "Meant | None"
+else:
+    Indices = Annotated[
+        tuple[int, ...],
+        AfterValidator(lambda found: np.array(found, np.int64)),
+        PlainSerializer(lambda found: found.tolist()),
+    ]
+    Margin = Annotated[
+        FiniteFloat | None,
+        AfterValidator(lambda found: np.nan if found is None else found),
+        PlainSerializer(lambda found: float(found) if np.isfinite(found) else None),
+    ]
+    NotSaved = Annotated[None, Field(exclude=True)]
 
 
 @dataclass(frozen=True)
@@ -47,7 +65,7 @@ class Meant:
 
 @dataclass(frozen=True)
 class Case:
-    """One expression with its truth.
+    """One expression with its truth; as JSON its arrays are lists, and a margin that is not known is null.
 
     Attributes
     ----------
@@ -65,6 +83,8 @@ class Case:
         None for a plain triple.
     """
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     id: str
     text: str
     target: str
@@ -72,11 +92,11 @@ class Case:
     reference: str
     target_object: int
     reference_object: int
-    strict: np.ndarray
-    acceptable: np.ndarray
+    strict: Indices
+    acceptable: Indices
     ambiguous: bool
-    margin: float
-    meant: Meant | None = None
+    margin: Margin
+    meant: NotSaved = None
 
     @property
     def relations(self) -> set[str]:

@@ -15,6 +15,7 @@ from pipeline.labels.profiles import NONE, TRAINED, open_second_opinion
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.store import Store
+from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import require
 
 Engine = Literal["local", "ray"]
@@ -196,8 +197,7 @@ def label(
     InputError
         As `label_dataset`.
     """
-    plain = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
-    spec = SourceSpec(str(dataset), {"detector": detector, "segmenter": segmenter, **plain})
+    spec = SourceSpec(str(dataset), {"detector": detector, "segmenter": segmenter, **with_files(options, str)})
     label_dataset(
         spec, out, config, selection, engine=engine, workers=workers, resume=resume, limit=limit, progress=progress
     )

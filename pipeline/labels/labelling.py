@@ -118,7 +118,7 @@ def judge_list(
     """Every ordered pair of objects as it is labelled: by the rules, in doubt where the geometry or a network is."""
     lifted = [o.lifted for o in objects]
     judged = judge_objects(lifted, context.viewer, config)
-    judged = in_doubt(judged, np.array([item.quality.fallback for item in lifted], np.bool_))
+    judged = with_undecided(judged, np.array([item.quality.fallback for item in lifted], np.bool_))
     return (
         judged
         if network is None
@@ -126,7 +126,7 @@ def judge_list(
     )
 
 
-def in_doubt(judged: Judged, unsure: np.ndarray) -> Judged:
+def with_undecided(judged: Judged, unsure: np.ndarray) -> Judged:
     """The judgements with U for every pair of which an object's geometry is not to be relied on.
 
     Parameters
@@ -305,10 +305,10 @@ def occluded_share(evidence: Evidence, depth: np.ndarray) -> float:
     kernel = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
     ring = (cv2.dilate(mask, kernel) > 0) & (mask == 0) & (z > 0)
     own = np.where(mask > 0, z, 0).astype(np.float32)
-    beside = cv2.dilate(own, kernel)
-    ring &= beside > 0
+    nearest = cv2.dilate(own, kernel)
+    ring &= nearest > 0
     total = int(ring.sum())
-    return float((z[ring] < beside[ring] - NEARER_M).sum() / total) if total else 0.0
+    return float((z[ring] < nearest[ring] - NEARER_M).sum() / total) if total else 0.0
 
 
 def row_hash(seed: int, *parts: object) -> int:

@@ -154,9 +154,14 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
         environment=environment(),
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
+    return write_labels(out, manifest)
+
+
+def write_labels(folder: Path, manifest: Manifest) -> Manifest:
+    """Write what tells of merged tables, with their schemas, and who made them into the manifest."""
     manifest.makers = makers_of(manifest).record()
-    write_schemas(out / "schemas")
-    write_manifest(Labels(out, manifest))
+    write_schemas(folder / "schemas")
+    write_manifest(Labels(folder, manifest))
     return manifest
 
 

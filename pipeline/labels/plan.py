@@ -18,8 +18,8 @@ from pipeline.labels.profiles import RuleProfile, canonical_hash, fingerprint, p
 from pipeline.labels.store import PLAN_FILE, Store
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
-from pipeline.proposals.registry import with_model
 from pipeline.relations.relations import PROFILE
+from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.version import __version__
@@ -28,8 +28,6 @@ MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
 SHARDS_WANTED = 32
 """Small datasets get small shards, so that workers share them and progress shows."""
-_PATHS = ("model", "model_config", "segmenter_model", "synonyms")
-"""The options that name files."""
 _CAMERA = ("intrinsics", "depth_scale", "up", "level_at")
 """The options that say what the camera is and how it stands."""
 
@@ -47,17 +45,12 @@ class SourceSpec:
 
     def absolute(self) -> SourceSpec:
         """The same with absolute paths: workers, and later readers of the plan, may stand in another folder."""
-        named = {n: _absolute(self.options[n]) for n in _PATHS if self.options.get(n) is not None}
-        if self.options.get("fuse"):
-            named["fuse"] = [with_model(text, lambda path: str(_absolute(path))) for text in self.options["fuse"]]
         path = Path(self.path)
-        return SourceSpec(str(path.absolute()) if path.exists() else self.path, {**self.options, **named})
+        return SourceSpec(str(path.absolute()) if path.exists() else self.path, with_files(self.options, _absolute))
 
 
-def _absolute(path: str | Path | Sequence[str | Path]) -> str | list[str]:
-    """A path, or several, as absolute words; an id on the model hub as it is."""
-    if not isinstance(path, str | Path):
-        return [str(_absolute(p)) for p in path]
+def _absolute(path: str | Path) -> str:
+    """A path as absolute words; an id on the model hub as it is."""
     return str(parse_hub_id(path) or Path(path).absolute())
 
 

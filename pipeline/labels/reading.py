@@ -26,7 +26,7 @@ from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES, Manife
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pc, pq
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
-from pipeline.system.whole_files import temporary_beside
+from pipeline.system.whole_files import temporary_sibling
 
 VERSION_KEY = b"spatialviz.schema_version"
 TABLE_KEY = b"spatialviz.table"
@@ -97,7 +97,7 @@ def table_of_rows(table: str, rows: Collection[Mapping[str, Any]]) -> pa.Table:
 
 def write_table(table: pa.Table, path: Path) -> None:
     """Write Parquet under a temporary name, sync it, and rename it into place."""
-    temporary = temporary_beside(path)
+    temporary = temporary_sibling(path)
     try:
         pq.write_table(table, temporary, compression="zstd", row_group_size=ROW_GROUP)
         with open(temporary, "rb") as written:

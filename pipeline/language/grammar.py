@@ -117,7 +117,7 @@ class _Reader(RegionReader):
         filler = self.match(lexicon.FILLER, at) if loose else None
         if filler is not None and self._goes_on(filler[1]):
             return filler[1]
-        if self.chain.nouns and not self.opened and not self._said_of(at):
+        if self.chain.nouns and not self.opened and not self._predicative(at):
             for pattern, why in _NOT_JUDGED:
                 if (found := self.match(pattern, at)) and self._goes_on(found[1]):
                     self.problems.append(Unsupported(why, got=f"'{self.words(at, found[1])}'"))
@@ -150,7 +150,7 @@ class _Reader(RegionReader):
     def _relates(self, at: int) -> bool:
         return at < len(self.tokens) and self.tokens[at].relation is not None and not self.breaks[at]
 
-    def _said_of(self, at: int) -> bool:
+    def _predicative(self, at: int) -> bool:
         """Whether what begins here is said of a thing: `is red`, `is not the red one`, and not `there is`."""
         at -= 1
         while at > 0 and (self.tokens[at].plain in lexicon.NEGATIONS or self.tokens[at].plain in lexicon.DEGREES):
@@ -233,7 +233,7 @@ class _Reader(RegionReader):
     # ---- nouns -----------------------------------------------------------------------------------------------------
 
     def _noun(self, at: int) -> int:
-        predicate = not self.opened and self._said_of(at) and self.tokens[at].plain not in DETERMINERS
+        predicate = not self.opened and self._predicative(at) and self.tokens[at].plain not in DETERMINERS
         phrase, end = self.noun(at, stop_at_and=bool(self.opened), predicate=predicate)
         if phrase is None:
             self._note(at, max(end, at + 1), "these words have no place here")
@@ -353,14 +353,14 @@ class _Reader(RegionReader):
             self._forget()
             return end
         same = phrase.name == root.name or phrase.anything or phrase.name in root.name.split()
-        said_of = self._said_of(at)
+        predicative = self._predicative(at)
         noun = self.tokens[at].plain in DETERMINERS or is_name(singular(phrase.head_word))
-        named = said_of and noun and (root.anything or phrase.name.endswith(f" {root.name}"))
+        named = predicative and noun and (root.anything or phrase.name.endswith(f" {root.name}"))
         told_before = any(t.plain in lexicon.BE for t in self.tokens[:at])
         if self.joined and not told_before and not clauses and not same:
             joint = "and the" if self.tokens[at].plain in DETERMINERS else "and"
             raise InputError(f"'{joint}' names a second target", got=f"'{self.text}'", expected="one target a relation")
-        if same or named or (said_of and (phrase.attributes or phrase.choices)):
+        if same or named or (predicative and (phrase.attributes or phrase.choices)):
             relative = {self.tokens[at - 1].plain, self.tokens[at - 2].plain} & lexicon.RELATIVE_COPULAS
             number = len(self.chain.nouns) - 1 if relative and same else 0
             if not (same or named):

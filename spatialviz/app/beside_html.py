@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.answering.agreement.agreement import MIN_IOU
-from pipeline.answering.agreement.frames import Beside
+from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.geometry.palette import hex_color, palette, second_color
 from spatialviz.app.state import State
 from spatialviz.app.text import DOUBT, GOOD, dot, heading, note, panel, safe, segments
@@ -15,7 +15,7 @@ SHOW_CHOSEN = (
 )
 
 
-def second_name(beside: Beside, j: int) -> str:
+def second_name(beside: SecondDetections, j: int) -> str:
     """The name of one of the second detector's objects."""
     return f"{beside.objects[j].label}·{j}"
 
@@ -118,7 +118,7 @@ def _figure(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}".replace("-", "−")
 
 
-def _rows(state: State, beside: Beside) -> str:
+def _rows(state: State, beside: SecondDetections) -> str:
     color = second_color(state.dark)
     grey = palette(state.dark)
     iou = {(int(i), int(j)): float(v) for (i, j), v in zip(beside.found.pairs, beside.found.iou, strict=True)}
@@ -180,7 +180,7 @@ def hollow(color: str) -> str:
     return f'<span class="hollow" style="--c:{color}"></span>'
 
 
-def _beyond(beside: Beside) -> str:
+def _beyond(beside: SecondDetections) -> str:
     sums = beside.sums
     if not sums.beyond_a + sums.beyond_b:
         return ""
