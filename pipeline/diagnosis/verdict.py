@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -19,9 +17,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.relation_names import PHRASE
 from pipeline.language.tree import Query
-from pipeline.system.errors import InputError, require
-
-_KEYS = ("frame", "id", "mark")
+from pipeline.system.errors import InputError
 
 Miss = Literal["RANK", "THRESHOLD", "LOCALISATION", "ABSENT"]
 ORACLE_WORDS = {
@@ -46,7 +42,6 @@ MODULE_OF = {
     "ATTRIBUTE": "ATTRIBUTE", "SRM": "SRM", "OPM-CONF": "OPM", "PRM": "PRM",
 }  # fmt: skip
 """The module that a verdict blames; COMPOUND blames those of its repair."""
-MARKS = ("BAD_LABEL", "BAD_BOX")
 
 
 @dataclass(frozen=True)
@@ -440,33 +435,3 @@ def _smallest_change(d: Diagnosis) -> str:
 
 def _p(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
-
-
-def read_marks(path: Path) -> dict[tuple[str, str], str]:
-    """Marks by (frame, id of the expression), from JSON: a list of {"frame", "id", "mark"} and whatever else.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, a mark is not one of MARKS, or an expression is marked twice.
-    """
-    try:
-        entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("the marks cannot be read", got=str(error), path=path) from error
-    require(isinstance(entries, list), "marks must be a list", got=type(entries).__name__, path=path)
-    found: dict[tuple[str, str], str] = {}
-    for n, entry in enumerate(entries):
-        require(
-            isinstance(entry, dict) and all(isinstance(entry.get(key), str) for key in _KEYS),
-            f"mark {n} must have the texts {', '.join(_KEYS)}",
-            got=repr(entry)[:80],
-            path=path,
-        )
-        frame, expression, mark = (entry[key] for key in _KEYS)
-        require(mark in MARKS, f"mark {n} is not known", got=mark, expected=" or ".join(MARKS), path=path)
-        require(
-            (frame, expression) not in found, "an expression is marked twice", got=f"{frame} {expression}", path=path
-        )
-        found[frame, expression] = mark
-    return found

@@ -12,6 +12,7 @@ from pipeline.answering.pair_table import TIE, PairTable, RankConfig, ScoredPair
 from pipeline.answering.ranking import alone, rank
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import FrameEvidence
+from pipeline.diagnosis.marks import MARKS
 from pipeline.diagnosis.oracles import (
     CONF,
     LIFT,
@@ -23,7 +24,7 @@ from pipeline.diagnosis.oracles import (
     names_of,
 )
 from pipeline.diagnosis.substitution import substitute
-from pipeline.diagnosis.verdict import MARKS, VERDICTS, Diagnosis, explain
+from pipeline.diagnosis.verdict import VERDICTS, Diagnosis, explain
 from pipeline.evaluation.records import record
 from pipeline.evaluation.summary import oracle_deltas
 from pipeline.labels.cases import HIT, Case

@@ -225,3 +225,27 @@ def test_an_oracle_that_changes_nothing_has_no_share_and_takes_none(right_with: 
     assert more.shapley["ATTRIBUTE"].value == pytest.approx(0, abs=1e-12)
     for name, estimate in plain.shapley.items():
         assert more.shapley[name].value == pytest.approx(estimate.value, abs=1e-12)
+
+
+def test_a_needed_change_of_attributes_and_no_smaller_one_puts_the_right_thing_first(weak: Pipeline) -> None:
+    context = weak.prepare(weak.dataset.frame_ids[3])
+    truth = known_truth(weak, context)
+    assert truth is not None
+    seen = 0
+    for name in ("mug", "book", "chair", "bottle", "bowl"):
+        things = np.flatnonzero(np.array(truth.labels) == name)
+        for word, thing in [(w, k) for w in ("red", "blue", "white", "brown", "big", "small") for k in things]:
+            d = judge_sentence(weak.ask(context, f"the {word} {name}"), weak, context, truth, np.array([thing]))
+            if not isinstance(d, Diagnosis) or d.right is None:
+                continue
+            table = substitute(d.evidence, d.case).plain
+            own = np.flatnonzero(table.target.index == d.right.target)[0]
+            for change in d.needed:
+                if change.factor != "attributes" or change.right_above is None:
+                    continue
+                for sign in (-1, 1):
+                    scores = table.flat[0].copy()
+                    scores[own] += np.log(change.right_above / change.right) + sign * 1e-6
+                    assert (scores.argmax() == own) == (sign > 0)
+                seen += 1
+    assert seen > 3

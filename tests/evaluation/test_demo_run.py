@@ -10,7 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.datasets.demo import demo_detector, demo_labels, demo_run
-from pipeline.diagnosis.verdict import read_marks, shown_verdicts
+from pipeline.diagnosis.marks import read_marks
+from pipeline.diagnosis.verdict import shown_verdicts
 from pipeline.evaluation.records import COLUMNS
 from pipeline.evaluation.run import Evaluator, table_of
 from pipeline.evaluation.run_folder import open_run

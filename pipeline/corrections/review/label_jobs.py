@@ -26,7 +26,7 @@ from pipeline.corrections.review.retraining import RetrainConfig, Retraining, co
 from pipeline.corrections.review.reviewed import Reviewed, pair_agreements, reviewed_labels, states_on_labels
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_of, read_queue, worklist, write_queue
 from pipeline.datasets import Dataset
-from pipeline.diagnosis.verdict import read_marks
+from pipeline.diagnosis.marks import read_marks
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.evaluation.shared_makers import scorer_share
