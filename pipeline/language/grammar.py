@@ -20,10 +20,11 @@ from pipeline.language.chain import Attach, Chain, Clause, Opened
 from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import Phrase, is_name
 from pipeline.language.regions import RegionReader
+from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice, Span
 from pipeline.language.unreadable import FORM, not_known, unreadable
-from pipeline.language.views import leading_removed, without_view
+from pipeline.language.views import closing_removed, leading_removed, without_view
 from pipeline.system.errors import InputError, Unsupported
 
 
@@ -64,8 +65,7 @@ class _Reader(RegionReader):
     """One pass over one expression, adding to its chain."""
 
     def __init__(self, text: str, tokens: list[Token]) -> None:
-        while tokens and tokens[-1].plain in lexicon.CLOSING and tokens[-2:][0].text not in lexicon.POINTING:
-            tokens = tokens[:-1]
+        tokens = closing_removed(tokens)
         tokens = without_view(tokens, text)
         tokens, self.asks_what = leading_removed(tokens)
         contrast = next((k for k, t in enumerate(tokens) if t.plain == "but" and k + 1 < len(tokens)), None)
@@ -113,6 +113,8 @@ class _Reader(RegionReader):
             return at + 1
         if (side := self._side(at)) is not None:
             return side
+        if not self.opened and (clause := self._object_clause(at)) is not None:
+            return clause
         loose = self.chain.nouns and not self.opened and token.relation is None
         filler = self.match(lexicon.FILLER, at) if loose else None
         if filler is not None and self._goes_on(filler[1]):
@@ -124,6 +126,8 @@ class _Reader(RegionReader):
                     self._note(at, found[1], why)
                     return found[1]
         if self._links(at):
+            if word in lexicon.HOW_EXACTLY and self.chain.nouns and self._relates(at + 1):
+                self._note(at, at + 1, "how exactly it stands so is not judged")
             self.linked = True
             return at + 1
         if self.opened and (viewer := self._viewer(at)) is not None:
@@ -146,6 +150,43 @@ class _Reader(RegionReader):
         if word in lexicon.UNKNOWN_RELATIONS or (word in lexicon.ACTIONS and self.chain.nouns):
             return self._unused(at, not_known(self.tokens, at, self.text))
         return self._noun(at)
+
+    def _object_clause(self, at: int) -> int | None:
+        """`the shelf (that) the jar stands on`: a relation that holds from the thing named in it; None elsewhere."""
+        word = self.tokens[at].plain
+        bare = word in DETERMINERS - lexicon.RELATIVE and not self._said_of(at) and not self.breaks[at]
+        asked = self.asks_what and (word in ("is", "are") if self.chain.nouns else bare)
+        if not (
+            asked or (self.chain.nouns and not self.negated and not self.joined and (bare or word in lexicon.RELATIVE))
+        ):
+            return None
+        start = at if bare else at + 1
+        if not self._starts_noun(start):
+            return None
+        phrase, end = self.noun(start, stop_at_and=True)
+        if phrase is None or phrase.where[0] == phrase.where[1] or phrase.head_word in lexicon.SOMEBODY:
+            return None
+        negated = False
+        while end < len(self.tokens) and self.tokens[end].plain in (
+            lexicon.LINKING | lexicon.POSTURES | lexicon.NEGATIONS
+        ):
+            negated = negated or self.tokens[end].plain in lexicon.NEGATIONS
+            end += 1
+        token = self.tokens[end] if end < len(self.tokens) else None
+        if token is None or token.relation not in (*MIRRORED, "on", "in") or token.text in lexicon.BARE_SIDES:
+            return None
+        if self._starts_noun(end + 1):
+            return None
+        if not self.chain.nouns:
+            self._add_noun(Phrase(label="thing"), "target", (at, at))
+        number = self._add_noun(self._resolved(phrase), "reference", phrase.where)
+        self._relation_span(token)
+        attach: Attach = "root" if asked else "nearest"
+        self.chain.clauses.append(
+            Clause(str(token.relation), token.text, (number,), not token.swapped, attach, closed=True, negated=negated)
+        )
+        self._forget()
+        return end + 1
 
     def _relates(self, at: int) -> bool:
         return at < len(self.tokens) and self.tokens[at].relation is not None and not self.breaks[at]
@@ -266,7 +307,7 @@ class _Reader(RegionReader):
             token = self.opened[-1].token
             self._choice(Choice("high", 1, f"{token.text} {self.words(at, end)}"), at, end)
             return end
-        phrase = self._resolved(phrase)
+        phrase = self._whole(at, self._resolved(phrase))
         first = self._add_noun(phrase, "reference", phrase.where)
         if self.opened[-1].token.relation == "between":
             second, end = self._second(phrase, first, end)
@@ -286,6 +327,18 @@ class _Reader(RegionReader):
         else:
             self._refer(first)
         return end
+
+    def _whole(self, at: int, phrase: Phrase) -> Phrase:
+        """`the bookcase` for `the lowest shelf of the bookcase`: of what part of a thing is meant nothing is known."""
+        start, end = phrase.where
+        of = next((k for k in range(start, end) if self.tokens[k].plain == "of"), end)
+        if phrase.named or of + 1 >= end or singular(self.tokens[of - 1].text) not in lexicon.PARTS:
+            return phrase
+        whole, after = self.noun(of + 1)
+        if whole is None or after != end:
+            return phrase
+        self._note(at, of + 1, "which part of a thing is meant is not judged")
+        return whole
 
     def _joins(self, at: int) -> bool:
         return at < len(self.tokens) and self.tokens[at].plain in lexicon.AND
@@ -332,8 +385,11 @@ class _Reader(RegionReader):
         """A noun without a relation before it: the target once more, what it is not, or nothing that is of use."""
         root = self.chain.nouns[0]
         if self.negated:
+            where = phrase.where
             if root.anything and root.head_word == "one" and not phrase.anything:
-                self._merge(replace(phrase, attributes=(), words=(), modifiers=(), choices=()), named=True)
+                bare = replace(phrase, attributes=(), words=(), modifiers=(), choices=())
+                self._merge(bare, named=True)
+                where = (end, end)
                 root = self.chain.nouns[0]
             again = phrase.anything or (phrase.name == root.name and self._relates(end))
             if again and not (phrase.attributes or phrase.choices):
@@ -341,7 +397,7 @@ class _Reader(RegionReader):
                 self.at_root = True
                 return end
             implied = phrase.where[0] == phrase.where[1]
-            number = self._add_noun(self._resolved(phrase, root, implied=implied), "reference", phrase.where)
+            number = self._add_noun(self._resolved(phrase, root, implied=implied), "reference", where)
             self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
             self.negated, self.at_root = False, True
             return end

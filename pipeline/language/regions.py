@@ -22,6 +22,10 @@ class RegionReader(ChainReader):
         if found := self.match(choices.EXTREME_AT_SIDE, at):
             self._choice(Choice(choices.SIDES[found[0]["side"]], 1, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
             return found[1]
+        if (bare := self.match(choices.BARE_SIDE, at)) and self.chain.nouns and not self.opened and self._ends(bare[1]):
+            for order in choices.orders_of(bare[0]["only"] or bare[0]["side"] or bare[0]["two"]):
+                self._choice(Choice(order, 1 if bare[0]["far"] else None, bare[0][0].strip()), at, bare[1])  # type: ignore[arg-type]
+            return bare[1]
         found, region = self.match(choices.AT_SIDE, at), self.match(choices.REGION_OF, at)
         inside = region is not None and region[0]["side"] and region[0]["preposition"] != "to"
         if found is not None and region is not None and inside and region[1] > found[1]:
