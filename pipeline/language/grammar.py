@@ -23,7 +23,7 @@ from pipeline.language.regions import RegionReader
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice, Span
-from pipeline.language.unreadable import FORM, not_known, unreadable
+from pipeline.language.unreadable import FORM, NOT_EXACT, not_known, unreadable
 from pipeline.language.views import closing_removed, leading_removed, without_view
 from pipeline.system.errors import InputError, Unsupported
 
@@ -102,6 +102,7 @@ class _Reader(RegionReader):
             return self._with(at)
         if word in lexicon.NEGATIONS:
             self.negated = self.linked = True
+            self.joined = self.joined or word == "nor"
             self._relation_span(token)
             return at + 1
         if word in lexicon.AND or word in ("or", "nor", "plus"):
@@ -127,7 +128,7 @@ class _Reader(RegionReader):
                     return found[1]
         if self._links(at):
             if word in lexicon.HOW_EXACTLY and self.chain.nouns and self._relates(at + 1):
-                self._note(at, at + 1, "how exactly it stands so is not judged")
+                self._note(at, at + 1, NOT_EXACT)
             self.linked = True
             return at + 1
         if self.opened and (viewer := self._viewer(at)) is not None:
@@ -173,7 +174,7 @@ class _Reader(RegionReader):
             negated = negated or self.tokens[end].plain in lexicon.NEGATIONS
             end += 1
         token = self.tokens[end] if end < len(self.tokens) else None
-        if token is None or token.relation not in (*MIRRORED, "on", "in") or token.text in lexicon.BARE_SIDES:
+        if token is None or token.relation not in (*MIRRORED, "on", "in"):
             return None
         if self._starts_noun(end + 1):
             return None
@@ -277,7 +278,8 @@ class _Reader(RegionReader):
         predicate = not self.opened and self._said_of(at) and self.tokens[at].plain not in DETERMINERS
         phrase, end = self.noun(at, stop_at_and=bool(self.opened), predicate=predicate)
         if phrase is None:
-            self._note(at, max(end, at + 1), "these words have no place here")
+            if end > at + 1 or self.tokens[at].plain not in DETERMINERS:
+                self._note(at, max(end, at + 1), "these words have no place here")
             return max(end, at + 1)
         if phrase.superlative is not None and (reference := self._superlative_reference(end)) is not None:
             return self._nearest_noun(phrase, end, reference)

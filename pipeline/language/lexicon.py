@@ -90,7 +90,7 @@ LEADING = _phrases(
     "go to, move to, navigate to, drive to, walk to, head to, look for, look at, search for, detect, segment, "
     "highlight, ground, identify, mark, reach for, reach, click, click on, hand, hand me, pass, pass me, where is, "
     "where can i find, where can i see, where are, where's, what is, what are, what's, which is, which are, "
-    "which one is, which, what, is there, are there, there's, please could i have, "
+    "which one is, which one of, which of, which, what, is there, are there, there's, please could i have, "
     "could i have, can i have, may i have, i'll have, could we have, would you mind, do you mind, be so kind as to, "
     "would you be so kind as to, would you be able to, are you able to, i wonder if you could, kindly, "
     "i was wondering if you could, passing me, passing, handing me, handing, giving me, bringing me, fetching me, "

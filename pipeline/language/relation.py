@@ -115,7 +115,7 @@ DECLARED: tuple[Relation, ...] = (
     Relation(
         "on", "on",
         (
-            "on", "on top of", "on the top of", "on top", "on the top", "atop", "atop of", "upon", "onto",
+            "on", "on top of", "on the top of", "on top", "on the top", "top of", "atop", "atop of", "upon", "onto",
             "on the surface of", "resting on", "lying on", "sitting on", "standing on", "placed on", "laying on",
             "supported by",
         ),

@@ -52,6 +52,11 @@ def unused(text: str) -> list[str]:
         ("the box which the jar is not in", "box not containing jar"),
         ("what are the two jars standing on?", "thing supporting jars"),
         ("which shelf is the jar on", "shelf supporting jar"),
+        ("the jar that is neither on the desk nor on the shelf", "(jar not on desk) not on shelf"),
+        ("the jar the kettle is behind", "jar in front of kettle"),
+        ("the one that is not on the shelf", "one not on shelf"),
+        ("the jar except the one on the shelf", "jar not on shelf"),
+        ("which of the jars is the closest to the kettle", "jars closest to kettle"),
         # Words of colour that name a thing
         ("the green wine bottle", "green wine bottle"),
         ("the peach jar", "peach jar"),
