@@ -66,7 +66,7 @@ BARE_SIDES = {"in front": "near", "behind": "far", "in back": "far", "on top": "
 SURFACES = _words("table desk counter countertop shelf bookshelf bed couch sofa bench dresser nightstand rug tray")
 """Things that others stand on, so that their left side may be a place on them."""
 PARTS = _words(
-    "shelf drawer door leg arm armrest seat back backrest lid rim handle surface step tier level row compartment foot "
+    "shelf drawer door leg arm armrest seat back backrest lid rim handle surface step tier level compartment foot "
     "cover frame base side half part section edge corner end tabletop headboard"
 )
 """Heads before `of the` that name a part of a thing."""

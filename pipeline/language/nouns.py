@@ -270,7 +270,9 @@ class NounReader(Cursor):
     def _is_content(self, at: int, found: Attribute) -> bool:
         """`peach` in `peach jar`: a word for a colour that first names a thing, before what such things are sold in."""
         word, following = self._text(at), singular(self._text(at + 1))
-        named = found.kind == "color" and word not in (*BASIC_COLORS, *FURTHER_COLORS) and is_name(word)
+        named = (
+            found.kind == "color" and word not in (*BASIC_COLORS, *FURTHER_COLORS, "grey", "light") and is_name(word)
+        )
         return named and (is_packed(following) or is_name(f"{word} {following}"))
 
     def _of_several(self, at: int, draft: _Draft) -> int:
