@@ -331,7 +331,7 @@ def misread(query: Query | None, case: Case, problem: InputError | None = None) 
     if query is None:
         return "GRAMMAR"
     e, top = query.expression, query.default.root.triple
-    if e is not None and top is not None and len(query.readings) == 1 and not e.inverse and not query.unused:
+    if e is not None and top is not None and len(query.readings) == 1 and not e.inverse and not why_unused(query):
         # One relation between two bare names: it is the names, or the relation.
         return "WORDS" if e.relation == case.relation and e.second_reference is None else "GRAMMAR"
     return why_unused(query) or "GRAMMAR"
