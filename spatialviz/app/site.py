@@ -20,6 +20,7 @@ from urllib.parse import parse_qs, quote, urlsplit
 import viser
 import websockets.asyncio.server as ws
 from websockets.datastructures import Headers
+from websockets.extensions.permessage_deflate import ServerPerMessageDeflateFactory
 from websockets.http11 import Request, Response
 
 from spatialviz.app.access import Access
@@ -36,6 +37,7 @@ SAFE = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
 }
+DEFLATED = {"level": 5, "memLevel": 5}
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
     "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
@@ -58,6 +60,14 @@ class Pages(Protocol):
 
     async def socket(self, page_id: str, connection: Any) -> None:
         """Serve the socket of a page until its browser goes away."""
+        ...
+
+    async def scene(self, page_id: str, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Serve viser's socket of a page's scene."""
+        ...
+
+    def has(self, page_id: str) -> bool:
+        """Whether a page is open, or kept for one that may come back."""
         ...
 
     def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
@@ -105,7 +115,7 @@ class Site:
             return refused
         parts = urlsplit(request.path)
         if request.headers.get("Upgrade", "").lower() == "websocket":
-            known = parts.path == "/app/socket" or ID.fullmatch(parts.path.removeprefix("/scene/").rstrip("/"))
+            known = parts.path == "/app/socket" or self._pages.has(_scene_of(parts.path))
             return None if known else _response(http.HTTPStatus.NOT_FOUND, b"no such socket\n")
         entered = self._access.entered(request)
         if entered is not None:
@@ -142,8 +152,12 @@ class Site:
             if ID.fullmatch(page_id):
                 await self._pages.socket(page_id, connection)
             return
-        PAGE_ID.set(parts.path.rstrip("/").rpartition("/")[2])
-        await viser_handler(connection)
+        PAGE_ID.set(_scene_of(parts.path))
+        await self._pages.scene(PAGE_ID.get(), connection, viser_handler)
+
+
+def _scene_of(path: str) -> str:
+    return path.removeprefix("/scene/").rstrip("/")
 
 
 def _response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: dict[str, str] | None = None) -> Response:
@@ -163,6 +177,9 @@ def served_by(site: Answers) -> Iterator[None]:
             await site.socket(connection, handler)
 
         async def process_request(connection: Any, request: Request) -> Response | None:
+            if request.path.startswith("/app/"):
+                # Words are worth it; points, on viser's sockets, are not.
+                connection.protocol.available_extensions = [ServerPerMessageDeflateFactory(compress_settings=DEFLATED)]
             return await site.answer(request)
 
         options |= {"process_request": process_request, "max_size": 2**20}
