@@ -6,8 +6,9 @@ from pipeline.answering.json_records import headline, probability, told, why_no_
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
-from pipeline.geometry.palette import palette
-from spatialviz.app.before import before_html
+from pipeline.diagnosis.whatif.changes import each_edit
+from pipeline.geometry.palette import hex_color, palette
+from pipeline.language.counted import counted
 from spatialviz.app.failures import verdict_chip
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
@@ -34,6 +35,37 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     reason = why_no_answer(trace)
     told_: Child = [note(_capital(reason), BAD), _alone(state)] if reason is not None else _pair(state)
     return panel(level_html(state), before_html(state), told_, verdict_html(state), under, cls="answer")
+
+
+def before_html(state: State) -> Element | None:
+    """What was answered without the edits, in one line; None where nothing is edited."""
+    edited = state.edited
+    if edited is None:
+        return None
+    trace, colors = edited.before.trace, palette(state.dark)
+    reason = why_no_answer(trace)
+    answer: list[Child] = [h.span(reason or "no answer", cls="dim")]
+    if reason is None and trace.ranking is not None:
+        best = trace.ranking.pairs[0]
+        target, *ends = (
+            state.named(edited.before.keys[i])
+            for i in (best.target, best.reference, best.second_reference)
+            if i is not None
+        )
+        lead = told(trace, lambda i: state.named(edited.before.keys[i])).lead.strip()
+        names = [named(colors["target"], target), *(named(colors["reference"], name) for name in ends)]
+        p = h.b(probability(best.relation_probability), title="P(relation)")
+        answer = [h.span(lead, cls="dim") if lead else None, *names, p]
+    verdict = verdict_chip(edited.judged.verdict) if isinstance(edited.judged, Diagnosis) else None
+    count = len(each_edit(state.edits))
+    return h.div(
+        h.span("before", cls="dim"),
+        h.span(answer, cls="said"),
+        verdict,
+        cls="before",
+        css={"--c": hex_color(colors["edited"])},
+        title=f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back",
+    )
 
 
 def verdict_chip_of(judged: Diagnosis) -> Element:

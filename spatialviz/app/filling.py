@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from pipeline.datasets import Dataset, has_moves, moves
 from spatialviz.app import sentences_html
 from spatialviz.app.answer import answer_html
-from spatialviz.app.bar import problem_html, tasks_html, tools_html, where_html
+from spatialviz.app.bar import problem_html, refusal_html, tasks_html, tools_html, where_html
 from spatialviz.app.beside_html import agreement_html
 from spatialviz.app.layout import Page
 from spatialviz.app.objects import objects_html
 from spatialviz.app.picture import image_html, log_html
 from spatialviz.app.shared import Shared
+from spatialviz.app.stage_objects import object_html
 from spatialviz.app.stages import stages_html
 from spatialviz.app.state import State
 from spatialviz.app.toolbar import moves_html, scene_tools_html, suggestions_html
@@ -41,11 +42,13 @@ def fill_page(
         page.show("tasks", tasks_html(state, bool(shared.runs), bool(shared.journals)))
         page.show("tools", tools_html())
         page.show("problem", problem_html(state))
+        page.show("ask-problem", refusal_html(state))
         page.show("scene-tools", scene_tools_html(state))
         page.show("objects", objects_html(state))
         fill_answer(page, state, can_ask)
-        page.show("agreement", agreement_html(state))
+        page.show("agreement", agreement_html(state) if shared.second else None)
         page.show("image", image_html(state))
+        page.show("object", object_html(state) if state.labels is None else None)
         page.show("log", log_html(log))
 
 

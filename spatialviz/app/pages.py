@@ -159,9 +159,7 @@ class Pages:
                     await connection.close(1013, f"{many} Close one; this one tries again.")
                     return
                 session = self._sessions[page_id] = await asyncio.to_thread(Session, page_id, self._shared)
-            sending = asyncio.create_task(session.channel.serve(connection))
-            # From here on what is said to the page is sent.
-            await asyncio.sleep(0)
+            sending = asyncio.create_task(session.channel.serve(connection, session.channel.attach(connection)))
         name = self._access.name(connection.request)
         if name:
             session.signed_as(name)

@@ -9,11 +9,12 @@ import numpy as np
 from pipeline.answering.objects import SceneObject
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera
+from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import hex_color, palette
 from spatialviz.app.beside_html import name_tag, second_overlay
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.images import jpeg_url
-from spatialviz.app.markup import Element, h
+from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
@@ -35,19 +36,13 @@ def image_html(state: State) -> Element:
         picture = frame_colors(state.colors, state.loaded, state.roles, state.dark)
     step = max(1, round(frame.width / IMAGE_WIDTH))
     roles = (f"{role} {state.shown.names[i]}" for i, role in state.roles.items())
-    marks = h.svg(
-        overlay_marks(state),
-        viewBox=f"0 0 {frame.width} {frame.height}",
-        preserveAspectRatio="none",
-        aria_hidden="true",
-        id="overlay",
-    )
     alt = ", ".join((f"frame {frame.id}", *roles))
     return panel(
         pixel_row_html(state),
         h.div(
             h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false", id="photo"),
-            marks,
+            _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
+            _svg(frame, overlay_marks(state), "overlay"),
             cls="pic",
             css={"--wh": f"{frame.width / frame.height:.3f}"},
             point="image:",
@@ -57,34 +52,40 @@ def image_html(state: State) -> Element:
     )
 
 
+def _svg(frame: Frame, marks: Child, name: str) -> Element:
+    view = f"0 0 {frame.width} {frame.height}"
+    return h.svg(marks, viewBox=view, preserveAspectRatio="none", aria_hidden="true", id=name)
+
+
+def _quiet_boxes(state: State, unit: float) -> Element | None:
+    """The 2D boxes of all objects, the same whatever is chosen."""
+    if not state.boxes_shown or not state.own_layer:
+        return None
+    drawn = "".join(_rectangle(entry.bbox) for entry in state.shown.objects)
+    look = {"stroke": hex_color(palette(True)["other"]), "stroke_width": f"{0.7 * unit:.2f}", "opacity": ".75"}
+    return h.path(d=drawn, fill="none", **look)
+
+
 def overlay_marks(state: State) -> list[Element]:
-    """What is drawn over the picture: boxes and names, as elements of SVG in pixels of the frame."""
+    """What is drawn over the picture of what is chosen: boxes and names, as elements of SVG in pixels of the frame."""
     if state.loaded is None:
         return []
     frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
     unit = frame.width / 360
     own = range(len(state.shown.objects)) if state.own_layer else range(0)
-    quiet, marks = [], []
-    order = sorted(own, key=lambda i: (i in roles, i == state.selected))
+    marks: list[Element] = []
+    order = sorted((i for i in own if i in roles or i == state.selected), key=lambda i: i == state.selected)
     for i in order:
         entry = state.shown.objects[i]
-        if i not in roles and i != state.selected:
-            quiet.append(_rectangle(entry.bbox))
-            continue
         color = hex_color(colors[roles[i]]) if i in roles else "#ffffff"
         drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
         marks.append(h.path(d=drawn, fill="none", stroke=color, stroke_width=f"{1.3 * unit:.2f}"))
-    if quiet and state.boxes_shown:
-        look = {"stroke": hex_color(colors["other"]), "stroke_width": f"{0.7 * unit:.2f}", "opacity": ".75"}
-        marks.insert(0, h.path(d="".join(quiet), fill="none", **look))
     for ghost in state.ghosts if state.flags.ghosts else ():
         look = {"stroke_width": f"{1.1 * unit:.2f}", "stroke_dasharray": f"{3 * unit:.1f} {2 * unit:.1f}"}
         drawn = _edges(ghost.box, frame.camera)
         marks.append(h.path(d=drawn, fill="none", stroke=hex_color(colors[ghost.role]), **look))
     marks += second_overlay(state, unit)
     for i in order:
-        if i not in roles and i != state.selected:
-            continue
         x0, y0 = _name_place(state, i)
         shape, color = (frame.height, frame.width), hex_color(colors[roles.get(i, "other")])
         marks += name_tag(state.shown.names[i], x0, y0 - 14 * unit, shape, unit, color)

@@ -10,10 +10,9 @@ from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import Diagnosis, threshold
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color, palette
-from spatialviz.app.before import cell, was
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import chosen, named
+from spatialviz.app.text import cell, chosen, named, was
 
 SHOWN_PAIRS = 30
 MATRIX_LIMIT = 14

@@ -8,12 +8,11 @@ from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
-from spatialviz.app.before import was
 from spatialviz.app.edit_scene import REGION_COLORS
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.relation_region import asked_pair
 from spatialviz.app.state import State
-from spatialviz.app.text import dot, named
+from spatialviz.app.text import dot, named, was
 
 NOT_ASKED: RGB = (125, 136, 150)
 

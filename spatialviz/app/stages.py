@@ -65,18 +65,23 @@ def failed_stages(state: State) -> tuple[str, ...]:
     return ("OPM",) if state.trace.missing else ("PRM",)
 
 
+def opened(state: State) -> str:
+    """The stage whose evidence is open: the one that was chosen, else the one that failed, else that of the pairs."""
+    return state.stage or next(iter(failed_stages(state)), "PRM")
+
+
 def stages_html(state: State, open_stage: str = "") -> Element:
     """The stages in order, each with the evidence below its head where it is the open one.
 
-    `open_stage` is a name of EVIDENCE, "" for the one that failed, else the ranked pairs, and anything else for none.
+    `open_stage` is as `State.stage`: a name of EVIDENCE, "" for `opened`, and anything else for none.
     """
     failed = failed_stages(state)
-    opened = open_stage or next(iter(failed), "PRM")
-    return h.ol((_item(state, stage, opened, failed) for stage in stages(state)), cls="stages")
+    open_stage = open_stage or opened(state)
+    return h.ol((_item(state, stage, open_stage, failed) for stage in stages(state)), cls="stages")
 
 
-def _item(state: State, stage: Stage, opened: str, failed: tuple[str, ...]) -> Element:
-    key, is_open, has_failed = stage.name.lower(), stage.name == opened, stage.name in failed
+def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) -> Element:
+    key, is_open, has_failed = stage.name.lower(), stage.name == open_stage, stage.name in failed
     marks = [mark for mark, is_so in (("open", is_open), ("failed", has_failed)) if is_so]
     head = h.button(
         h.b(stage.name),

@@ -165,8 +165,8 @@ class State:
     def unasked(self) -> State:
         """The same without any answer."""
         return replace(
-            self, trace=None, pair=None, selected=None, hovered=None, error="", judged=None, other=None, edited=None, labels=None,
-            second=None, stage="",
+            self, trace=None, pair=None, selected=None, hovered=None, error="", judged=None, other=None, edited=None,
+            labels=None, second=None, stage="",
         )  # fmt: skip
 
     @property

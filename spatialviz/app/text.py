@@ -9,6 +9,8 @@ from pipeline.geometry.palette import RGB, hex_color
 from spatialviz.app.markup import Child, Element, h
 
 GOOD, DOUBT, BAD, IDLE = "#35a96b", "#e0982e", "#e5484d", "#8a919c"
+CHANGED = 0.005
+"""Numbers are shown with two digits; one that differs by less is the same."""
 
 
 def dot(color: RGB) -> Element:
@@ -67,3 +69,13 @@ def segments(kind: str, options: Mapping[str, str], chosen: str, name: str = "")
         role="radiogroup",
         aria_label=name or kind,
     )
+
+
+def was(now: float, before: float | None) -> str | None:
+    """What is said of a number that the edits changed; None where it is the same."""
+    return None if before is None or abs(now - before) < CHANGED else f"was {before:.2f}"
+
+
+def cell(content: Child, hint: str | None = None, cls: str = "n") -> Element:
+    """A cell of a table, marked where its number was another one."""
+    return h.td(content, cls=f"{cls} chg".strip() if hint else cls, title=hint)

@@ -14,7 +14,7 @@ from spatialviz.app.scene_client import SceneClient
 
 SAMPLE = 20_000
 """Points of a cloud that say where it lies."""
-AROUND, NEAREST = 1.35, 0.9
+AROUND, NEAREST = 1.12, 0.9
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
 
 
@@ -51,11 +51,10 @@ class Viewpoint:
 
     def look_about(self, corners: np.ndarray | None) -> bool:
         """Have "pair" show these points ((N, 3), shown frame, metres); whether they are others than before."""
-        other = not np.array_equal(
-            np.zeros(0) if corners is None else corners, np.zeros(0) if self._about is None else self._about
-        )
-        self._about = corners
-        return other
+        before, self._about = self._about, corners
+        if before is None or corners is None:
+            return before is not corners
+        return not np.array_equal(before, corners)
 
     def fly(self, kind: str) -> None:
         """Move the camera to "pair", "sensor", "orbit" or "top", smoothly."""
