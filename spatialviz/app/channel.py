@@ -16,6 +16,8 @@ from spatialviz.app.messages import Call, Command, Incoming, Outgoing, write
 
 WAITING_BYTES = 8 * 2**20
 """A browser that lets so much wait is cut off; it comes back and is sent the page as it is then."""
+MANY, REST_SECONDS = 10, 0.25
+"""Where more jobs than that wait for one page, it rests after each: others are answered meanwhile."""
 LASTING = ("ask-typed", "edit-live", "hover")
 """Commands of which only the last one counts, where several wait."""
 
@@ -101,11 +103,14 @@ class Channel:
             await connection.close(1013, "This page was opened elsewhere.")
         except websockets.exceptions.ConnectionClosed:
             pass
-        finally:
-            with self._lock:
-                if self._outgoing is outgoing:
-                    self._loop = self._outgoing = None
-                    self.left = time.monotonic()
+
+    def detach(self, outgoing: asyncio.Queue[str | None]) -> None:
+        """The browser that this waits for has gone."""
+        with self._lock:
+            if self._outgoing is outgoing:
+                self._loop = self._outgoing = None
+                self._abort = lambda: None
+                self.left = time.monotonic()
 
     def close(self) -> None:
         """Handle what waits, and then nothing."""
@@ -127,6 +132,8 @@ class Channel:
                 self.send(Call("toast", said))
             finally:
                 _AT_WORK.discard(self)
+            if self.behind > MANY and not self._ended:
+                time.sleep(REST_SECONDS)
 
 
 _AT_WORK: set[Channel] = set()

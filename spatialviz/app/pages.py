@@ -37,6 +37,8 @@ BURST, PER_SECOND = 200.0, 40.0
 BACKLOG, BEHIND_SECONDS = 40, 0.05
 """A page that has so much to be handled is not read meanwhile."""
 HELLO_SECONDS = 10.0
+NEW_PER_SECOND = 0.5
+"""Pages that are opened in the long run: each costs what opening a frame costs."""
 GARBAGE = 5
 """Messages that are none, after which a socket is closed."""
 LOGGED_SECONDS = 60.0
@@ -98,6 +100,7 @@ class Pages:
         self._sessions: dict[str, Session] = {}
         self._scenes: dict[str, Any] = {}
         self._making = asyncio.Lock()
+        self._opening = Pace(max_clients, NEW_PER_SECOND)
         self._logged = -LOGGED_SECONDS
         self._unsaid = 0
 
@@ -158,17 +161,20 @@ class Pages:
                     many = f"{self._most} pages are open already, and no more are allowed (--max-clients)."
                     await connection.close(1013, f"{many} Close one; this one tries again.")
                     return
+                await self._opening.keep()
                 session = self._sessions[page_id] = await asyncio.to_thread(Session, page_id, self._shared)
-            sending = asyncio.create_task(session.channel.serve(connection, session.channel.attach(connection)))
+            outgoing = session.channel.attach(connection)
         name = self._access.name(connection.request)
         if name:
             session.signed_as(name)
         session.channel.receive(first)
+        sending = asyncio.create_task(session.channel.serve(connection, outgoing))
         try:
             await self._listen_to(connection, session)
         except websockets.exceptions.ConnectionClosed:
             pass
         finally:
+            session.channel.detach(outgoing)
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
             asyncio.get_running_loop().call_later(KEPT_SECONDS + 1, self._release)

@@ -144,7 +144,13 @@ class Session:
     def close(self) -> None:
         self._closed.set()
         self._labels.close()
+        self.channel.post(self._forget)
         self.channel.close()
+
+    def _forget(self) -> None:
+        """Let go of frames and clouds at once: sessions refer to themselves, and are collected late."""
+        self._cloud.clear()
+        self.state = replace(self.state.unasked, loaded=None, shown=NOTHING)
 
     # ---- the browser ------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import http
+import logging
 import re
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
@@ -38,6 +39,8 @@ SAFE = {
     "Referrer-Policy": "no-referrer",
 }
 DEFLATED = {"level": 5, "memLevel": 5}
+CLOSE_SECONDS = 2.0
+"""Who does not take leave in that time is cut off."""
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
     "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
@@ -70,6 +73,10 @@ class Pages(Protocol):
         """Whether a page is open, or kept for one that may come back."""
         ...
 
+    def log(self, problem: str) -> None:
+        """Say what was wrong with what came, seldom."""
+        ...
+
     def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
         """Name and content of a file that a page was told to fetch, once."""
         ...
@@ -86,6 +93,10 @@ class Answers(Protocol):
         """Serve an open socket."""
         ...
 
+    def log(self, problem: str) -> None:
+        """Say what was wrong with what came, seldom."""
+        ...
+
 
 class Nobody:
     """Answers nobody: a server that only draws."""
@@ -96,6 +107,9 @@ class Nobody:
 
     async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
         """Never opened."""
+
+    def log(self, problem: str) -> None:
+        """Nobody is told."""
 
 
 class Site:
@@ -155,6 +169,22 @@ class Site:
         PAGE_ID.set(_scene_of(parts.path))
         await self._pages.scene(PAGE_ID.get(), connection, viser_handler)
 
+    def log(self, problem: str) -> None:
+        """Say what was wrong with what came, seldom."""
+        self._pages.log(problem)
+
+
+class _Told(logging.Handler):
+    """What websockets logs: whoever breaks off would fill the terminal with it."""
+
+    def __init__(self, log: Callable[[str], None]) -> None:
+        super().__init__(logging.WARNING)
+        self._log = log
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Say it shortly."""
+        self._log(f"{record.getMessage()}: {record.exc_info[1] if record.exc_info else ''}")
+
 
 def _scene_of(path: str) -> str:
     return path.removeprefix("/scene/").rstrip("/")
@@ -182,7 +212,14 @@ def served_by(site: Answers) -> Iterator[None]:
                 connection.protocol.available_extensions = [ServerPerMessageDeflateFactory(compress_settings=DEFLATED)]
             return await site.answer(request)
 
-        options |= {"process_request": process_request, "max_size": 2**20}
+        logger = logging.Logger("spatialviz.sockets")
+        logger.addHandler(_Told(site.log))
+        options |= {
+            "logger": logger,
+            "close_timeout": CLOSE_SECONDS,
+            "process_request": process_request,
+            "max_size": 2**20,
+        }
         return original(both, host, port, **options)
 
     ws.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
