@@ -156,6 +156,8 @@ def print_ranking(trace: Trace) -> None:
     say(answer.below, style="dim")
     for text, meant in taken_as(trace.query, {label: c.labels for label, c in trace.candidates.items()}):
         say(f"'{text}' taken as {meant.name} ({meant.how})", style="dim")
+    for said, meant in trace.query.mended:
+        say(f"'{said}' read as '{meant}'", style="dim")
     for words, why in unused_words(trace.query):
         say(f"not used: '{words}': {why}", style="yellow")
     if len(trace.query.readings) > 1 or trace.query.default.root.triple is None:

@@ -91,6 +91,7 @@ VERDICTS: dict[str, RGB] = {
     "OPM-TARGET": (0, 101, 189),
     "OPM-REF": (86, 180, 233),
     "LIFT": (204, 164, 20),
+    "ATTRIBUTE": (124, 150, 38),
     "SRM": (213, 68, 60),
     "OPM-CONF": (92, 92, 214),
     "PRM": (226, 122, 24),

@@ -39,6 +39,8 @@ BACKLOG, BEHIND_SECONDS = 40, 0.05
 HELLO_SECONDS = 10.0
 NEW_PER_SECOND = 0.5
 """Pages that are opened in the long run: each costs what opening a frame costs."""
+CAMERAS, CAMERAS_PER_SECOND = 400.0, 100.0
+"""The same of a scene."""
 GARBAGE = 5
 """Messages that are none, after which a socket is closed."""
 LOGGED_SECONDS = 60.0
@@ -70,7 +72,7 @@ class SceneConnection:
     """viser's socket of a scene: only what a camera, a click and a handle send is let through, at a page's pace."""
 
     def __init__(self, connection: Any) -> None:
-        self._connection, self._pace = connection, Pace(10 * BURST, 10 * PER_SECOND)
+        self._connection, self._pace = connection, Pace(CAMERAS, CAMERAS_PER_SECOND)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._connection, name)

@@ -155,6 +155,8 @@ def serve(
     _end_in_order()
     # What is computed for a page that has been closed meanwhile has nowhere to go; that is no news to a user.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
+    # Nor is what a socket says that is not what viser's client would say.
+    warnings.filterwarnings("ignore", r"\[viser\] .* does not match annotation", UserWarning)
     try:
         # Products of a few numbers: a second thread costs more than it brings, and takes from who else is answered.
         with one_thread():

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from pipeline.answering.agreement.frames import Beside
+from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
@@ -170,7 +170,7 @@ class State:
         )  # fmt: skip
 
     @property
-    def beside(self) -> Beside | None:
+    def beside(self) -> SecondDetections | None:
         """What a second detector finds, where that is looked at."""
         return None if self.loaded is None or self.labels is not None else self.loaded.beside
 
