@@ -15,17 +15,17 @@ from pipeline.diagnosis.whatif.decision_map import decision_map
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.rerun import Baseline
 from pipeline.geometry.palette import depth_ends, palette
-from spatialviz.app.edit_scene import OTHERS, winner_colors
+from spatialviz.app.channel import Call
+from spatialviz.app.edit_scene import OTHERS, map_legend, winner_colors
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.layout import Page
-from spatialviz.app.legend import depth_bar, map_legend
-from spatialviz.app.messages import Call
-from spatialviz.app.pointing import Pointing
+from spatialviz.app.picture import depth_bar
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_aids import SceneAids, floor_height, grid_lines
 from spatialviz.app.scene_client import SceneClient
+from spatialviz.app.selection import Pointing
 from spatialviz.app.state import State, shown_objects
-from spatialviz.app.view_string import view_of, with_settings
+from spatialviz.app.view_strings import view_of, with_settings
 
 
 @cache

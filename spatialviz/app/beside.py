@@ -1,4 +1,4 @@
-"""The layer of a second detector: whose boxes are shown, its boxes in the scene, and steps through disagreements."""
+"""A second detector beside the own one: whose boxes are shown, where, and what the two agree on."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.answering.agreement.agreement import MIN_IOU
+from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.answering.objects import SceneObject
 from pipeline.geometry.boxes import EDGES, Box3D
-from pipeline.geometry.palette import RGB, hex_color, second_color
-from spatialviz.app.beside_html import chosen_row, second_name
+from pipeline.geometry.palette import RGB, hex_color, ink, palette, second_color
+from spatialviz.app.markup import DOUBT, GOOD, Child, Element, dot, h, heading, note, panel, segments
 from spatialviz.app.scene import GHOST_GROWTH, SceneView, Tag, half_size, triple
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import Layers, State
@@ -170,3 +172,176 @@ def _faint(color: RGB, dark: bool) -> RGB:
     ground = 20 if dark else 250
     r, g, b = ((c + ground) // 2 for c in color)
     return r, g, b
+
+
+def second_name(beside: SecondDetections, j: int) -> str:
+    """The name of one of the second detector's objects."""
+    return f"{beside.objects[j].label}·{j}"
+
+
+def layers_html(state: State) -> Element | None:
+    """Whose boxes are shown; nothing without a second detector."""
+    if state.beside is None:
+        return None
+    a, b = state.beside.names
+    cells = segments("layer", {"both": "Both", "a": "A", "b": "B"}, state.layers, "Boxes")
+    return h.div(h.span("Boxes", cls="label"), cells, cls="row", title=f"A: {a}, solid; B: {b}, dashed (Shift+B)")
+
+
+def second_overlay(state: State, unit: float) -> list[Element]:
+    """The second detector's 2D boxes as parts of an SVG: dashed, faint where the own one found the same."""
+    beside = state.beside
+    if beside is None or not state.second_layer or not (state.boxes_shown or state.second_selected is not None):
+        return []
+    color, tag = hex_color(second_color(True)), hex_color(second_color(False))
+    alike = set(beside.found.pairs[beside.found.same, 1].tolist())
+    parts = []
+    for j, entry in enumerate(beside.objects):
+        chosen = j == state.second_selected
+        if not chosen and not state.boxes_shown:
+            continue
+        x0, y0, x1, y1 = (float(v) for v in entry.bbox)
+        faint = j in alike and state.layers == "both"
+        width = 1.8 if chosen else 0.8 if faint else 1.2
+        opacity = 1.0 if chosen else 0.5 if faint else 0.95
+        parts.append(
+            h.rect(
+                x=f"{x0:.1f}", y=f"{y0:.1f}", width=f"{x1 - x0:.1f}", height=f"{y1 - y0:.1f}", fill="none",
+                stroke=color, stroke_width=f"{width * unit:.2f}", opacity=opacity,
+                stroke_dasharray=f"{3.2 * unit:.1f} {2.2 * unit:.1f}",
+            )
+        )  # fmt: skip
+        if chosen:
+            parts += name_tag(f"B {second_name(beside, j)}", x0, y1, entry.mask.shape, unit, tag)
+    return parts
+
+
+def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> tuple[Element, Element]:
+    """A name on its colour in the picture, its upper left corner at (x, y) or as near as the picture's `shape` lets."""
+    width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
+    x, y = max(min(x, shape[1] - width), 0), min(max(y, 0), shape[0] - height)
+    return (
+        h.rect(
+            x=f"{x:.1f}", y=f"{y:.1f}", width=f"{width:.1f}", height=f"{height:.1f}", rx=f"{2 * unit:.1f}", fill=color
+        ),
+        h.text(
+            text, x=f"{x + 4 * unit:.1f}", y=f"{y + 10.4 * unit:.1f}", font_size=f"{10.5 * unit:.1f}",
+            font_weight=600, fill=ink(color), font_family="system-ui,sans-serif",
+        ),
+    )  # fmt: skip
+
+
+def agreement_html(state: State) -> Element:
+    """Counts, figures, and a row for each disagreement; a click selects what it is about."""
+    beside = state.beside
+    if beside is None:
+        reason = "The detectors are compared beside an answer, not beside labels."
+        return panel(note(reason if state.labels is not None else "There is nothing to compare in this frame."))
+    sums, a, b = beside.sums, *beside.names
+    second, other = hex_color(second_color(state.dark)), hex_color(palette(state.dark)["other"])
+    whose = (dot(palette(state.dark)["other"]), f"A {a} \u2003", hollow(second), f"B {b}")
+    title = heading("Agreement", h.span(whose, title=f"A: {a}, B: {b}"))
+    if not sums.a + sums.b:
+        nothing = h.div("Neither finds anything that the other knows.", cls="dim")
+        return panel(title, nothing, _beyond(beside))
+    shares = (
+        (sums.both, GOOD, "alike", ""),
+        (sums.otherwise, DOUBT, "named otherwise", ""),
+        (sums.only_a, other, "only A", ""),
+        (sums.only_b, second, "only B", "second"),
+    )
+    bar = (
+        h.i(cls=kind, css={"--c": color, "flex": str(count)}, title=f"{count} {name}")
+        for count, color, name, kind in shares
+        if count
+    )
+    legend = (
+        h.span(h.span(cls="hollow" if kind else "dot", css={"--c": color}), f"{count} {name}")
+        for count, color, name, kind in shares
+    )
+    figures = (
+        ("agreement", sums.share, "2 alike / (A + B): what kappa tends to where empty places are beyond counting"),
+        ("of places", sums.share_placed, "the same, however the two name what they both found"),
+        ("mean IoU", sums.mean_iou, "of what both found"),
+        ("scores ρ", sums.score_correlation, "rank correlation of the scores of what both found"),
+    )
+    cells = (h.span(h.b(_figure(value)), name, cls="dim", title=hint) for name, value, hint in figures)
+    return panel(
+        title,
+        h.div(bar, cls="agree"),
+        h.div(legend, cls="legend"),
+        h.div(cells, cls="kappas"),
+        _rows(state, beside),
+        _beyond(beside),
+    )
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}".replace("-", "−")
+
+
+def _rows(state: State, beside: SecondDetections) -> Child:
+    color = hex_color(second_color(state.dark))
+    grey = palette(state.dark)
+    iou = {(int(i), int(j)): float(v) for (i, j), v in zip(beside.found.pairs, beside.found.iou, strict=True)}
+    rows = []
+    for i, j in beside.disagreements:
+        own = other = (h.td("–", cls="none"), h.td())
+        if i is not None:
+            mark = dot(grey[state.roles.get(i, "other")])
+            # The question may name it otherwise than the detector does where it is asked for everything.
+            number = state.shown.names[i].rpartition("·")[2]
+            own = _cells(mark, f"{beside.found.labels_a[i]}·{number}", float(beside.found.scores_a[i]))
+        if j is not None:
+            other = _cells(hollow(color), second_name(beside, j), float(beside.found.scores_b[j]))
+        if i is not None and j is not None:
+            overlap, hint = iou[i, j], "overlap of the two"
+        else:
+            near = beside.found.nearest_a if i is not None else beside.found.nearest_b
+            overlap = float(near[i if i is not None else j])
+            why = "which stands for another already" if overlap >= MIN_IOU else "too little"
+            hint = f"overlap with the nearest of the other detector, {why}"
+        ends = ",".join(str(-1 if k is None else k) for k in (i, j))
+        rows.append(
+            h.tr(
+                own, other, h.td(f"{overlap:.2f}", cls="n dim", title=hint), id=f"apart-{ends.replace(',', '-')}",
+                cls="r", do=f"beside:{ends}", aria_current="true" if (i, j) == chosen_row(state) else None,
+            )
+        )  # fmt: skip
+    if not rows:
+        return h.div("They disagree on nothing.", cls="dim")
+    score = h.th("score", cls="n s", title="the detector's own")
+    head = h.tr(h.th("A"), score, h.th("B"), score, h.th("IoU", cls="n s"))
+    return (
+        heading(f"Disagreements ({len(rows)})", h.kbd("Shift"), " ", h.kbd("J"), " next"),
+        h.div(h.table(head, rows, cls="apart"), cls="scroll disagreements"),
+    )
+
+
+def chosen_row(state: State) -> tuple[int | None, int | None]:
+    """What is selected of the two detectors, as a row of the disagreements has it."""
+    beside = state.beside
+    if beside is None:
+        return None, None
+    second = state.second_selected
+    if state.selected is None:
+        return beside.partner_of_b(second), second
+    return state.selected, second
+
+
+def _cells(mark: Element, name: str, score: float) -> tuple[Element, Element]:
+    shown = "" if score >= 0.9995 else f"{score:.2f}"
+    return h.td(h.span(mark, h.b(name), cls="name"), title=name), h.td(shown, cls="n dim")
+
+
+def hollow(color: str) -> Element:
+    """The dashed square that marks the second detector's objects."""
+    return h.span(cls="hollow", css={"--c": color})
+
+
+def _beyond(beside: SecondDetections) -> Element | None:
+    sums = beside.sums
+    if not sums.beyond_a + sums.beyond_b:
+        return None
+    parts = [f"{n} of {name}" for n, name in ((sums.beyond_a, "A"), (sums.beyond_b, "B")) if n]
+    return h.div(f"Not counted, of classes that the other does not know: {', '.join(parts)}.", cls="dim small")

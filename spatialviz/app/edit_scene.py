@@ -1,21 +1,26 @@
-"""What the scene shows of edits: their boxes and where those were, the asked relation's region, the decision map."""
+"""What the scene shows of edits: their boxes, where those were, the asked region, the decision map."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import Any
 
 import numpy as np
 
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
-from pipeline.diagnosis.whatif.region import Region
+from pipeline.diagnosis.whatif.placement import Placement, place_in_region
+from pipeline.diagnosis.whatif.region import Region, region_of
 from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.palette import RGB, Role, palette
-from pipeline.language.relation_names import RELATIONS
-from pipeline.relations.relations import letter
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.relation_names import PAIRWISE, RELATIONS
+from pipeline.relations.relations import Profile, letter
+from pipeline.system.errors import InputError
 from spatialviz.app.glb import unlit_glb
-from spatialviz.app.relation_region import REACH, asked_pair
+from spatialviz.app.markup import Element, dot, h
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import State
@@ -217,4 +222,89 @@ def _rims(winner: np.ndarray, corners: np.ndarray) -> np.ndarray:
     v, h = np.nonzero(along)
     return np.concatenate(
         [np.stack([corners[r, c], corners[r, c + 1]], axis=1), np.stack([corners[v, h], corners[v + 1, h]], axis=1)]
+    )
+
+
+REACH = 1.0
+"""Metres around the reference that are drawn."""
+
+
+@dataclass(frozen=True)
+class AskedPair:
+    """What a region is of: "target RELATION reference", in the order in which it is judged.
+
+    Attributes
+    ----------
+    relation : str
+    target, reference : LiftedObject
+    places : (int, int)
+        In `shown.objects`.
+    viewer : ViewerAxes
+    profile : Profile
+    """
+
+    relation: str
+    target: LiftedObject
+    reference: LiftedObject
+    places: tuple[int, int]
+    viewer: ViewerAxes
+    profile: Profile
+
+    @property
+    def region(self) -> Region | None:
+        """Where the relation holds; None where the reference has no place in space."""
+        try:
+            size = self.target.hi - self.target.lo
+            return region_of(self.reference, self.relation, size, self.viewer, self.profile, REACH)
+        except InputError:
+            return None
+
+    @property
+    def placement(self) -> Placement:
+        """Where the target falls in it, and why."""
+        return place_in_region(self.target, self.reference, self.relation, self.viewer, self.profile)
+
+    @property
+    def marks(self) -> tuple[object, ...]:
+        """What the region depends on, to a tenth of a millimetre: a target that is only moved keeps it."""
+        lengths = (self.reference.lo, self.reference.hi, self.target.hi - self.target.lo)
+        ends = (tuple(np.round(v, 4).tolist()) for v in lengths)
+        return self.relation, *ends, self.viewer.matrix.tobytes(), self.profile
+
+
+def asked_pair(state: State) -> AskedPair | None:
+    """The chosen pair under the asked relation; None where the relation is not of two objects."""
+    trace, pair = state.trace, state.chosen
+    if trace is None or pair is None or pair.reference is None or trace.relation not in PAIRWISE:
+        return None
+    a, b = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
+    return AskedPair(
+        trace.relation,
+        trace.objects[a].lifted,
+        trace.objects[b].lifted,
+        (state.shown.place[a], state.shown.place[b]),
+        trace.viewer,
+        replace(Profile(), **state.edits.profile),
+    )
+
+
+def map_legend(state: State, found: DecisionMap | None) -> Element | None:
+    """Who wins where, with the share of the floor."""
+    if found is None:
+        return None
+    colors = winner_colors(found, state)
+    winners, counts = np.unique(found.winner, return_counts=True)
+    rows = (
+        h.li(
+            dot(colors[w]) if w >= 0 else h.span(cls="dot none"),
+            h.b(state.named(found.keys[w]) if w >= 0 else "no pair"),
+            h.span(f"{n / found.winner.size:.0%}"),
+        )
+        for n, w in sorted(zip(counts.tolist(), winners.tolist(), strict=True), reverse=True)
+    )
+    return h.figure(
+        h.figcaption("Who wins if ", h.b(state.named(found.key)), " stands there"),
+        h.ul(rows),
+        h.p("paler where the next is close", cls="dim"),
+        cls="maplegend",
     )

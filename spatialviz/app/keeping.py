@@ -18,9 +18,8 @@ from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.shared_makers import shares_of_answer
 from pipeline.system.errors import InputError
-from spatialviz.app.dialog import Dialog
 from spatialviz.app.judging import Judge
-from spatialviz.app.layout import Page
+from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.markup import h
 from spatialviz.app.state import State
 from spatialviz.report import Subject, failure_page

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from spatialviz.app.dialog import Dialog
-from spatialviz.app.layout import Page
+from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.markup import Element, h
 
 Rows = tuple[tuple[str, str, str], ...]

@@ -23,16 +23,15 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.palette import palette
 from pipeline.system.errors import InputError
 from spatialviz.app.correct import Correct
+from spatialviz.app.edit_panel import STATUS_WORDS, numbers_said, object_html, rejected_html, saved_html
 from spatialviz.app.gizmo import BoxGizmo
-from spatialviz.app.label_object_html import STATUS_WORDS, numbers_said, object_html, rejected_html, saved_html
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.layout import Page
-from spatialviz.app.markup import h
+from spatialviz.app.markup import h, panel
 from spatialviz.app.review_html import pair_html
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import State
-from spatialviz.app.text import panel
 
 FARTHEST = 1000.0
 """Metres: no typed side or place of a box is beyond; a number that slipped would otherwise be saved."""

@@ -27,8 +27,7 @@ from spatialviz.app.correct import Correct
 from spatialviz.app.images import jpeg_url
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.layout import Page
-from spatialviz.app.pixels_html import PART_COLORS, around, mask_url, outlines, told_of
-from spatialviz.app.pixels_scene import PixelScene
+from spatialviz.app.pixels_html import PART_COLORS, PixelScene, around, mask_url, outlines, told_of
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.selection import Selection

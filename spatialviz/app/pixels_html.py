@@ -1,4 +1,4 @@
-"""What the page shows of drawing pixels: the row of tools above the picture, and the draft for the large editor."""
+"""What is shown of drawing pixels: the row of tools, the draft for the large editor, and the draft in the scene."""
 
 from __future__ import annotations
 
@@ -10,13 +10,17 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.draft import Draft
+from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import decode_crop
-from pipeline.geometry.palette import ON_DARK, RGB, instance_colors
+from pipeline.geometry.palette import ON_DARK, RGB, instance_colors, palette
 from spatialviz.app.images import png_url
-from spatialviz.app.markup import Element, h
+from spatialviz.app.markup import BAD, IDLE, Element, h, note
+from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import State
-from spatialviz.app.text import BAD, IDLE, note
 
 TOOLS = {
     "brush": "paint pixels (Shift+I)",
@@ -103,3 +107,46 @@ def told_of(draft: Draft, lifted: LiftedObject | None, parts: Sequence[np.ndarra
         return f"{pixels} · no 3D box: too little depth"
     width, height, depth = lifted.box.size
     return f"{pixels} · {lifted.quality.points:,} points · box {width:.2f} × {height:.2f} × {depth:.2f} m"
+
+
+POINT = 0.004
+MOST_POINTS = 60_000
+
+
+class PixelScene:
+    """Draws into one client's scene, beside what `SceneView` draws."""
+
+    def __init__(self, client: SceneClient, scene: SceneView) -> None:
+        self._client, self._scene = client, scene
+        self._handles: list[Any] = []
+
+    def clear(self) -> None:
+        """Show nothing."""
+        for handle in self._handles:
+            handle.remove()
+        self._handles = []
+
+    def draw(self, frame: Frame, mask: np.ndarray, box: Box3D | None, dark: bool) -> None:
+        """Show a mask's points, towards the viewer of the cloud they lie in, and a box (camera frame)."""
+        with self._client.atomic():
+            self.clear()
+            color = palette(dark)["edited"]
+            v, u = np.nonzero(mask & (frame.depth > 0))
+            step = max(1, -(-len(v) // MOST_POINTS))
+            v, u = v[::step], u[::step]
+            if len(v):
+                points = lift_pixels(frame.depth[v, u] * np.float32(0.995), frame.camera, v, u)
+                shown = (points @ self._scene.to_show.T.astype(np.float32)).astype(np.float32)
+                self._handles.append(
+                    self._client.scene.add_point_cloud(
+                        "/draft/points", shown, color, point_size=POINT, precision="float32", point_shading="flat",
+                        point_shape="square",
+                    )
+                )  # fmt: skip
+            if box is not None:
+                lines = self._scene.shown_box(box).corners[EDGES].astype(np.float32)
+                self._handles.append(
+                    self._client.scene.add_line_segments(
+                        "/draft/box", lines, color, thickness=2.6, thickness_units="screen"
+                    )
+                )

@@ -1,21 +1,23 @@
-"""Retraining on the labels as they are corrected, in a process of its own that all clients see."""
+"""Retraining on the labels as they are corrected, in a process that all clients see, and what it was worth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.review.label_jobs import CANCELLED, RetrainingJob, TrainingProgress
 from pipeline.evaluation.run_folder import Run
+from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import InputError
 from spatialviz.app.layout import Page
+from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel
 from spatialviz.app.place import Place
-from spatialviz.app.retrain_html import retrain_html
 from spatialviz.app.state import State
 
 
@@ -152,3 +154,168 @@ class RetrainPanel:
         except InputError:
             corrections = None
         self._page.show("review-train", retrain_html(self._training, corrections, name in self._runs))
+
+
+STEPS = {
+    "labels": "applying the corrections",
+    "before": "learning the labels before",
+    "after": "learning the labels after",
+    "replay": "making the run again",
+}
+LISTED = 6
+
+
+def retrain_html(training: TrainingProgress, corrections: int | None, with_run: bool) -> Element:
+    """The section of the Review tab; `corrections` is None where the journal cannot be read."""
+    return panel(heading("Retrain", _action(training, corrections)), _state(training, corrections, with_run))
+
+
+def _state(training: TrainingProgress, corrections: int | None, with_run: bool) -> Child:
+    if training.running:
+        what, done, of = training.step
+        share = done / of if of else 0.0
+        bar = h.div(
+            h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
+            aria_label="Training",
+        )  # fmt: skip
+        return bar, h.div(f"{STEPS.get(what, what)} · {training.seconds:.0f} s", cls="dim")
+    if training.problem and training.problem != CANCELLED:
+        return note(f"Not trained: {training.problem}", BAD)
+    if training.record is None:
+        run = ", and makes the run again with it" if with_run else ""
+        said = "Nothing corrected yet."
+        if corrections is None:
+            said = "The journal cannot be read now: what was corrected is not known."
+        elif corrections:
+            said = f"Learns the relations from the labels as they are now{run}."
+        return h.div(said, cls="dim")
+    return _figures(training), _replayed(training.record), _install(training)
+
+
+def _action(training: TrainingProgress, corrections: int | None) -> Element:
+    if training.running:
+        return h.button("stop", cls="try", do="stop-training")
+    if not corrections:
+        return h.button("retrain", cls="try", disabled=True)
+    return h.button("retrain", cls="try", do="retrain", title=f"{corrections} events in the journal (Shift+G)")
+
+
+def _figures(training: TrainingProgress) -> Child:
+    """F1 by relation: learnt from the labels before, after, and of the network in use, on pairs that none has seen."""
+    record = training.record
+    assert record is not None
+    trained, in_use = record["retraining"], record["in_use"]
+    held, events = trained["held_out"], record["corrections"]["events"]
+    rows = []
+    names = list(trained["after"]["f1"])
+    for name in [*names, "all"]:
+        before, after = (_f1(trained[k], name) for k in ("before", "after"))
+        now = None if in_use is None else _f1(in_use["before"], name)
+        gain = None if before is None or after is None else (after - before) * 100
+        kind = "" if gain is None or abs(gain) < 0.05 else " good" if gain > 0 else " bad"
+        rows.append(
+            h.tr(
+                h.td("all" if name == "all" else PHRASE[name]),
+                (h.td("–" if v is None else f"{v * 100:.1f}", cls="n") for v in (now, before, after)),
+                h.td("–" if gain is None else f"{gain:+.1f}", cls=f"n{kind}"),
+                cls="sum" if name == "all" else "",
+            )
+        )
+    right, wrong = trained["became_right"]["cells"], trained["became_wrong"]["cells"]
+    gain = trained["gain"]["micro_f1"]
+    ends = (gain["low"], gain["high"])
+    interval = "–" if None in ends else f"[{ends[0] * 100:+.1f}, {ends[1] * 100:+.1f}]"
+    counts = f"{events} events · F1 on {held['pairs']} held-out pairs of {held['frames']} frames"
+    head = h.tr(
+        h.td(),
+        h.th("in use", cls="n", title="the network in use"),
+        h.th("before", cls="n", title="learnt from the labels before"),
+        h.th("after", cls="n", title="learnt from the labels with the corrections"),
+        h.th("gain", cls="n"),
+    )
+    return (
+        h.div(f"{counts} · {training.seconds:.0f} s", cls="dim"),
+        h.table(head, rows, cls="slices"),
+        h.div(f"{right} held-out cells became right, {wrong} wrong; gain {interval}", cls="dim"),
+        _cells("became right", trained["became_right"]["listed"]),
+        _cells("became wrong", trained["became_wrong"]["listed"]),
+    )
+
+
+def _f1(figures: Mapping[str, Any], name: str) -> float | None:
+    found = figures["micro_f1"] if name == "all" else figures["f1"].get(name)
+    return None if found is None else found["value"]
+
+
+def _cells(title: str, cells: Sequence[Mapping[str, Any]]) -> Element | None:
+    """The cells that changed most; a click shows the pair."""
+    if not cells:
+        return None
+    rows = (
+        h.div(
+            h.span(f"{c['a']} {PHRASE[c['relation']]} {c['b']} is {c['label']}"), h.span(c["frame"], cls="dim"),
+            h.span(f"{c['before']:.2f} → {c['after']:.2f}", cls="n"), cls="cellrow", title=c["frame"],
+            do=f"labels-at:{c['a']},{c['b']},{c['relation']},{c['frame']}",
+        )
+        for c in cells[:LISTED]
+    )  # fmt: skip
+    return h.details(h.summary(f"{title}, the largest changes"), rows)
+
+
+def _replayed(record: Mapping[str, Any]) -> Child:
+    parts = []
+    for title, key in (("mended labels alone", "mended"), ("new network on them", "replay")):
+        found = record[key]
+        if found is None:
+            continue
+        gain = found["differences"][found["measure"]]
+        fixed, broken = found["fixed"], found["broken"]
+        interval = f"{gain['value'] * 100:+.1f} [{gain['low'] * 100:+.1f}, {gain['high'] * 100:+.1f}]"
+        parts += [
+            h.div(
+                h.b(title),
+                h.span(f"{len(fixed)} became right", cls="good"),
+                h.span(f"{len(broken)} became wrong", cls="bad"),
+                h.span(interval, cls="dim"),
+                cls="vrow2",
+            ),
+            _expressions("became right", fixed),
+            _expressions("became wrong", broken),
+        ]
+    return (heading("The run again"), parts) if parts else None
+
+
+def _expressions(title: str, rows: Sequence[Mapping[str, Any]]) -> Element | None:
+    if not rows:
+        return None
+    listed = (
+        h.div(
+            h.span(r["text"]), h.span(r["frame"], cls="dim"), cls="cellrow", do=f"replayed:{r['frame']}|{r['text']}"
+        )
+        for r in rows[:LISTED]
+    )  # fmt: skip
+    more = h.div(f"and {len(rows) - LISTED} more", cls="dim") if len(rows) > LISTED else None
+    return h.details(h.summary(title), listed, more)
+
+
+def _install(training: TrainingProgress) -> Child:
+    record = training.record
+    assert record is not None
+    # Cut at its left: written from right to left, where its ends must not move.
+    where = h.div(h.bdi(record["folder"]), cls="dim path", title=record["folder"])
+    if training.installed:
+        said = f"Installed: --srm {training.installed}; in the Edit tab it answers any question."
+        return note(said, GOOD), where
+    warning = None
+    in_use = record["in_use"]
+    if in_use is not None:
+        now, new = (in_use[k]["micro_f1"]["value"] for k in ("before", "after"))
+        if None not in (now, new) and new < now:
+            said = f"The network in use has {now * 100:.1f} on these pairs, more than the new one ({new * 100:.1f})."
+            said += "".join(f" {caveat.removeprefix('before: ')}." for caveat in in_use.get("caveats", ()))
+            warning = note(said, DOUBT)
+    field = h.input(
+        cls="find name", placeholder="name", maxlength=64, enter="install", aria_label="Name of the network"
+    )  # fmt: skip
+    button = h.button("install", cls="try go", local="send:install:")
+    return warning, h.div(field, button, cls="inst"), where

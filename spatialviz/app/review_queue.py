@@ -20,16 +20,13 @@ from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError
 from spatialviz.app.correct import Correct
-from spatialviz.app.dialog import Dialog
 from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_view import Target
-from spatialviz.app.layout import Page
-from spatialviz.app.markup import h
-from spatialviz.app.queue_html import KINDS, Asked, item_html, queue_html
-from spatialviz.app.review_html import doubt_html
+from spatialviz.app.layout import Dialog, Page
+from spatialviz.app.markup import h, panel
+from spatialviz.app.review_html import KINDS, Asked, doubt_html, item_html, queue_html
 from spatialviz.app.state import State
-from spatialviz.app.text import panel
 
 LETTERS = {"T": T, "U": U, "F": F}
 DOUBT_TITLE = "Against geometry"

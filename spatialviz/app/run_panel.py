@@ -1,4 +1,4 @@
-"""The run of a client's dataset: its search, its pages, and stepping from failure to failure."""
+"""The run of a client's dataset: its figures, its search, its pages, and stepping from failure to failure."""
 
 from __future__ import annotations
 
@@ -6,16 +6,23 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from pipeline.evaluation.run_folder import Run
-from spatialviz.app.failures import listing_html, offers_html, search_html
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.layout import Page
+from spatialviz.app.markup import panel
 from spatialviz.app.place import Place
-from spatialviz.app.run_browser import Listing, RunBrowser
-from spatialviz.app.run_figures import figures_of
-from spatialviz.app.run_html import shares_html
-from spatialviz.app.run_tab import RunTab
+from spatialviz.app.run_browser import Listing, RunBrowser, RunFigures, figures_of
+from spatialviz.app.run_html import (
+    CUTS,
+    confusion_html,
+    listing_html,
+    no_run_html,
+    offers_html,
+    search_html,
+    shares_html,
+    slices_html,
+    summary_html,
+)
 from spatialviz.app.state import State
-from spatialviz.app.text import panel
 
 FILLED = 4
 """Small pictures that are read at once, behind whatever the user does."""
@@ -190,3 +197,50 @@ class RunPanel:
             self._fill(now)
 
         self._post(fill)
+
+
+class RunTab:
+    """Shows the figures of the run of the source that a client looks at.
+
+    Parameters
+    ----------
+    figures : mapping of str to RunFigures
+        By name of the source.
+    page : Page
+    post : callable
+        Runs something later, on the client's own thread.
+    """
+
+    def __init__(
+        self, figures: Mapping[str, RunFigures], page: Page, post: Callable[[Callable[[], None]], None]
+    ) -> None:
+        self._figures, self._page, self._post = figures, page, post
+        self._cut = next(iter(CUTS))
+        self._shown: RunFigures | None = None
+
+    def show(self, source: str) -> None:
+        """Show the run of a source, one part after the other."""
+        figures = self._shown = self._figures.get(source)
+        page = self._page
+        for region in ("run-summary", "run-slices", "run-confusion"):
+            page.show(region)
+        if figures is None:
+            page.show("run-summary", no_run_html())
+            return
+
+        def draw(part: Callable[[], None]) -> None:
+            self._post(lambda: part() if self._shown is figures else None)
+
+        draw(lambda: page.show("run-summary", summary_html(figures)))
+        draw(self._draw_slices)
+        draw(lambda: page.show("run-confusion", confusion_html(figures)))
+
+    def cut(self, dimension: str) -> None:
+        """Cut the run by another dimension."""
+        if dimension in CUTS:
+            self._cut = dimension
+            self._draw_slices()
+
+    def _draw_slices(self) -> None:
+        if self._shown is not None:
+            self._page.show("run-slices", slices_html(self._shown, self._cut))

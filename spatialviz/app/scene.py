@@ -17,8 +17,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.datasets.scene_mesh import ContextMesh
 from pipeline.geometry.boxes import EDGES, Box3D, ray_entry
 from pipeline.geometry.palette import RGB, Role, hex_color, palette
-from spatialviz.app.cloud import Cloud, Part
-from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.frames import Cloud, LoadedFrame, Part
 from spatialviz.app.glb import unlit_glb
 from spatialviz.app.scene_client import Node, SceneClient
 from spatialviz.app.viewpoint import Viewpoint

@@ -6,8 +6,7 @@ import numpy as np
 
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.measure import surface_point
-from spatialviz.app.cloud import Cloud
-from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.frames import Cloud, LoadedFrame
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView, Tag, triple
 from spatialviz.app.scene_client import Node, SceneClient

@@ -23,37 +23,31 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, UnknownClass
 from spatialviz.app.answer import answer_in_words
-from spatialviz.app.asking import offers
 from spatialviz.app.beside import BesideLayer
-from spatialviz.app.channel import Channel
-from spatialviz.app.dialog import Dialog
+from spatialviz.app.channel import Channel, Go, Hello, Incoming, Scene
 from spatialviz.app.filling import fill_answer, fill_page
 from spatialviz.app.frame_cloud import FrameCloud
-from spatialviz.app.frame_steps import FrameSteps
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
 from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import Keys, meant
 from spatialviz.app.label_view import Target
 from spatialviz.app.labelling import Labelling
-from spatialviz.app.layout import Page
-from spatialviz.app.level_surface import LevelSurface
-from spatialviz.app.messages import Go, Hello, Incoming, Scene
+from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
-from spatialviz.app.pointing import Pointing
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_aids import SceneAids
 from spatialviz.app.scene_client import SceneClient
-from spatialviz.app.selection import Selection
+from spatialviz.app.selection import LevelSurface, Pointing, Selection
 from spatialviz.app.shared import Shared
 from spatialviz.app.stages import opened
 from spatialviz.app.state import NOTHING, State, shown_objects
-from spatialviz.app.view_settings import ViewSettings
-from spatialviz.app.view_string import BEGINS
-from spatialviz.app.view_strings import ViewStrings
+from spatialviz.app.toolbar import offers
+from spatialviz.app.view_settings import FrameSteps, ViewSettings
+from spatialviz.app.view_strings import BEGINS, ViewStrings
 from spatialviz.app.what_if import WhatIf
 
 LOG_LENGTH = 200

@@ -10,9 +10,8 @@ from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import Diagnosis, threshold
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color, palette
-from spatialviz.app.markup import Child, Element, h
+from spatialviz.app.markup import Child, Element, cell, chosen, h, named, was
 from spatialviz.app.state import State
-from spatialviz.app.text import cell, chosen, named, was
 
 SHOWN_PAIRS = 30
 MATRIX_LIMIT = 14

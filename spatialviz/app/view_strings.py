@@ -1,28 +1,29 @@
-"""A client's view as a string: copied, pasted, and opened with."""
+"""A client's view as a string and back: what is named by objects survives another page."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.whatif import Edits
-from pipeline.diagnosis.whatif.state import ViewState, decode, encode
+from pipeline.diagnosis.whatif.pair_tables import detection_keys
+from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState, decode, encode
 from pipeline.evaluation.run_folder import Run
 from pipeline.system.errors import InputError
-from spatialviz.app.dialog import Dialog
+from spatialviz.app.layout import Dialog
 from spatialviz.app.markup import h
 from spatialviz.app.place import Place
 from spatialviz.app.run_panel import RunPanel
+from spatialviz.app.scene import SceneFlags
 from spatialviz.app.state import State
-from spatialviz.app.view_string import (
-    FOV,
-    SHIPPED_SCORERS,
-    view_of,
-    with_objects,
-    with_settings,
-)  # fmt: skip
+from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
 from spatialviz.app.viewpoint import Viewpoint
 
 
@@ -211,3 +212,115 @@ class ViewStrings:
     def _fail(self, error: InputError) -> None:
         self._note(str(error))
         self._dialog.refuse(str(error))
+
+
+BEGINS = re.compile(r"\s*sv[0-9]{1,6}:")
+"""How a state string begins; no expression does."""
+CAMERA, FOV, POINTS = "camera view", "field of view", "point size"
+"""Names of toggles: from where one looks ("sensor", "orbit", "top"), in radians how wide a turned camera sees, and the
+factor by which points are drawn larger."""
+SHIPPED_SCORERS = (None, "rule", "trained")
+
+
+def view_of(
+    state: State, source: Pipeline, camera: tuple[CameraView, float] | None, run: str | None, expression: str | None
+) -> ViewState:
+    """What a client looks at.
+
+    Parameters
+    ----------
+    state : State
+    source : Pipeline
+        Of the state.
+    camera : (CameraView, float) or None
+        Where the camera was turned to, and its field of view; None where it is as it was placed.
+    run, expression : str or None
+        Folder of the run, and the id of its expression that is asked.
+    """
+    selected = None if state.selected is None else object_key(state, source, state.selected)
+    ends = None if state.pair is None else [object_key(state, source, at) for at in state.pair[:2]]
+    toggles: dict[str, Toggle] = {**asdict(state.flags), CAMERA: state.camera}
+    if camera is not None:
+        toggles[FOV] = round(camera[1], 4)
+    if state.point_size != 1:
+        toggles[POINTS] = state.point_size
+    return ViewState(
+        state.source,
+        state.frame_id,
+        state.text,
+        selection=() if selected is None else (selected,),
+        pair=None if ends is None or ends[0] is None or ends[1] is None else (ends[0], ends[1]),
+        camera=None if camera is None else camera[0],
+        toggles=toggles,
+        edits=state.edits,
+        run=run,
+        expression_id=expression,
+        colors=state.colors,
+    )
+
+
+def with_settings(state: State, view: ViewState) -> State:
+    """The state with a view's paint, toggles and place to look from; what is not known is passed over."""
+    known = {f.name for f in fields(SceneFlags)}
+    flags = {name: value for name, value in view.toggles.items() if name in known and isinstance(value, bool)}
+    changed: dict[str, Any] = {"flags": replace(state.flags, **flags)}
+    if view.colors in ("rgb", "objects", "depth", "evidence"):
+        changed["colors"] = view.colors
+    if view.toggles.get(CAMERA) in ("sensor", "orbit", "top"):
+        changed["camera"] = view.toggles[CAMERA]
+    size = view.toggles.get(POINTS)
+    if isinstance(size, float | int) and LEAST_POINT <= size <= LARGEST_POINT:
+        changed["point_size"] = float(size)
+    return replace(state, **changed)
+
+
+def with_objects(state: State, source: Pipeline, view: ViewState) -> State:
+    """The state with a view's selected object and chosen pair, as far as they are among its objects."""
+    selected = next((object_place(state, source, key) for key in view.selection), None)
+    pair = state.pair
+    if view.pair is not None:
+        ends = tuple(object_place(state, source, key) for key in view.pair)
+        pair = next((at for p in state.ranked if (at := state.at(p))[:2] == ends), pair)
+    return replace(state, selected=selected, pair=pair)
+
+
+def object_key(state: State, source: Pipeline, place: int) -> str | None:
+    """The key of a shown object (`whatif.pair_tables.detection_keys`); None where the detector does not find it so."""
+    entry = state.shown.objects[place]
+    if entry.id >= 0:
+        return f"#{entry.id}"
+    if state.edited is not None:
+        edited = next((state.edited.after.keys[t] for t, at in state.shown.place.items() if at == place), None)
+        if edited is not None:
+            return edited
+    keys, alike = _detections(state, source, entry.label)
+    return next((key for key, same in zip(keys, alike(entry), strict=True) if same), None)
+
+
+def object_place(state: State, source: Pipeline, key: str) -> int | None:
+    """The shown object of a key; None where there is none."""
+    objects = state.shown.objects
+    if key.startswith("#") and "/" not in key:
+        return next((i for i, o in enumerate(objects) if key == f"#{o.id}"), None)
+    if state.edited is not None and key in state.edited.after.keys:
+        return state.shown.place.get(state.edited.after.keys.index(key))
+    name = key.rpartition("/")[0]
+    if not any(o.label == name and o.id < 0 for o in objects):
+        return None
+    keys, alike = _detections(state, source, name)
+    at = keys.index(key) if key in keys else None
+    return None if at is None else next((i for i, o in enumerate(objects) if o.label == name and alike(o)[at]), None)
+
+
+def _detections(
+    state: State, source: Pipeline, name: str
+) -> tuple[tuple[str, ...], Callable[[SceneObject], np.ndarray]]:
+    """Keys of all that the detector finds of a name, and which of them an object is."""
+    if state.loaded is None or source.detector is None:
+        return (), lambda _: np.zeros(0, np.bool_)
+    found = source.detector.detect(state.loaded.context.frame, [name])
+
+    def alike(entry: SceneObject) -> np.ndarray:
+        return (found.boxes == entry.bbox).all(axis=1)
+
+    return detection_keys(name, found), alike

@@ -21,14 +21,12 @@ from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
 from spatialviz.app.edit_messages import edited_by
 from spatialviz.app.edit_panel import cost_html, edit_html
-from spatialviz.app.edit_scene import EditScene
-from spatialviz.app.edited import Edited
+from spatialviz.app.edit_scene import EditScene, map_legend
 from spatialviz.app.gizmo import MODES, BoxGizmo
 from spatialviz.app.layout import Page
-from spatialviz.app.legend import map_legend
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_client import SceneClient
-from spatialviz.app.state import Shown, State, shown_objects
+from spatialviz.app.state import Edited, Shown, State, shown_objects
 
 UNDOS = 200
 Judge = Callable[[Trace, RankConfig | None], Diagnosis | str | None]
