@@ -94,7 +94,8 @@ class Client:
                 await connection.close()
         for task in self._tasks:
             task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        for end in await asyncio.gather(*self._tasks, return_exceptions=True):
+            assert end is None or isinstance(end, asyncio.CancelledError), end
 
     async def _hear(self) -> None:
         assert self.page is not None
@@ -114,11 +115,11 @@ class Client:
             async for data in self.scene:
                 assert isinstance(data, bytes)
                 size = int.from_bytes(data[8:16], "little")
-                for message in msgspec.msgpack.decode(zstandard.decompress(data[16 : 16 + size]))["messages"]:
-                    if message["type"] == "PointCloudMessage":
-                        props = message["props"]
-                        width = 6 if props["precision"] == "float16" else 12
-                        self.cloud[message["name"]] += (width + 3) * props["points"]["shape"][0]
+                window = msgspec.msgpack.decode(zstandard.decompress(data[16 : 16 + size]))
+                for message in window["messages"]:
+                    for name, value in message.get("props", {}).items():
+                        if message["type"] == "PointCloudMessage" and name in ("points", "colors"):
+                            self.cloud[message["name"]] += window["binaryBufferLengths"][value["__binary_index"]]
                 self.last = time.monotonic()
 
     async def send(self, command: str) -> None:
