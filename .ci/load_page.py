@@ -13,7 +13,7 @@ import time
 import urllib.request
 from collections import Counter, defaultdict
 from contextlib import suppress
-from itertools import cycle
+from itertools import cycle, islice
 from pathlib import Path
 from secrets import token_hex
 
@@ -209,7 +209,8 @@ def _kb(values: list[int]) -> str:
 async def one(client: Client, number: int, until: float, period: float, figures: Figures) -> None:
     """What one person does."""
     await asyncio.sleep(period * number / 20)
-    for kind, command in steps(number):
+    # Not all of them change the frame at once.
+    for kind, command in islice(steps(number), number % 8, None):
         if time.monotonic() >= until:
             return
         start, (page, scene) = time.monotonic(), client.taken
