@@ -97,3 +97,11 @@ VERDICTS: dict[str, RGB] = {
     "COMPOUND": (140, 92, 60),
 }
 """A colour for each verdict; the blues are the detector's. Wherever it is shown, the word stands beside it."""
+
+
+def ink(color: str) -> str:
+    """Black or white, whichever is read better on a colour "#rrggbb": at least 4.58 to 1, by WCAG 2.2's contrast."""
+    channels = (int(color[k : k + 2], 16) / 255 for k in (1, 3, 5))
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    luminance = sum(w * c for w, c in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+    return "#000000" if (luminance + 0.05) ** 2 > 0.05 * 1.05 else "#ffffff"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pipeline.answering.agreement.agreement import MIN_IOU
 from pipeline.answering.agreement.frames import Beside
-from pipeline.geometry.palette import hex_color, palette, second_color
+from pipeline.geometry.palette import hex_color, ink, palette, second_color
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
 from spatialviz.app.text import DOUBT, GOOD, dot, heading, note, panel, segments
@@ -62,7 +62,7 @@ def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float,
         ),
         h.text(
             text, x=f"{x + 4 * unit:.1f}", y=f"{y + 10.4 * unit:.1f}", font_size=f"{10.5 * unit:.1f}",
-            font_weight=600, fill="#fff", font_family="system-ui,sans-serif",
+            font_weight=600, fill=ink(color), font_family="system-ui,sans-serif",
         ),
     )  # fmt: skip
 

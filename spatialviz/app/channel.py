@@ -69,13 +69,17 @@ class Channel:
                 return
             loop.call_soon_threadsafe(outgoing.put_nowait, text)
 
-    async def serve(self, connection: Any) -> None:
-        """Send what is said until the browser goes away. A second browser of a page takes the first one's place."""
+    def attach(self) -> asyncio.Queue[str | None]:
+        """A browser is there: what is said from now on waits here. A second one takes the first one's place."""
         outgoing: asyncio.Queue[str | None] = asyncio.Queue()
         with self._lock:
             if self._outgoing is not None:
                 self._outgoing.put_nowait(None)
             self._loop, self._outgoing, self._waiting = asyncio.get_running_loop(), outgoing, 0
+        return outgoing
+
+    async def serve(self, connection: Any, outgoing: asyncio.Queue[str | None]) -> None:
+        """Send what waits until the browser goes away."""
         try:
             while (text := await outgoing.get()) is not None:
                 await connection.send(text)

@@ -45,7 +45,7 @@ def verdict_chip(verdict: str, detail: str | None = None) -> Element:
 
 def searches(query: str) -> dict[str, str]:
     """Attributes by which a click lists what a search finds."""
-    return {"local": "tab:Failures", "do": f"find:{query}"}
+    return {"do": f"find:{query}"}
 
 
 def search_html(query: str) -> Element:

@@ -45,7 +45,7 @@ def fill_page(
         page.show("scene-tools", scene_tools_html(state))
         page.show("objects", objects_html(state))
         fill_answer(page, state, can_ask)
-        page.show("agreement", agreement_html(state))
+        page.show("agreement", agreement_html(state) if shared.second else None)
         page.show("image", image_html(state))
         page.show("object", object_html(state) if state.labels is None else None)
         page.show("log", log_html(log))

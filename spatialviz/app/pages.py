@@ -77,7 +77,7 @@ class Pages:
         name = self._access.name(connection.request)
         if name:
             session.signed_as(name)
-        sending = asyncio.create_task(session.channel.serve(connection))
+        sending = asyncio.create_task(session.channel.serve(connection, session.channel.attach()))
         try:
             await self._listen_to(connection, session)
         except websockets.exceptions.ConnectionClosed:

@@ -149,8 +149,8 @@ class Session:
     def _receive(self, message: Incoming) -> None:
         if isinstance(message, Hello):
             self.channel.send(Scene(self._path))
+            self.page.again()
             if self._begun:
-                self.page.again()
                 return
             if message.theme:
                 self.state = replace(self.state, dark=message.theme == "dark")
@@ -201,6 +201,8 @@ class Session:
             "task": lambda: self._turn_to(argument),
             "ask-typed": lambda: self._complete(argument),
         }
+        if kind == "find":
+            self.state = replace(self.state, evaluating=True)
         if kind in handlers:
             handlers[kind]()
         elif kind in self._more:

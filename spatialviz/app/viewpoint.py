@@ -14,7 +14,7 @@ from spatialviz.app.scene_client import SceneClient
 
 SAMPLE = 20_000
 """Points of a cloud that say where it lies."""
-AROUND, NEAREST = 1.35, 0.9
+AROUND, NEAREST = 1.12, 0.9
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
 
 

@@ -177,7 +177,12 @@ window.addEventListener('keydown', pressed);
 // ---- what the server says beside elements
 
 calls.theme = name => { document.documentElement.dataset.theme = name; kept('theme', name); };
-calls.task = name => { document.body.dataset.mode = name; };
+calls.task = name => {
+  if (document.body.dataset.mode === name) return;
+  document.body.dataset.mode = name;
+  // What a task is about is open.
+  locals.tab(null, {explain: 'Objects', evaluate: 'Run', label: 'Edit'}[name]);
+};
 calls.author = name => { kept('author', name); };
 calls.toast = ({title, text, bad}) => {
   const note = el('div', 'toast' + (bad ? ' bad' : ''));
@@ -222,6 +227,7 @@ const settle = () => {
 };
 
 locals.tab = (_, name) => {
+  if (!byId('drawer-tabs').querySelector(`[data-name="${CSS.escape(name)}"]`)) return;
   for (const tab of byId('drawer-tabs').querySelectorAll('[role=tab]')) {
     const own = tab.dataset.name === name;
     tab.setAttribute('aria-selected', own);
@@ -247,8 +253,9 @@ const split = byId('split');
 split.addEventListener('pointerdown', e => {
   split.setPointerCapture(e.pointerId);
   const move = e => {
-    const b = byId('views').getBoundingClientRect();
-    byId('views').style.setProperty('--share', Math.min(.85, Math.max(.25, (e.clientX - b.left) / b.width)));
+    const b = byId('views').getBoundingClientRect(), stacked = getComputedStyle(split).cursor === 'row-resize';
+    const share = stacked ? (e.clientY - b.top) / b.height : (e.clientX - b.left) / b.width;
+    byId('views').style.setProperty('--share', Math.min(.85, Math.max(.25, share)));
   };
   split.addEventListener('pointermove', move);
   split.addEventListener('pointerup', () => split.removeEventListener('pointermove', move), {once: true});
