@@ -121,6 +121,10 @@ class Tab:
         """Click the element that sends a command."""
         self.see(f'[data-do="{command}"]').click()
 
+    def drawer(self, name: str) -> None:
+        """Open a tab of the drawer, by the name that its command has."""
+        self.see(f'#drawer-tabs [data-local="tab:{name}"]').click()
+
     def send(self, command: str) -> None:
         """Send a command as an element does that is clicked; for those that have none on the page now."""
         self.page.evaluate(

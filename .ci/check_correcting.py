@@ -54,6 +54,7 @@ def check_review(tab: Tab) -> None:
     tab.press("k")
     tab.press("j")
     tab.poll(f"text => {ITEM} === text", first)
+    tab.drawer("Objects")
     tab.click(f"object:{LAPTOP}")
     tab.see("#review-pair", "Only looked at")
     tab.press("u")
@@ -73,7 +74,7 @@ def check_review(tab: Tab) -> None:
 def check_focus(tab: Tab) -> None:
     """A field that was sent or left gives the keys back to the page; handles do not outlast a change of mode."""
     tab.press("Shift+E")
-    tab.page.locator("#drawer-tabs").get_by_text("What if").click()
+    tab.drawer("Edit")
     handles(tab, "Move")
     tab.click("task:explain")
     tab.see("#stages .stage")
@@ -96,7 +97,7 @@ def drive(address: str) -> tuple[str, str]:
         tab = new_tab(browser).open(address)
         check_review(tab)
         show_pair(tab)
-        tab.page.locator("#drawer-tabs").get_by_text("What if").click()
+        tab.drawer("Edit")
         name = tab.see("input[data-field=class]")
         name.fill("bottle")
         name.press("Enter")
