@@ -78,6 +78,7 @@ def check_focus(tab: Tab) -> None:
     handles(tab, "Move")
     tab.click("task:explain")
     tab.see("#stages .stage")
+    tab.drawer("Edit")
     handles(tab, "Off")
     for key in ("Enter", "Escape"):
         tab.press("/")
