@@ -58,7 +58,14 @@ def tools_html() -> Element:
 
 
 def problem_html(state: State) -> Element | None:
-    """Why the frame cannot be shown, or the question not be asked."""
-    if state.problem:
-        return note(f"This frame is broken: {state.problem}", BAD)
-    return note(state.error, BAD) if state.error else None
+    """Why the frame cannot be shown."""
+    return note(f"This frame is broken: {state.problem}", BAD) if state.problem else None
+
+
+def refusal_html(state: State) -> Element | None:
+    """Beside the field: why the question could not be asked, and what is in this frame."""
+    if not state.error:
+        return None
+    names = sorted({o.label for o in state.shown.objects})
+    there = h.p("In this frame: ", ", ".join(names)) if names else None
+    return h.div(note(state.error, BAD), there, cls="refusal", role="alert")

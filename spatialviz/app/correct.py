@@ -14,7 +14,7 @@ from pipeline.corrections.object_card import expression_cards
 from pipeline.corrections.scene import ASKED_BEYOND_M, PairCard, RelationLine, labelled_objects, pair_card
 from pipeline.corrections.wording import consequences, events_text, outcome_text
 from pipeline.system.errors import InputError, require
-from spatialviz.app.label_view import LabelView, Target
+from spatialviz.app.label_view import ANYTHING, LabelView, Target
 from spatialviz.app.layout import Page
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.state import Shown, State
@@ -130,9 +130,9 @@ class Correct:
         """Whether a frame that is opened shows its labels."""
         return self._state().labels is not None or self._wanted is not None
 
-    def stay(self) -> None:
-        """Have the frame that is opened next show its labels."""
-        self._wanted = Target("")
+    def stay(self, wanted: Target = ANYTHING) -> None:
+        """Have the frame that is opened next show its labels, and in them what is wanted."""
+        self._wanted = wanted
 
     def look_at_said(self, said: str) -> None:
         """Show a pair: "a,b,relation,frame"."""

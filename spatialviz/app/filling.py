@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pipeline.datasets import Dataset, has_moves, moves
 from spatialviz.app import sentences_html
 from spatialviz.app.answer import answer_html
-from spatialviz.app.bar import problem_html, tasks_html, tools_html, where_html
+from spatialviz.app.bar import problem_html, refusal_html, tasks_html, tools_html, where_html
 from spatialviz.app.beside_html import agreement_html
 from spatialviz.app.layout import Page
 from spatialviz.app.objects import objects_html
@@ -42,6 +42,7 @@ def fill_page(
         page.show("tasks", tasks_html(state, bool(shared.runs), bool(shared.journals)))
         page.show("tools", tools_html())
         page.show("problem", problem_html(state))
+        page.show("ask-problem", refusal_html(state))
         page.show("scene-tools", scene_tools_html(state))
         page.show("objects", objects_html(state))
         fill_answer(page, state, can_ask)

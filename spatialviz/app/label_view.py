@@ -31,6 +31,10 @@ class Target:
     item: ItemKey | None = None
 
 
+ANYTHING = Target("")
+"""No frame in particular."""
+
+
 @dataclass(frozen=True)
 class LabelView:
     """The labels of the frame that is shown.

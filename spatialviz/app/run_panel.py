@@ -109,10 +109,19 @@ class RunPanel:
             self._ready(listing.query)
         self._set(browser.opened(listing, listing.keys.index((frame, expression))))
 
-    def search(self, query: str) -> None:
-        """List what matches a search."""
+    @property
+    def found(self) -> str | None:
+        """What is searched for, where it is not what a run is searched for at first."""
+        listing, browser = self._state().listing, self._browser
+        return None if listing is None or browser is None or listing.query == browser.first.query else listing.query
+
+    def search(self, query: str | None) -> None:
+        """List what matches a search; without one, what a run shows at first."""
         listing, browser = self._state().listing, self._browser
         if listing is None or browser is None:
+            return
+        query = browser.first.query if query is None else query
+        if query == listing.query:
             return
         found = browser.searched(listing, query)
         self._ready(found.query)

@@ -20,7 +20,7 @@ from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, UnknownClass
 from spatialviz.app.answer import answer_in_words
 from spatialviz.app.asking import offers
 from spatialviz.app.beside import BesideLayer
@@ -33,6 +33,7 @@ from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
 from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import Keys, meant
+from spatialviz.app.label_view import Target
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.layout import Page
 from spatialviz.app.level_surface import LevelSurface
@@ -226,7 +227,7 @@ class Session:
     def _begin(self, place: Place) -> None:
         """Show what the address says, else what the server was started with, else the first failure or frame."""
         if place.frame is not None or place.text is not None:
-            if place.text is None and self.state.correctable:
+            if place.text is None and place.task is None and self.state.correctable:
                 self._labels.correct.stay()
             self._go(place, restoring=True)
         elif self._shared.first_view is not None:
@@ -245,8 +246,8 @@ class Session:
         """Look at a place; what it does not say stays as it is. A place that is restored adds none to go back to."""
         if restoring:
             self._pushed = place
+        source = place.source or self.state.source
         here = self.state
-        source = place.source or here.source
         ids = self._store.sources[source].dataset.frame_ids
         frame, text = place.frame, place.text
         if frame not in ids:
@@ -255,19 +256,24 @@ class Session:
             frame = here.frame_id if source == here.source else ids[0]
         if place.task is not None:
             self.state = replace(self.state, evaluating=place.task == "evaluate")
-        if place.find is not None:
+        if restoring:
             self._runs.follow()
             self._runs.search(place.find)
-        if place.stage is not None:
-            self.state = replace(self.state, stage=place.stage)
         here = self.state
-        if self._begun and (source, frame) == (here.source, here.frame_id) and text in (None, here.text):
-            self._draw()
-        else:
+        labelling = restoring and place.task == "label" and here.correctable
+        if labelling:
+            self._labels.correct.stay(Target(frame, place.item or ()))
+        elif restoring:
+            here = self.state = replace(here, labels=None)
+        same = (source, frame) == (here.source, here.frame_id) and text in (None, here.text)
+        if not (self._begun and same) or labelling:
             if source != here.source:
                 here = replace(here, source=source, text=here.text or DEMO_EXPRESSION)
             self.state = here
             self._open_frame(frame, first=True, asking=text)
+        if restoring:
+            self.state = replace(self.state, stage=place.stage or "")
+            self._draw()
         if place.camera is not None:
             self.scene.viewpoint.turn_to(*place.camera)
 
@@ -275,7 +281,7 @@ class Session:
         state = self.state
         item = None if state.labels is None else state.labels.card
         place = replace(
-            state.at_place, find=None if state.listing is None else state.listing.query,
+            state.at_place, find=self._runs.found,
             camera=self.scene.viewpoint.turned_to(), item=None if item is None else (item.a, item.b),
         )  # fmt: skip
         push = self._pushed is not None and not place.same_view(self._pushed)
@@ -388,7 +394,9 @@ class Session:
             trace = self._source().ask(loaded.context, text)
         except InputError as error:
             shown = shown_objects(loaded, None, exact)
-            self.state = replace(self.state, error=str(error), shown=shown, selected=None)
+            # Which names a frame has is said beside the field; the detector knows many more.
+            said = error.what if isinstance(error, UnknownClass) else str(error)
+            self.state = replace(self.state, error=said, shown=shown, selected=None)
             self._note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)

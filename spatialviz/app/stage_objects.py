@@ -14,7 +14,7 @@ from spatialviz.app.beside_html import hollow, second_name
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.objects import score, thumb
 from spatialviz.app.state import State
-from spatialviz.app.text import chosen, dot, named, note, words
+from spatialviz.app.text import chosen, dot, named, note, panel, words
 
 KEPT: RGB = (53, 169, 107)
 
@@ -100,9 +100,9 @@ def object_html(state: State) -> Element | None:
         second = state.second_layer[j]
         title = h.b(hollow(hex_color(second_color(state.dark))), f"B {second_name(state.beside, j)}")
     if i is None or i >= len(state.shown.objects) or not state.own_layer:
-        return None if second is None else _facts(second, title)
+        return None if second is None else panel(_facts(second, title))
     # In front of it: below the facts it would not be seen.
-    return h.div(None if second is None else _brief(second, title), _own(state, i))
+    return panel(None if second is None else _brief(second, title), _own(state, i))
 
 
 def _own(state: State, i: int) -> Element:

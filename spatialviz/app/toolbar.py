@@ -10,7 +10,7 @@ from spatialviz.app.beside_html import layers_html
 from spatialviz.app.keys import MOVE_KEYS
 from spatialviz.app.markup import Element, h
 from spatialviz.app.state import State
-from spatialviz.app.text import dot, segments, words
+from spatialviz.app.text import dot, panel, segments, words
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
 CAMERAS = {"pair": "Pair", "sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
@@ -94,4 +94,4 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
         h.li(h.button(text, cls="try on" if text == state.text else "try", do=f"try:{i}"))
         for i, text in enumerate(suggestions)
     )
-    return h.ul(tries, cls="suggestions")
+    return panel(h.ul(tries, cls="suggestions"))
