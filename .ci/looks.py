@@ -1,97 +1,78 @@
-"""What a script can see of how the page looks: text that is cut, things that overlap, and what axe-core finds."""
+"""What a script can see of how the page looks: what is cut or overlaps (looks.js), and what axe-core finds."""
 
+from collections.abc import Iterator
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
-from browser import Tab
+from browser import Tab, new_tab
+from playwright.sync_api import Browser
 
-# Text is cut where it is wider than its element; with an ellipsis that is meant, if a title says the whole of it.
-CUT = """() => {
-  const found = [], told = e => e.closest('[title], summary, [aria-label]');
-  const name = e => `${e.tagName.toLowerCase()}${e.id ? '#' + e.id : ''}.${e.className} "${e.textContent.trim().slice(0, 40)}"`;
-  for (const e of document.querySelectorAll('body *')) {
-    if (!e.checkVisibility({visibilityProperty: true}) || e.closest('.hidden, svg, #suggested, dialog:not([open])')) continue;
-    const own = [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim()), s = getComputedStyle(e);
-    const field = e.matches('input[type=text], input:not([type]), select');
-    if (!own && !field) continue;
-    const clips = s.overflowX !== 'visible' || field;
-    if (clips && !['auto', 'scroll'].includes(s.overflowX) && e.scrollWidth > e.clientWidth + 1
-        && !(s.textOverflow === 'ellipsis' && (told(e) || field))) found.push('cut: ' + name(e));
-    if (!clips && s.display !== 'inline' && e.scrollWidth > e.clientWidth + 2 && e.clientWidth) found.push('spills: ' + name(e));
-    // What leaves the box of one that clips it and does not scroll is cut too.
-    if (!own) continue;
-    const range = document.createRange();
-    range.selectNodeContents(e);
-    const b = range.getBoundingClientRect();
-    for (let up = e.parentElement; up && up !== document.body; up = up.parentElement) {
-      const us = getComputedStyle(up);
-      if (us.overflowX === 'visible') continue;
-      const u = up.getBoundingClientRect();
-      const scrolls = ['auto', 'scroll'].includes(us.overflowX) && up.scrollWidth > up.clientWidth + 1;
-      if (us.textOverflow !== 'ellipsis' && !scrolls && (b.right > u.right + 1.5 || b.left < u.left - 1.5)) {
-        found.push(`leaves ${name(up).slice(0, 40)}: ${name(e)}`);
-      }
-      break;
-    }
-  }
-  for (const scroller of document.querySelectorAll('#bar, #side, #stage, #scene-tools, #drawer-tabs, #drawer-body > *, #picture')) {
-    if (scroller.checkVisibility() && scroller.scrollWidth > scroller.clientWidth + 1) found.push(`scrolls sideways: ${name(scroller).slice(0, 60)}`);
-  }
-  if (document.documentElement.scrollWidth > innerWidth) found.push('the page scrolls sideways');
-  return [...new Set(found)];
-}"""
-# Controls must not lie on each other, nor names in the scene on each other or on the boxes that they name.
-OVERLAP = """() => {
-  const found = [], name = e => `${e.tagName.toLowerCase()}${e.id ? '#' + e.id : ''} "${(e.getAttribute('aria-label') || e.textContent).trim().slice(0, 30)}"`;
-  const clipped = e => {
-    let b = e.getBoundingClientRect(), box = [b.left, b.top, b.right, b.bottom];
-    for (let up = e.parentElement; up; up = up.parentElement) {
-      if (getComputedStyle(up).overflow === 'visible') continue;
-      const u = up.getBoundingClientRect();
-      box = [Math.max(box[0], u.left), Math.max(box[1], u.top), Math.min(box[2], u.right), Math.min(box[3], u.bottom)];
-    }
-    return box;
-  };
-  const common = (a, b) => Math.max(0, Math.min(a[2], b[2]) - Math.max(a[0], b[0])) * Math.max(0, Math.min(a[3], b[3]) - Math.max(a[1], b[1]));
-  const groups = [
-    [...document.querySelectorAll('button, input, select, textarea, summary, [data-do]')].filter(e => !e.closest('#toasts, #tags')),
-    [...document.querySelectorAll('#tags .tag')],
-  ];
-  const dialog = document.querySelector('dialog[open]');
-  for (const group of groups) {
-    const shown = group.filter(e => e.checkVisibility({visibilityProperty: true, opacityProperty: true}) && (!dialog || dialog.contains(e))).map(e => [e, clipped(e)])
-      .filter(([, b]) => b[2] - b[0] > 1 && b[3] - b[1] > 1);
-    shown.forEach(([e, a], i) => {
-      for (const [f, b] of shown.slice(i + 1)) {
-        if (!e.contains(f) && !f.contains(e) && !(e.closest('#side .sticky') || f.closest('#side .sticky')) && common(a, b) > 6) {
-          found.push(`${name(e)} on ${name(f)}`);
-        }
-      }
-    });
-  }
-  return found;
-}"""
-ALLOWED = ()
-
-
-def axe_source() -> str:
-    """axe-core, which a package for Playwright brings along."""
-    return (resources.files("axe_playwright_python") / "axe.min.js").read_text("utf-8")
+LOOKS = (Path(__file__).parent / "looks.js").read_text("utf-8")
+SIZES = ((1440, 900), (1920, 1080), (1024, 768))
+STAGES = ("PARSE", "OPM", "LIFT", "SRM", "PRM", "LABEL")
 
 
 def axe(tab: Tab, source: str) -> list[str]:
-    """What axe-core finds against WCAG A and AA and its good practice; the scene's own document is viser's."""
+    """What axe-core finds against WCAG A and AA and good practice; the document of the scene's frame is viser's."""
     tab.page.evaluate(f"() => {{ if (!window.axe) {{ {source} }} }}")
     found: Any = tab.page.evaluate(
         "async () => (await axe.run({exclude: [['#view']]}, {iframes: false, resultTypes: ['violations']})).violations"
     )
-    return [
-        f"{v['id']} ({v['impact']}): {v['help']}: {node['html'][:160]} {node['any'][:1] and node['any'][0]['message'][:140]}"
-        for v in found
-        for node in v["nodes"][:4]
-    ]
+    return [f"{v['id']}: {v['help']}: {node['html'][:160]}" for v in found for node in v["nodes"][:4]]
 
 
-def cut_or_overlapping(tab: Tab) -> list[str]:
-    """Text that is cut or leaves its place, and controls or names that lie on each other."""
-    return [*tab.page.evaluate(CUT), *tab.page.evaluate(OVERLAP)]
+def states(tab: Tab) -> Iterator[str]:
+    """Brings the page into one state after the other, and names it."""
+    yield "answer with verdict"
+    for name in STAGES:
+        opened = f"#head-{name.lower()}[aria-expanded=true]"
+        if not tab.page.locator(opened).count():
+            tab.click(f"stage:{name}")
+            tab.see(opened)
+        yield f"stage {name}"
+    tab.drawer("Edit")
+    yield "what if"
+    tab.drawer("Objects")
+    tab.ask("unicorn left of the mug")
+    tab.see("#side", "unicorn")
+    yield "error"
+    tab.press("x")
+    tab.poll("document.getElementById('ask-text').value === ''")
+    yield "empty"
+    tab.press("h")
+    tab.see("#dialog-window")
+    yield "keys"
+    tab.page.keyboard.press("Escape")
+    tab.poll("!document.getElementById('dialog-window')")
+    tab.click("task:evaluate")
+    tab.see("#listing tr")
+    yield "evaluate"
+    tab.click("task:label")
+    tab.see("#review-list .queue .q")
+    tab.press("j")
+    tab.see("#review-item .item")
+    yield "label"
+    tab.click("task:explain")
+    tab.see("#stages .stage")
+
+
+def check_looks(browser: Browser, address: str) -> None:
+    """Nothing is cut or overlaps at three sizes; axe finds nothing, in both themes."""
+    source = (resources.files("axe_playwright_python") / "axe.min.js").read_text("utf-8")
+    found = []
+    for width, height in SIZES:
+        tab = new_tab(browser, viewport={"width": width, "height": height}).open(address).drawn()
+        themes = ("dark", "light") if width == SIZES[0][0] else ("dark",)
+        for theme in themes:
+            if tab.page.evaluate("document.documentElement.dataset.theme") != theme:
+                tab.press("m")
+                tab.poll("theme => document.documentElement.dataset.theme === theme", theme)
+            for state in states(tab):
+                tab.page.wait_for_timeout(150)
+                seen = tab.page.evaluate(f"[...({LOOKS}).cut(), ...({LOOKS}).overlap()]")
+                seen += axe(tab, source) if len(themes) == 2 else []
+                found += [f"{width} {theme} {state}: {one}" for one in seen]
+        found += tab.problems
+        tab.page.close()
+    assert not found, "\n".join(found)
