@@ -96,6 +96,17 @@ class Relations(Output):
 
 
 @dataclass(frozen=True)
+class Measure(Output):
+    """How far apart two surface points of a frame are, and by how much to the right, up and forward; in metres."""
+
+    dataset: DatasetArg
+    frame: OneFrameArg
+    first: Positional[Annotated[str, arg(help="U,V (column, row) of a pixel.")]]
+    second: Positional[Annotated[str, arg(help="U,V of another.")]]
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+
+
+@dataclass(frozen=True)
 class Frames(Output):
     """List the frames of a dataset: what is in each, and what is broken."""
 

@@ -62,6 +62,10 @@ class Label(Output):
     """trained | none | an ONNX file: a network that makes labels undecided where it does not agree."""
     style: Literal["varied", "plain", "semantic-abstraction"] = "varied"
     """How sentences are worded."""
+    sentences: tuple[Literal["attribute", "ordinal", "extreme", "side", "two-relations", "negation"], ...] | None = None
+    """Also make sentences of these kinds (none named: of all) with all their right answers, for eval --sentences."""
+    sentences_a_kind: int = 4
+    """At most so many of each kind in a frame."""
     box: Box = "gravity"
     seed: int = 0
     """The same seed gives the same labels."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
+from pipeline.system.detector_setup import DetectorSetup, with_files
 from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import Provider, ProviderWarning, use_execution
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from pipeline.datasets import Dataset
     from pipeline.labels.plan import SourceSpec
     from pipeline.labels.reading import Labels
-    from pipeline.proposals.registry import DetectorSetup
 
 FINE, NO, BAD, INTERRUPTED = 0, 1, 2, 130
 """Exit statuses."""
@@ -231,26 +231,9 @@ class OnPictures(OnJournal):
 
 
 @dataclass(frozen=True)
-class DetectorOptions:
+class DetectorOptions(DetectorSetup):
     """A detector, and those that are fused with it."""
 
-    detector: str | None = None
-    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | detic | boxes | simulated. Default:
-    annotations, where the dataset has them."""
-    model: Path | None = None
-    """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
-    model_config: Path | None = None
-    """What the file of --model does not say: the TOML file of boxes (default: beside the model), the class names of
-    detic and yolo-seg."""
-    fuse: tuple[str, ...] = ()
-    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's. What a MODEL does not say
-    stands beside it."""
-    fusion: Literal["wbf", "nms"] = "wbf"
-    """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
-    min_score: float | None = None
-    """Drop detections below this score, of each detector before they are fused. Default: the detector's own."""
-    synonyms: Path | None = None
-    """A JSON file with more synonyms: {"groups": [["mug", "cup"], …]}."""
     provider: Provider | None = None
     """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
 
@@ -272,17 +255,6 @@ class SecondDetectorOptions(DetectorOptions):
                 f"--{name.replace('_', '-')} needs --detector",
                 cause="of which detector?",
             )
-
-    def setup(self) -> DetectorSetup | None:
-        """What it is made from; None where none is asked."""
-        from pipeline.proposals.registry import DetectorSetup
-
-        if self.detector is None:
-            return None
-        use_execution(self.provider, False)
-        return DetectorSetup(
-            self.detector, self.model, self.model_config, self.min_score, self.synonyms, self.fuse, self.fusion
-        )
 
 
 @dataclass(frozen=True)
@@ -335,14 +307,7 @@ class LabelledOptions(ProposalOptions):
         """The same as the core takes it."""
         from pipeline.labels.plan import SourceSpec
 
-        return SourceSpec(dataset, {name: _plain(value) for name, value in self.arguments().items()})
-
-
-def _plain(value: Any) -> Any:
-    """As JSON keeps it: a path as text, several values as a list; numbers of a camera stay together."""
-    if isinstance(value, tuple) and not isinstance(value[0], float):
-        return [str(one) for one in value]
-    return str(value) if isinstance(value, Path) else value
+        return SourceSpec(dataset, with_files(self.arguments(), str))
 
 
 @dataclass(frozen=True)

@@ -19,14 +19,15 @@ from pipeline.datasets.synthetic import render_dataset
 from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge
+from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
 from pipeline.system.errors import require
-from spatialviz.cli_ask import Ask, Context, Frames, Relations, Render
-from spatialviz.options import ALL_FRAMES, FINE, NO, one_frame, print_json, warn_skipped
+from spatialviz.cli_ask import Ask, Context, Frames, Measure, Relations, Render
+from spatialviz.options import ALL_FRAMES, FINE, NO, numbers, one_frame, print_json, warn_skipped
 from spatialviz.printing import print_rows, print_summary, rate_bar, say
 from spatialviz.report.picture import save_picture
 
@@ -61,6 +62,17 @@ def run_relations(command: Relations) -> int:
         pairs += len(found.objects) * max(len(found.objects) - 1, 0)
         command.write(relation_records(found, relations), print_relations, found, relations)
     return FINE if pairs else NO
+
+
+def run_measure(command: Measure) -> None:
+    source = open_pipeline(command.dataset, **command.camera.camera(command.frame))
+    context = source.prepare(one_frame(source.dataset.frame_ids, command.frame, source.dataset.root))
+    (u0, v0), (u1, v1) = (
+        numbers(text, "U,V", int, "a pixel is two numbers") for text in (command.first, command.second)
+    )
+    found = measure(context.frame.depth, context.frame.camera, context.viewer, (u0, v0), (u1, v1))
+    record = {"frame": context.frame.id, **found.record(), "up_source": context.viewer.up_source}
+    command.write(record, print_measurement, found, context.viewer)
 
 
 def run_frames(command: Frames) -> int:
@@ -156,6 +168,8 @@ def print_ranking(trace: Trace) -> None:
     say(answer.below, style="dim")
     for text, meant in taken_as(trace.query, {label: c.labels for label, c in trace.candidates.items()}):
         say(f"'{text}' taken as {meant.name} ({meant.how})", style="dim")
+    for said, meant in trace.query.mended:
+        say(f"'{said}' read as '{meant}'", style="dim")
     for words, why in unused_words(trace.query):
         say(f"not used: '{words}': {why}", style="yellow")
     if len(trace.query.readings) > 1 or trace.query.default.root.triple is None:
@@ -180,6 +194,12 @@ def print_ranking(trace: Trace) -> None:
     for role, index in (("target", best.target), ("reference", best.reference)):
         for concern in () if index is None else trace.objects[index].lifted.quality.concerns:
             say(f"{role} {name(index)}: {concern}", style="yellow")
+
+
+def print_measurement(found: Measurement, viewer: ViewerAxes) -> None:
+    """The distance, and its parts along the viewer's axes."""
+    say((f"{found.distance:.3f} m", "bold"), "  " + "  ".join(found.words))
+    _warn_assumed(viewer)
 
 
 def _warn_assumed(viewer: ViewerAxes) -> None:

@@ -14,7 +14,8 @@ from typing import Any, Literal
 from rich.text import Text
 
 from pipeline.answering.opening import open_pipeline
-from pipeline.diagnosis.verdict import VERDICTS, read_marks
+from pipeline.diagnosis.marks import read_marks
+from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
 from pipeline.evaluation.records import read_records

@@ -13,9 +13,9 @@ from pipeline.labels.check import check_labels, finding_record
 from pipeline.labels.check.view import Finding
 from pipeline.labels.job import LabelReport, label_dataset
 from pipeline.labels.makers import makers_of
-from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import LabelConfig, SelectConfig
-from pipeline.labels.reading import open_labels
+from pipeline.labels.merge import SelectConfig, merge_labels
+from pipeline.labels.plan import SENTENCE_KINDS, LabelConfig
+from pipeline.labels.reading import SENTENCES_FILE, open_labels
 from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
 from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import label_statistics
@@ -36,6 +36,8 @@ def run_label(command: Label) -> int:
         style=command.style,
         seed=command.seed,
         second_opinion=command.second_opinion,
+        sentences=SENTENCE_KINDS if command.sentences == () else command.sentences or (),
+        sentences_a_kind=command.sentences_a_kind,
     )
     part, spec, selection = task_of(command.shard), command.source.spec(command.dataset), _selection(command.selection)
     try:
@@ -69,6 +71,7 @@ def run_label(command: Label) -> int:
         "candidates": report.candidates,
         "seconds": round(report.seconds, 3),
         "expressions": None if manifest is None else manifest.counts["expressions"],
+        "sentences": None if manifest is None else manifest.sentences,
         "hashes": None if manifest is None else {n: t.content_hash for n, t in manifest.tables.items()},
     }
     command.write(record, print_labelled, report, command.out)
@@ -144,6 +147,9 @@ def print_manifest(manifest: Manifest, out: str) -> None:
         f"{manifest.counts['expressions']} of {manifest.counts['candidates']} candidate expressions kept, "
         f"rules {manifest.profile['name']} {manifest.profile_hash[:12]}, settings {manifest.config_hash[:12]}"
     )
+    if made := manifest.sentences:
+        kinds = ", ".join(f"{count} {kind}" for kind, count in made.items())
+        say(f"{counted(sum(made.values()), 'sentence')} in {SENTENCES_FILE}: {kinds}")
     rows = ((name, str(entry.rows), entry.content_hash[:16]) for name, entry in manifest.tables.items())
     print_rows(("table", ">rows", "hash of its rows"), rows)
     for warning in manifest.warnings[:5]:

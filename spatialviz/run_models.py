@@ -72,7 +72,7 @@ def run_agree(command: Agree) -> int:
     )
     source, _ = command.source.open(command.dataset, command.also)
     frames = command.source.frames if command.frame == ALL_FRAMES else command.frame
-    names = source.sides
+    names = source.detector_names
     found = []
     with rate_bar("comparing", "frames") as advance:
         for frame_id, one in agree_frames(

@@ -31,9 +31,11 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PHRASE
+from pipeline.proposals.registry import open_detector
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.onnx_session import use_execution
 from pipeline.training.train import TrainConfig, need_torch
 from spatialviz.cli_labels import Review
 from spatialviz.options import FINE, NO, warn, warn_skipped
@@ -111,14 +113,15 @@ def _queue(command: Review, reviewed: Reviewed, labels: Labels) -> pa.Table:
 def _seen(
     command: Review, labels: Labels, automatic: Labels, advance: Callable[[str, int, int], None]
 ) -> tuple[ItemEvidence, ...]:
-    setup = command.second.setup()
-    if setup is None:
+    setup = command.second
+    if setup.detector is None:
         return ()
+    use_execution(setup.provider, False)
     dataset = command.source.open(automatic)
     if dataset is None:
         raise InputError("--detector needs the pictures", expected="--dataset DATASET")
     table = Synonyms.load(setup.synonyms)
-    detector = setup.open(dataset.class_names, table)
+    detector = open_detector(setup, dataset.class_names, table)
     found = detector_evidence(
         labels, dataset, detector, synonyms=table, progress=lambda n, of: advance("frames", n, of)
     )

@@ -16,14 +16,19 @@ def name_for(node: Node, detector: Detector, synonyms: Synonyms | None = None) -
     """What a detector is asked for: the whole phrase, or the thing without its attributes; None for everything.
 
     A detector of open vocabulary is given the phrase as it stands. One that knows only its own names is asked for the
-    phrase if that is one of them (`red bull`), else for the thing alone (`red mug`).
+    phrase if that is one of them (`red bull`), else for the thing alone (`red mug`); where that is misspelt, for the
+    one that it is a letter away from (`chiar`), which `taken_as` tells.
     """
     if detector.vocabulary is None:
         return node.label
     if node.anything and not match(node.name, detector.vocabulary, synonyms):
         return None
     whole = node.label == node.name or any(is_named(node.label, name, synonyms) for name in detector.vocabulary)
-    return node.label if whole else node.name
+    name = node.label if whole else node.name
+    if not match(name, detector.vocabulary, synonyms):
+        meant = meanings(name, detector.vocabulary, synonyms)[:1]
+        return meant[0].name if meant and meant[0].how == "spelling" else name
+    return name
 
 
 def detections(

@@ -136,11 +136,11 @@ class SceneEvidence:
         if choice.rank is not None:
             return ranked_probability(keys, belief, choice.rank)
         first = ranked_probability(keys, belief, 1)
-        place = self.side(choice.order, index)
-        if place is None:
+        share = self.side(choice.order, index)
+        if share is None:
             others = np.where(np.isnan(keys), 0.0, belief)
-            place = 1 - (others[None, :] * (keys[None, :] < keys[:, None])).sum(axis=1) / max(others.sum(), 1e-9)
-        return np.maximum(SIDE_AT_MOST * place, first)
+            share = 1 - (others[None, :] * (keys[None, :] < keys[:, None])).sum(axis=1) / max(others.sum(), 1e-9)
+        return np.maximum(SIDE_AT_MOST * share, first)
 
     def of_viewer(self, relation: str, index: np.ndarray, belief: np.ndarray) -> np.ndarray | None:
         """(K,) float64: a relation to who looks, as `closest to me`; None where it says nothing."""

@@ -73,7 +73,8 @@ def expression_record(query: Query) -> Record:
     """target, relation, reference (null without a relation), the tree, and, where there are several, the readings.
 
     With "inverse" the relation holds from the reference to the target: "table holding a lamp" is lamp on table.
-    "unused" lists the words that say something and could not be used, each with the reason.
+    "unused" lists the words that say something and could not be used, each with the reason; "mended" the misspelt words
+    of the grammar with what each was read as.
     """
     e = query.expression
     record: Record = {
@@ -89,6 +90,7 @@ def expression_record(query: Query) -> Record:
         readings=[r.description for r in query.readings] if len(query.readings) > 1 else None,
         tree=noun_record(query.default.root),
         unused=[{"text": text, "why": why} for text, why in unused_words(query)] or None,
+        mended=[{"said": said, "read_as": meant} for said, meant in query.mended] or None,
     )
 
 

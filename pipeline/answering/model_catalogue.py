@@ -186,13 +186,13 @@ def _missing(path: Path, kind: FileKind, names: tuple[str, ...]) -> tuple[str, .
     wanted = []
     for option in kind.options:
         try:
-            _needed_beside(path, option, names)
+            _need_companions(path, option, names)
         except InputError as error:
             wanted.append(str(error).removesuffix(f" [{path}]"))
     return tuple(dict.fromkeys(wanted))
 
 
-def _needed_beside(path: Path, option: str, names: tuple[str, ...]) -> None:
+def _need_companions(path: Path, option: str, names: tuple[str, ...]) -> None:
     """Find what an option needs beside the file; raises as the option itself would."""
     require(
         not (option == "--detector yolo-seg" and not names),

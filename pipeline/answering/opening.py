@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,9 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals import Detector, Segmented, Segmenter, make_segmenter
-from pipeline.proposals.registry import DetectorSetup, SegmenterFiles
+from pipeline.proposals.registry import SegmenterFiles, open_detector
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
+from pipeline.system.detector_setup import DetectorSetup, Fusion, named_model
 from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat, require
 
 ALL_FRAMES = "all"
@@ -75,7 +76,7 @@ class Pipeline:
         return prepare_frame(self.dataset, frame, self.config.lift)
 
     @property
-    def sides(self) -> tuple[str, str]:
+    def detector_names(self) -> tuple[str, str]:
         """The names of both detectors; those of their model files where they are of one kind."""
         a, b = (None if one is None else one.name for one in (self.detector, self.second_detector))
         files = [None if one is None else one.model for one in (self.setup, self.second_setup)]
@@ -147,7 +148,7 @@ def open_pipeline(
     synonyms: Path | None = None,
     config: AskConfig | None = None,
     fuse: Sequence[str] = (),
-    fusion: str = "wbf",
+    fusion: Fusion = "wbf",
     also: str | None = None,
 ) -> Pipeline:
     """Open a dataset and the models for it; the path "demo" is the built-in one, and a dataset may be open already.
@@ -193,17 +194,17 @@ def open_pipeline(
             raise InputError(f"{option} needs {what}", cause=cause, path=path_of)
     setup = None
     if isinstance(detector, str):
-        setup = DetectorSetup(detector, model, model_config, min_score, synonyms, tuple(fuse), fusion)
+        setup = DetectorSetup(detector, model, model_config, tuple(fuse), fusion, min_score, synonyms)
     elif detector is not None:
         own = {"model": model, "model_config": model_config, "min_score": min_score, "fuse": fuse or None}
         _refuse(own, f"the detector {detector.name}, which is made already")
-    second_setup = None if also is None else DetectorSetup.named(also, min_score, synonyms)
+    second_setup = None if also is None else DetectorSetup(*named_model(also), min_score=min_score, synonyms=synonyms)
 
     def make(min_score: float | None) -> Detector | None:
-        return None if setup is None else setup.with_min_score(min_score).open(dataset.class_names, table)
+        return None if setup is None else open_detector(replace(setup, min_score=min_score), dataset.class_names, table)
 
     found = make(min_score) if detector is None or isinstance(detector, str) else detector
-    second = None if second_setup is None else second_setup.open(dataset.class_names, table)
+    second = None if second_setup is None else open_detector(second_setup, dataset.class_names, table)
     if segmenter is not None:
         masks = segmenter
         if isinstance(masks, str):

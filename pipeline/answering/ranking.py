@@ -125,7 +125,8 @@ def rank(
     chosen = int(
         np.argmax([s - (0.0 if r.is_default else NON_DEFAULT_PENALTY) for r, s in zip(readings, best_of, strict=True)])
     )
-    pairs = _ranked_pairs(solved[chosen], mask_sizes, config)
+    found = SolvedReading(solved[chosen], _table(solved[chosen], mask_sizes, config))
+    pairs = tuple(found.pair(at) for at in found.table.order().tolist())
     degenerate = not pairs
     if degenerate:
         pairs = _targets_alone(candidates[readings[chosen].root.label])
@@ -270,14 +271,40 @@ def _table(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> PairTab
     return pair_table(replace(root.side, log=rest), ends, first.probability, first.forbidden, mask_sizes, config)
 
 
-def _ranked_pairs(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> tuple[ScoredPair, ...]:
-    table = _table(root, mask_sizes, config)
-    found = []
-    for at in table.order().tolist():
-        i, *ends = (int(x) for x in np.unravel_index(at, table.shape))
-        links, factors, product = _links(root, i, tuple(ends))
-        found.append(replace(table.pair(at), product=product, links=links, factors=factors))
-    return tuple(found)
+@dataclass(frozen=True, eq=False)
+class SolvedReading:
+    """The table of a reading's pairs, with all that the expression says of them.
+
+    Attributes
+    ----------
+    root : _Solved
+        The target with all below it.
+    table : PairTable
+        The pairs of its first relation; without one the targets alone.
+    """
+
+    root: _Solved
+    table: PairTable
+
+    def pair(self, at: int) -> ScoredPair:
+        """A pair of the table with its links and factors."""
+        i, *ends = (int(x) for x in np.unravel_index(at, self.table.shape))
+        links, factors, product = _links(self.root, i, tuple(ends))
+        return replace(self.table.pair(at), product=product, links=links, factors=factors)
+
+
+def solve(
+    root: Node,
+    candidates: Mapping[str, Candidates],
+    lookup: RelationLookup,
+    same: np.ndarray,
+    mask_sizes: np.ndarray,
+    config: RankConfig,
+    evidence: SceneEvidence | None = None,
+) -> SolvedReading:
+    """All pairs of one reading; arguments as for `rank`."""
+    solved = _Scene(candidates, lookup, same, config, evidence).solve(root, config.target_weight)
+    return SolvedReading(solved, _table(solved, mask_sizes, config))
 
 
 def _links(

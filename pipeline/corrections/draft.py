@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from pipeline.corrections.drawing.depth_region import joined, link_grid
+from pipeline.corrections.drawing.depth_region import joined, link_grid, nearest_pixel
 from pipeline.corrections.drawing.gestures import Canvas, Gesture, applied, goes_around, polygon_mask
 from pipeline.corrections.journal.edits import Edits, add_object, pixels_of, set_mask, split_object
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
@@ -256,12 +256,8 @@ def split_by_depth(mask: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...
         got=len(chosen),
         expected=f"at most {MOST_PARTS}",
     )
-    own = mask & np.isin(labels, chosen)
-    _, found = cv2.distanceTransformWithLabels((~own).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    nearest = np.asarray(found, np.int64)
-    part_of = np.zeros(int(nearest.max()) + 1, np.int64)
-    part_of[nearest[own]] = labels[own]
-    whose = part_of[nearest]
+    _, nearest = nearest_pixel(mask & np.isin(labels, chosen))
+    whose = labels.ravel()[nearest]
     return tuple(mask & (whose == k) for k in chosen)
 
 

@@ -30,7 +30,7 @@ from pipeline.corrections.review.label_jobs import LabelJobs
 from pipeline.corrections.unsaved import Unsaved, unsaved_actions
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
-from pipeline.system.whole_files import temporary_beside, write_synced
+from pipeline.system.whole_files import temporary_sibling, write_synced
 
 PATIENCE_S = 3.0
 """How long anybody waits for a journal that is being opened; it goes on being opened after that."""
@@ -231,7 +231,7 @@ def _written(lists: list[list[dict]], author: str, folders: Sequence[Path]) -> t
         try:
             for k, actions in enumerate(lists, start=1):
                 files.append(_free(folder, stem if len(lists) == 1 else f"{stem}-{k}"))
-                temporary = temporary_beside(files[-1])
+                temporary = temporary_sibling(files[-1])
                 write_synced(temporary, json.dumps(actions, ensure_ascii=False, indent=1).encode())
                 temporary.replace(files[-1])
         except OSError:

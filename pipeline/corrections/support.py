@@ -42,7 +42,7 @@ FARTHEST_M = 0.45
 """A support is not farther below, but for what is itself larger: the height of the lowest tables."""
 CLOSE_M, TOUCH_M = 0.03, 0.05
 """A box made of points ends so close to what the thing stands on; and in all but the worst views so close."""
-BESIDE_M, LEAST_LENGTH = 0.3, 0.7
+NEARBY_M, LEAST_LENGTH = 0.3, 0.7
 """So far beyond what is seen of it an object may still reach, where that is not much shorter in plan than the box."""
 OWN_BORDER_PX = 3
 """Pixels just outside a mask may still be the object's."""
@@ -142,8 +142,8 @@ def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObje
     bottom = gap_below(box, Support(0.0, None, 0, 0.0), viewer)
     if best is None or bottom - best.height > CLOSE_M:
         least = LEAST_LENGTH * float((hi - lo).max())
-        beside = sorted((o for o in others if _length(o) >= least), key=_length, reverse=True)
-        reached = (o for o in beside if _covered(o, lo, hi, BESIDE_M) >= CARRIED_SHARE)
+        nearby = sorted((o for o in others if _length(o) >= least), key=_length, reverse=True)
+        reached = (o for o in nearby if _covered(o, lo, hi, NEARBY_M) >= CARRIED_SHARE)
         touched = (c for o in reached for c in _surfaces_of(o, level, near) if abs(bottom - c.height) <= TOUCH_M)
         best = next(touched, best)
     best = needed(best, "nothing level is seen under the box: there is nothing to stand it on")

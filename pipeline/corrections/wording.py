@@ -28,9 +28,9 @@ SMALLEST_MOVE = 5e-4
 """Metres: less is not told of a box."""
 SMALLEST_TURN = 0.05
 """Degrees."""
-SAME_PLACE = 1e-3
+SAME_POSITION = 1e-3
 """A box that moves or grows by less, metres, is the same."""
-SAID = 3
+MOST_SHOWN = 3
 """So many changed relations are told one by one."""
 
 
@@ -239,7 +239,7 @@ class Consequences:
         parts += [str(b) for b in self.boxes] + list(self.unusable)
         if self.recomputed or self.changed:
             count = f"{counted(self.recomputed, 'relation')} recomputed, " if self.recomputed else "relations: "
-            told = "; ".join(map(str, self.changed[:SAID])) + (" ..." if len(self.changed) > SAID else "")
+            told = "; ".join(map(str, self.changed[:MOST_SHOWN])) + (" ..." if len(self.changed) > MOST_SHOWN else "")
             parts.append(f"{count}{len(self.changed) or 'none'} changed" + (f": {told}" if told else ""))
         texts = {"answered otherwise": self.answers, "withdrawn": self.withdrawn, "back": self.returned}
         parts += [f"{counted(len(found), 'expression')} {what}" for what, found in texts.items() if found]
@@ -300,7 +300,7 @@ def _box_changes(before: EffectiveFrame, after: EffectiveFrame, both: Iterable[i
                 yield BoxChange(n, _name(after, n), None, None, gone=now is None)
         else:
             moved = float(np.linalg.norm(now.center - was.center))
-            if moved >= SAME_PLACE or float(np.abs(now.corners - was.corners).max()) >= SAME_PLACE:
+            if moved >= SAME_POSITION or float(np.abs(now.corners - was.corners).max()) >= SAME_POSITION:
                 yield BoxChange(n, _name(after, n), moved, float(now.volume / max(was.volume, 1e-12)))
 
 

@@ -159,9 +159,10 @@ class AvdDataset(Recording):
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """The frames that each split of the site tests on, as far as their scans are here; see `SPLITS`."""
-        places = self._index.items()
+        entries = self._index.items()
         found = {
-            split: tuple(frame_id for frame_id, (scan, _) in places if scan in scans) for split, scans in SPLITS.items()
+            split: tuple(frame_id for frame_id, (scan, _) in entries if scan in scans)
+            for split, scans in SPLITS.items()
         }
         return {split: ids for split, ids in found.items() if ids}
 

@@ -15,7 +15,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
@@ -25,6 +24,7 @@ from pipeline.datasets.images import read_mask
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.masks import mask_box
 from pipeline.system.errors import InputError, require
 from pipeline.system.recent import Recent
 
@@ -165,9 +165,8 @@ def _extent(
     require(
         mask.shape == size, f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}"
     )
-    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
-    require(w != 0, "empty mask")
-    return np.array([x, y, x + w, y + h]), mask
+    require(mask.any(), "empty mask")
+    return np.array(mask_box(mask)), mask
 
 
 def _visible(info: Mapping[str, Any]) -> float | None:

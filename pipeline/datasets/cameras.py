@@ -234,11 +234,12 @@ def make_frame(
         raise InputError(str(error), path=depth_path) from error
 
 
-def files_of(pair: Pair, color: Path, depth: Path) -> tuple[Path, Path]:
-    """Both files of a frame; InputError where one is missing, which should be `color` or `depth`."""
+def files_of(pair: Pair, root: Path, color: Path | None = None, depth: Path | None = None) -> tuple[Path, Path]:
+    """Both files of a frame; InputError where one is missing, which should be `color` or `depth`, if that is known."""
+    present = pair.color or pair.depth or root
     return (
-        one_file([pair.color] if pair.color else [], "colour", color),
-        one_file([pair.depth] if pair.depth else [], "depth", depth),
+        one_file([pair.color] if pair.color else [], "colour", color or present),
+        one_file([pair.depth] if pair.depth else [], "depth", depth or present),
     )
 
 

@@ -77,12 +77,11 @@ class FolderDataset(Recording):
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
         pair = self._found(self._pairs, frame_id)
-        present = pair.color or pair.depth or self.root
-        color, depth = files_of(pair, present, present)
+        color, depth = files_of(pair, self.root)
         images = read_pair(color, depth, self._settings.depth_scale)
         notes: list[str] = [] if self._pose_problem is None else [f"no camera pose: {self._pose_problem}"]
-        place = self._poses.get(pair.key)
-        pose = None if place is None else or_note(notes, "no camera pose: ", place.read)
+        pose_text = self._poses.get(pair.key)
+        pose = None if pose_text is None else or_note(notes, "no camera pose: ", pose_text.read)
         return self._frame(frame_id, images, None, pose, color, depth, notes=notes)
 
 

@@ -81,8 +81,7 @@ class RedwoodDataset(Recording):
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
         files = self._found(self._pairs, frame_id)
-        present = files.color or files.depth or self.root
-        color, depth = files_of(files, present, present)
+        color, depth = files_of(files, self.root)
         pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE)
         notes = list(self._pose_notes)
         pose = None
@@ -104,10 +103,10 @@ def _layout(root: Path) -> _Layout | None:
         if len(recordings) != 1:
             return None
         frames = recordings[0]
-    places = list(dict.fromkeys((frames, root)))
+    folders = list(dict.fromkeys((frames, root)))
     above = root.resolve().parent if frames == root else root
-    cameras = [place / name for place in dict.fromkeys((*places, above)) for name in CAMERA_FILES]
-    logs = [place / TRAJECTORY for place in places]
+    cameras = [folder / name for folder in dict.fromkeys((*folders, above)) for name in CAMERA_FILES]
+    logs = [folder / TRAJECTORY for folder in folders]
     return _Layout(
         frames,
         next((path for path in cameras if _is_camera_file(path)), None),

@@ -23,7 +23,7 @@ from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.masks import RunLength, decode_run_length, encode_run_length
+from pipeline.geometry.masks import RunLength
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
 
@@ -108,7 +108,7 @@ def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:
 def _annotation_record(a: Annotation) -> dict[str, Any]:
     return {
         "index": a.index, "label": a.label, "bbox": [float(v) for v in a.bbox],
-        "mask": None if a.mask is None else {"size": a.mask.shape, "counts": encode_run_length(a.mask)},
+        "mask": None if a.mask is None else RunLength.of(a.mask),
         "box": None if a.box is None
         else {"center": a.box.center.tolist(), "R": a.box.R.tolist(), "size": a.box.size.tolist()},
         "visible": a.visible, "instance": a.instance, "difficulty": a.difficulty,
@@ -221,13 +221,8 @@ def _frame_part(manifest: dict[str, Any], path: Path) -> SavedFrame:
     return checked(SavedFrame.model_validate, manifest.get("frame"), DAMAGED, path, inside=("frame",))
 
 
-def _annotation(saved: SavedAnnotation, shape: tuple[int, ...]) -> Annotation:
-    mask = None
-    if saved.mask is not None:
-        if saved.mask.size != tuple(shape):
-            what = f"the mask of annotation {saved.index} has another size"
-            raise InputError(what, got=saved.mask.size, expected=shape)
-        mask = decode_run_length(saved.mask.size, saved.mask.counts, f"annotation {saved.index}")
+def _annotation(saved: SavedAnnotation, shape: tuple[int, int]) -> Annotation:
+    mask = None if saved.mask is None else saved.mask.decoded(shape, f"annotation {saved.index}")
     box = saved.box
     return Annotation(
         saved.index, saved.label, np.array(saved.bbox, np.float32), mask,

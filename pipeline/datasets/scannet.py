@@ -42,7 +42,9 @@ class ScanNetDataset(Recording):
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
         pair = self._found(self._pairs, frame_id)
-        color, depth = files_of(pair, self.root / "color" / f"{frame_id}.jpg", self.root / "depth" / f"{frame_id}.png")
+        color, depth = files_of(
+            pair, self.root, self.root / "color" / f"{frame_id}.jpg", self.root / "depth" / f"{frame_id}.png"
+        )
         rgb = read_color(color)
         metres = read_depth(depth, self._settings.depth_scale or UNITS_PER_METRE)
         notes: list[str] = []

@@ -170,7 +170,7 @@ def read_integers(file: Any, name: str) -> list[int]:
 
 
 def read_classes(file: Any) -> dict[int, str]:
-    """`data/objid_to_class`: the objects' class names by id. An entry is `name[id]`; without an id its place counts.
+    """`data/objid_to_class`: the objects' class names by id. An entry is `name[id]`; without an id its index counts.
 
     Raises
     ------
@@ -178,9 +178,9 @@ def read_classes(file: Any) -> dict[int, str]:
         Missing, or no list of names.
     """
     found: dict[int, str] = {}
-    for place, text in enumerate(read_names(file, "data/objid_to_class")):
+    for index, text in enumerate(read_names(file, "data/objid_to_class")):
         match = re.fullmatch(r"(.*?)\s*\[([0-9]{1,9})\]", text, re.ASCII | re.DOTALL)
-        name, number = (match[1], int(match[2])) if match else (text, place)
+        name, number = (match[1], int(match[2])) if match else (text, index)
         if name:
             found.setdefault(number, name)
     return found

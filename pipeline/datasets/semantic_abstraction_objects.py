@@ -26,7 +26,7 @@ SAMPLES_AN_OBJECT = 60
 
 @dataclass(frozen=True)
 class ObjectPoints:
-    """Points (M, 3) of the annotated objects and the place (M,) of each one's object, ascending, below `count`."""
+    """Points (M, 3) of the annotated objects and the index (M,) of each one's object, ascending, below `count`."""
 
     xyz: np.ndarray
     owner: np.ndarray
@@ -51,7 +51,7 @@ def points_of(xyz: np.ndarray, objects: np.ndarray, ids: list[int]) -> ObjectPoi
 
 
 def _owners(values: np.ndarray, ids: list[int]) -> np.ndarray:
-    """The place in `ids` (ascending) of each of many object ids; -1 for others."""
+    """The index in `ids` (ascending) of each of many object ids; -1 for others."""
     # Small integers are what numpy sorts fastest.
     table = np.full((ids[-1] if ids else 0) + 2, -1, np.int16 if len(ids) < 2**15 else np.int32)
     table[ids] = np.arange(len(ids))
@@ -282,7 +282,7 @@ class _Grid:
     def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Each point's cell (N, 3) int64, and whether there is such a cell (N,) bool."""
         with np.errstate(invalid="ignore", over="ignore"):
-            place = np.floor((points - self.low) / self.cell)
+            cell = np.floor((points - self.low) / self.cell)
         size = np.array(self.taken.shape[1:])
-        inside: np.ndarray = np.all((place >= 0) & (place < size), axis=1)
-        return np.where(inside[:, np.newaxis], place, 0).astype(np.int64), inside
+        inside: np.ndarray = np.all((cell >= 0) & (cell < size), axis=1)
+        return np.where(inside[:, np.newaxis], cell, 0).astype(np.int64), inside

@@ -75,7 +75,7 @@ class SevenScenesDataset(Recording):
 
 def _camera_file(root: Path, folder: Path) -> Path | None:
     """The intrinsics beside the frames of a folder, or else in the opened one."""
-    files = (place / "camera-intrinsics.txt" for place in (folder, root))
+    files = (parent / "camera-intrinsics.txt" for parent in (folder, root))
     return next((path for path in files if path.is_file()), None)
 
 

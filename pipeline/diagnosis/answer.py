@@ -12,7 +12,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import holds, pair_words, present, told, trace_record, why_no_answer
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.substitution import names_of
+from pipeline.diagnosis.oracles import RECALL, names_of
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.system.errors import InputError
 
@@ -172,12 +172,13 @@ def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
         "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": d.text, "repair": list(d.repair),
         "mends": list(d.mends),
         "truth": {
-            "target": int(numbers[case.target_object]), "reference": int(numbers[case.reference_object]),
+            "target": int(numbers[case.target_object]),
+            "reference": int(numbers[case.reference_object]) if case.reference else None,
             "targets": numbers[case.strict].tolist(), "acceptable": numbers[case.acceptable].tolist(),
         },
         "winner": _pair_record(d.winner), "right": _pair_record(d.right),
         "contributions": None if d.contributions is None else {k: round(v, 6) for k, v in d.contributions.items()},
-        "margins": {"+".join(names_of(s)) or "none": _rounded(d.margins[s]) for s in (0, 2, 4, 8, 14, 15)},
+        "margins": {"+".join(names_of(s)) or "none": _rounded(d.margins[s]) for s in _shown(d)},
         "needed": [
             {"factor": n.factor, "right": round(n.right, 6), "winner": round(n.winner, 6),
              "right_above": _rounded(n.right_above), "winner_below": _rounded(n.winner_below)}
@@ -186,10 +187,17 @@ def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
     } | present(missed=missed)  # fmt: skip
 
 
+def _shown(d: Diagnosis) -> tuple[int, ...]:
+    """The subsets of oracles whose margins are told: none, each alone that is no RECALL, these together, and all."""
+    last = len(d.margins) - 1
+    return (0, *(1 << k for k in range(1, len(d.oracles))), last - RECALL, last)
+
+
 def _pair_record(pair: ScoredPair | None) -> dict[str, Any] | None:
     if pair is None:
         return None
-    factors = {name: round(getattr(pair, name), 6) for name in ("p_target", "p_reference", "p_relation", "log_score")}
+    names = ("p_target", "p_reference", "p_relation", *(("p_attributes",) if pair.factors else ()), "log_score")
+    factors = {name: round(getattr(pair, name), 6) for name in names}
     return {"target": pair.target, "reference": pair.reference, **factors}
 
 

@@ -17,10 +17,10 @@ from pipeline.datasets.base import scene_of
 from pipeline.diagnosis.answer import Answer, Edited
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
+from pipeline.diagnosis.sentence_truth import closest_pair, sentence_case
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Baseline, read_edits, rerun
-from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases, read_query
+from pipeline.labels.cases import Case, FrameCases, frame_cases, is_gold, read_cases, read_query
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import open_second_opinion
@@ -245,18 +245,20 @@ def labelled_case(truth: FrameCases, text: str) -> Case | None:
     return next((c for c in truth.cases if " ".join(c.text.casefold().split()) == wanted), None)
 
 
-def case_of(truth: FrameCases, trace: Trace, source: Pipeline) -> tuple[FrameCases, Case] | str:
+def case_of(truth: FrameCases, trace: Trace, source: Pipeline, context: PreparedFrame) -> tuple[FrameCases, Case] | str:
     """A typed expression with its truth by the relations of the frame, or why there is none.
+
+    One that says more than a relation between two names is a `sentence_case`.
 
     Nobody has labelled one pair as meant: of those of which it is true beyond doubt, it is the one that was answered,
     else the one with the answered target, else with the answered reference, else the first in the order of the objects.
     """
     query = trace.query
     e = query.expression
-    if len(query.readings) > 1 or e is None or query.default.root.triple is None or e.second_reference or e.inverse:
-        return "the truth of what is no single relation, of attributes, or of “holding”, is not worked out"
-    if e.relation not in truth.states:
-        return f"the truth of {e.relation!r} is not known"
+    plain = len(query.readings) == 1 and query.default.root.triple is not None
+    if e is None or not plain or e.second_reference or e.inverse or e.relation not in truth.states:
+        made = sentence_case(truth, trace, source, context)
+        return made if isinstance(made, str) else (truth, made)
     known = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))
     meant = [match(name, known, source.synonyms) for name in (e.target, e.reference)]
     ends = [np.array([label in names for label in truth.labels], np.bool_) for names in meant]
@@ -265,7 +267,7 @@ def case_of(truth: FrameCases, trace: Trace, source: Pipeline) -> tuple[FrameCas
     sure = np.argwhere(states == T)
     if not len(sure):
         return "in this frame the expression is true of nothing beyond doubt"
-    a, b = (int(x) for x in sure[_closest(sure, trace, truth)])
+    a, b = (int(x) for x in sure[closest_pair(sure, trace, truth)])
     # Only the rows of the two ends are read: whatever the names mean here is of the asked class.
     alike = np.eye(len(truth.labels), dtype=np.bool_)
     alike[a], alike[b] = ends
@@ -275,17 +277,6 @@ def case_of(truth: FrameCases, trace: Trace, source: Pipeline) -> tuple[FrameCas
         reference_object=b, strict=strict, acceptable=acceptable, ambiguous=len(acceptable) > 1, margin=float("nan"),
     )  # fmt: skip
     return replace(truth, alike=alike, cases=(case,)), case
-
-
-def _closest(pairs: np.ndarray, trace: Trace, truth: FrameCases) -> int:
-    """Which of the pairs was answered: by the overlap with the target, and of equal ones with the reference."""
-    if trace.ranking is None or not trace.ranking.pairs:
-        return 0
-    best = trace.ranking.pairs[0]
-    indices = (best.target, best.target if best.reference is None else best.reference)
-    overlap = iou_2d(np.array([trace.objects[k].bbox for k in indices], np.float64), truth.boxes)
-    overlap[overlap < HIT] = 0
-    return int(np.lexsort((-overlap[1, pairs[:, 1]], -overlap[0, pairs[:, 0]]))[0])
 
 
 def judge_trace(
@@ -320,18 +311,28 @@ def judge_trace(
     """
     case = case or labelled_case(truth, trace.query.text)
     if case is None:
-        made = case_of(truth, trace, source)
+        made = case_of(truth, trace, source, context)
         if isinstance(made, str):
             return made
         truth, case = made
     if rank is not None:
         source = replace(source, config=replace(source.config, rank=rank))
-    names = (case.target, case.reference)
+    names = [name for name, _ in truth.roles(case)]
     if is_gold(trace.query, case) and all(name in trace.candidates for name in names):
         answers = FrameAnswers.of_trace(source, context, trace)
     else:
-        answers = FrameAnswers(source, context, names, (case.relation,))
+        answers = FrameAnswers(source, context, names, case.relations)
     return judge_answers(answers, truth, case, trace.query, mark=mark, confidence=confidence)
+
+
+def judge_sentence(
+    trace: Trace, source: Pipeline, context: PreparedFrame, truth: FrameCases, right: np.ndarray
+) -> Diagnosis | str:
+    """The verdict on a trace whose right answers are given, (K,) int64 labelled objects; or why there can be none."""
+    case = sentence_case(truth, trace, source, context, right)
+    if isinstance(case, str):
+        return case
+    return judge_answers(FrameAnswers.of_trace(source, context, trace), truth, case, trace.query)
 
 
 def judge_answers(

@@ -8,18 +8,24 @@ LABEL        AMBIGUOUS: the answer is another acceptable target; BAD_LABEL, BAD_
              not list it
 OPM-TARGET   no candidate overlaps an acceptable target: RANK, THRESHOLD, LOCALISATION or ABSENT (`why_missed`)
 OPM-REF      no candidate pair is an acceptable one
-LIFT, SRM, OPM-CONF, PRM, COMPOUND
+LIFT, ATTRIBUTE, SRM, OPM-CONF, PRM, COMPOUND
              an acceptable pair stood among the candidates and lost. Each oracle is applied alone and the pairs are
              ranked again. Exactly one makes an acceptable pair win: it names the verdict; CONF is OPM-CONF where a
              false positive won, and PRM where two real objects did, whose confidences overruled the relation. Several
              do: the one with the largest margin of the best acceptable over the best other pair; within 1e-6 the
-             earlier stage. None does: COMPOUND, with the smallest subset of the three that does. Not even all three:
-             PRM, DEGENERATE: the right pair is excluded as one thing, or lost by a rule for ties.
+             earlier stage. None does: COMPOUND, with the smallest subset of them that does. Not even all of them:
+             PRM, DEGENERATE: the right pair is excluded as one thing, or lost by a rule for ties. ATTRIBUTE is there
+             only for expressions with attributes.
+
+A choice among things ("leftmost", "second from the left"), a negation, and what is said of the viewer are relations of
+a thing to its like, and worked out from boxes, attributes and confidences. A wrong one is the fault of whichever of
+these mends it; of RECALL (COMPOUND), where only the things that were not found do; where nothing does, SRM's: CHOICE.
 
 When several oracles are compared, relations count by what the network decides: above .5 as .99, below as .01, as the
-truth has it. Else the truth, which is never less sure than a network, would go farther than any true geometry and any
-true confidence, and a relation that the network had right, only not to .99, would be blamed for a broken box or for
-confidences that overruled it. Where the network decides wrongly, the truth still goes farther, and SRM is named.
+truth has it; attributes likewise, from where they hold on. Else the truth, which is never less sure than a network,
+would go farther than any true geometry and any true confidence, and a relation that the network had right, only not to
+.99, would be blamed for a broken box or for confidences that overruled it. Where the network decides wrongly, the truth
+still goes farther, and SRM is named.
 (With planted faults: see `tests/benchmarks/planted.py`.)
 """
 
@@ -27,21 +33,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import prod
 
 import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.substitution import (
-    CONF,
-    LIFT,
-    SRM,
-    SUBSETS,
-    CandidateSet,
-    OracleScores,
-    names_of,
-    needed_changes,
-    substitute,
-)
+from pipeline.diagnosis.needed import Needed, needed_changes
+from pipeline.diagnosis.oracles import ATTRIBUTE, CONF, LIFT, RECALL, SRM, CandidateSet, OracleScores, names_of
+from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.verdict import Diagnosis, Missed, explain
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
@@ -50,8 +49,8 @@ from pipeline.language.tree import Query
 from pipeline.proposals.base import Detector, Proposals, suppress
 from pipeline.system.errors import InputError
 
-_FLIPS = (LIFT, SRM, CONF)
-_ALL_FLIPS = LIFT | SRM | CONF
+_FLIPS = {LIFT: "LIFT", ATTRIBUTE: "ATTRIBUTE", SRM: "SRM", CONF: "OPM-CONF"}
+"""The oracles that are applied where a right pair stood among the candidates and lost, in the order of the stages."""
 SAME_MARGIN = 1e-6
 
 
@@ -88,11 +87,11 @@ def diagnose(
 def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
     found = substitute(evidence, case)
     pair, alone = found.pair(), found.alone()
-    winner = None if pair is None else found.plain.pair(int(found.winners[0]))
+    winner = None if pair is None else found.pair_at(int(found.winners[0]))
     index = found.best_acceptable
     target = pair[0] if pair is not None else alone
     overlap = 0.0 if target is None or not parse_ok else float(found.target.overlap[target, case.target_object])
-    flip = _smallest(found, range(1, SUBSETS))
+    flip = _smallest(found, range(1, found.subsets))
     right = None if index is None else index[0] * found.covered.shape[1] + index[1]
     lost = pair is not None and right is not None and not found.covered[pair]
     diagnosis = Diagnosis(
@@ -100,13 +99,13 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
         detail=None,
         lucky=False,
         repair=() if flip is None else names_of(flip),
-        right_with=int((found.right_target << np.arange(SUBSETS)).sum()),
+        right_with=int((found.right_target << np.arange(found.subsets)).sum()),
         margins=found.margins,
         winner=winner if parse_ok else None,
-        right=None if right is None else found.plain.pair(right),
+        right=None if right is None else found.pair_at(right),
         false_target=target is not None and bool(found.target.object[target] < 0),
-        false_reference=pair is not None and bool(found.reference.object[pair[1]] < 0),
-        needed=needed_changes(found.plain, int(found.winners[0]), right) if lost and right is not None else (),
+        false_reference=bool(case.reference) and pair is not None and bool(found.reference.object[pair[1]] < 0),
+        needed=_needed(found, case, right) if lost and right is not None else (),
         pseudo=_pseudo(evidence, found, [p for p in (pair, index) if p is not None]),
         gold=parse_ok,
         case=case,
@@ -131,17 +130,37 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
         wanted = pairs[np.asarray((shown & np.asarray(pairs.any(axis=1))[None]).any(axis=0))].any(axis=0)
         missed = _missed(evidence, case.reference, np.flatnonzero(wanted))
         return replace(diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference)
-    flips = [bit for bit in _FLIPS if found.accepted[bit]]
+    flips = [bit for bit in _FLIPS if bit < found.subsets and found.accepted[bit]]
     verdict, detail, repair = _flipped(found, diagnosis, flips)
     mends = tuple(name for bit in flips for name in names_of(bit))
     return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair), mends=mends)
 
 
+def _needed(found: OracleScores, case: Case, right: int) -> tuple[Needed, ...]:
+    winner = int(found.winners[0])
+    if case.meant is None:
+        return needed_changes(found.plain, winner, right)
+    if case.meant.chooses:
+        # Which thing is chosen depends on all others: no factor has a say by itself.
+        return ()
+    ours, theirs = (
+        prod(f.probability for f in found.pair_at(at).factors if f.mention == case.meant.root.mention)
+        for at in (right, winner)
+    )
+    looks = (ours, theirs) if case.meant.root.attributes else None
+    return needed_changes(found.plain, winner, right, looks)
+
+
 def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tuple[str, str | None, int]:
     """Verdict, detail and repair where an acceptable pair lost; `flips` are the oracles that alone mend it."""
     if not flips:
-        several = [s for s in range(SUBSETS) if not s & ~_ALL_FLIPS and s.bit_count() > 1]
+        several = [s for s in range(found.subsets) if not s & RECALL and s.bit_count() > 1]
         smallest = _smallest(found, several)
+        if smallest is None and diagnosis.case.meant is not None and diagnosis.case.meant.chooses:
+            # Which thing is the second from the left depends on those that were not found, too.
+            smallest = _smallest(found, [s for s in range(found.subsets) if s & RECALL])
+            if smallest is None:
+                return "SRM", "CHOICE", 0
         if smallest is None:
             return "PRM", "DEGENERATE", 0
         return "COMPOUND", "+".join(names_of(smallest)), smallest
@@ -153,7 +172,7 @@ def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tup
     if chosen == CONF:
         real = not (diagnosis.false_target or diagnosis.false_reference)
         return ("PRM" if real else "OPM-CONF"), None, CONF
-    return ("LIFT" if chosen == LIFT else "SRM"), None, chosen
+    return _FLIPS[chosen], None, chosen
 
 
 def _smallest(found: OracleScores, subsets: range | list[int]) -> int | None:

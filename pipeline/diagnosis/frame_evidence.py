@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -97,6 +98,15 @@ class FrameEvidence:
         self.roles: dict[tuple[str, bytes], Any] = {}
         self._probabilities: dict[str, np.ndarray] = {}
 
+    def object_at(self, index: int) -> SceneObject:
+        """A detection, or from index D on a labelled object with its own pixels; none where it has only a box."""
+        if index < self.detections:
+            return self.answers.objects[index]
+        found = self.objects.get(index - self.detections, points=True)
+        assert found is not None
+        frame = self.answers.context.frame
+        return found if found.mask.size else replace(found, mask=np.zeros((frame.height, frame.width), np.bool_))
+
     def match_at(self, indices: np.ndarray) -> np.ndarray:
         """(K,) int64: the labelled object, of whatever class, at each index of the list; -1 for none."""
         return np.asarray(np.concatenate([self.match, np.arange(self.labelled)])[indices], np.int64)
@@ -107,7 +117,7 @@ class FrameEvidence:
         Among detections these are the very numbers of the answer. NaN for other pairs, and where geometry is not known.
         """
         if relation not in self._probabilities:
-            asked = {case.relation for case in self._cases}
+            asked = {relation for case in self._cases for relation in case.relations}
             # The directions cost next to nothing; what looks at points is scored for the objects it is asked of.
             together = [r for r in DIRECTIONAL if r in asked] if relation in DIRECTIONAL else [relation]
             self._score(together or [relation])
@@ -136,11 +146,11 @@ class FrameEvidence:
         candidates = [np.zeros(0, np.int64)]
         labelled = np.zeros(self.labelled, np.bool_)
         for case in self._cases:
-            if case.relation not in relations:
+            if case.relations.isdisjoint(relations):
                 continue
-            for name, example in ((case.target, case.target_object), (case.reference, case.reference_object)):
+            for name, asked in self.truth.roles(case):
                 candidates.append(self.answers.candidates[name].index)
-                labelled |= self.truth.alike[example]
+                labelled |= asked
         indices = np.unique(np.concatenate(candidates))
         matched = self.match[indices]
         labelled[matched[matched >= 0]] = True

@@ -1,221 +1,47 @@
-"""One expression ranked sixteen times: with every subset of the oracles in place of what the modules gave.
-
-Each oracle replaces what one module gave by the truth, and nothing else.
-
-RECALL
-    Every labelled object of an asked class that no candidate overlaps by half
-    joins the candidates, with its own pixels lifted and with the median
-    confidence of the run's right detections.
-LIFT
-    Every candidate that is an object gets that object's true geometry; the
-    relation scorer then scores it anew. Two of them that are different objects
-    no longer count as one thing because their masks are alike, only because
-    their 2D boxes are. What is no object stays as it is.
-SRM
-    The relation of two candidates that are both objects is .99, .50 or .01, as
-    the label says T, U or F. Where one is no object, or the pair was not
-    judged, it stays.
-CONF
-    A candidate that is an object of the asked class is given .99, every other one .01.
-"""
+"""One expression ranked with every subset of the oracles; `oracles` says what they are."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from functools import cached_property
-from math import exp, inf, log
 
 import numpy as np
 
 from pipeline.answering.pair_table import (
-    HOLDS,
-    MIN_RELATION,
-    MIN_SCORE,
-    PairTable,
     Side,
     one_object_twice,
     pair_table,
     side,
 )
-from pipeline.diagnosis.frame_evidence import FrameEvidence, matched
-from pipeline.geometry.boxes import iou_2d
+from pipeline.diagnosis.frame_evidence import FrameEvidence
+from pipeline.diagnosis.oracles import (
+    CONF,
+    LIFT,
+    RECALL,
+    RIGHT_SCORE,
+    SRM,
+    SUBSETS,
+    WRONG_SCORE,
+    CandidateSet,
+    OracleScores,
+    relation_of,
+    role_of,
+)
+from pipeline.diagnosis.sentence_substitution import substitute_sentence
 from pipeline.labels.cases import HIT, Case
-
-FACTORS = ("target", "reference", "relation")
-
-ORACLES = ("RECALL", "LIFT", "SRM", "CONF")
-RECALL, LIFT, SRM, CONF = (1 << k for k in range(4))
-SUBSETS = 16
-STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
-RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
-
-_ALL = np.arange(SUBSETS)
-
-
-@dataclass(frozen=True, eq=False)
-class CandidateSet:
-    """What may fill one place of the expression: its candidates, then the labelled objects that RECALL adds.
-
-    Attributes
-    ----------
-    index : (K,) int64
-        In the list of the frame's evidence.
-    found : int
-        How many of them are candidates.
-    scores : (K,) float64
-    object : (K,) int64
-        The labelled object of the asked class that each is; -1 for a false positive.
-    shape_of : (K,) int64
-        The labelled object whose geometry LIFT gives it, of whatever class; -1 where it keeps its own.
-    overlap : (K, N) float64
-        With every labelled object.
-    """
-
-    index: np.ndarray
-    found: int
-    scores: np.ndarray
-    object: np.ndarray
-    shape_of: np.ndarray
-    overlap: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class OracleScores:
-    """All candidate pairs of one expression under all subsets of the oracles.
-
-    Attributes
-    ----------
-    target, reference : CandidateSet
-    table : PairTable
-        One scene a subset; no pair is there whose objects are one thing, or have not been recalled.
-    p_relation : (2, 2, T, R) float64
-        Without and with LIFT, without and with SRM.
-    covered : (T, R) bool
-        Acceptable pairs.
-    right : (T,) bool
-        Targets of which the expression is or may be true.
-    """
-
-    target: CandidateSet
-    reference: CandidateSet
-    table: PairTable
-    p_relation: np.ndarray
-    covered: np.ndarray
-    right: np.ndarray
-
-    @cached_property
-    def plain(self) -> PairTable:
-        """The pairs without any oracle, as they were ranked."""
-        return self.table.scene(0)
-
-    @cached_property
-    def winners(self) -> np.ndarray:
-        """(16,) int64: the winning pair under each subset as i * R + j; -1 where there is no pair."""
-        return self.table.first()
-
-    @cached_property
-    def best_acceptable(self) -> tuple[int, int] | None:
-        """The acceptable pair among the candidates that stands highest, by the ranking's order, without any oracle."""
-        at = int(self.plain.first(self.covered)[0])
-        return None if at < 0 else divmod(at, self.covered.shape[1])
-
-    def pair(self, subset: int = 0) -> tuple[int, int] | None:
-        """The winner under a subset as indices in the two roles."""
-        at = int(self.winners[subset])
-        return None if at < 0 else divmod(at, self.covered.shape[1])
-
-    @cached_property
-    def accepted(self) -> np.ndarray:
-        """(16,) bool: an acceptable pair wins."""
-        flat = self.covered.ravel()
-        return np.array([w >= 0 and bool(flat[w]) for w in self.winners])
-
-    @cached_property
-    def right_target(self) -> np.ndarray:
-        """(16,) bool: the answer's target is right by set-valued accuracy; without any pair the best target answers."""
-        columns = self.covered.shape[1]
-        answers = [self.alone(s) if w < 0 else w // columns for s, w in enumerate(self.winners.tolist())]
-        return np.array([target is not None and bool(self.right[target]) for target in answers])
-
-    def alone(self, subset: int = 0) -> int | None:
-        """The target that answers where all pairs are one thing; None where a role has no candidate at all."""
-        t, r = ((len(x.index) if subset & RECALL else x.found) for x in (self.target, self.reference))
-        if self.winners[subset] >= 0 or not t or not r:
-            return None
-        return int(np.argmax(self.table.target.scores[subset, :t]))
-
-    @cached_property
-    def margins(self) -> np.ndarray:
-        """(16,) float64: how far the best acceptable pair stands above the best other one; -inf, inf where one lacks.
-
-        Their difference in S; where the probabilities of a target's pairs are summed up and the two have different
-        targets, that of the logs of these sums.
-        """
-        return _margins(self.table, self.covered)
-
-    def decided_margin(self, subset: int) -> float:
-        """The margin by what the network decides: a relation above .5 counts as the truth's .99, one below as .01."""
-        table = self.table.scene(subset)
-        p = table.p_relation
-        decided = np.where(p > HOLDS, STATE_PROBABILITY[1], np.where(p < HOLDS, STATE_PROBABILITY[-1], p))
-        return float(_margins(table.with_relation(decided), self.covered)[0])
-
-
-def _margins(table: PairTable, covered: np.ndarray) -> np.ndarray:
-    flat, right = table.flat, covered.ravel()
-    best = np.where(right, flat, -np.inf).max(axis=1, initial=-np.inf)
-    other = np.where(right, -np.inf, flat).max(axis=1, initial=-np.inf)
-    found = np.full(len(flat), np.nan)
-    either = np.isfinite(best) | np.isfinite(other)
-    found[either] = best[either] - other[either]
-    both = np.flatnonzero(np.isfinite(best) & np.isfinite(other))
-    if table.config.aggregate == "marginal" and len(both):
-        a, b = table.first(covered)[both], table.first(~covered)[both]
-        i, k = a // covered.shape[1], b // covered.shape[1]
-        mass = np.log(np.maximum(table.target_posterior[both], 1e-300))
-        every = np.arange(len(both))
-        # Pairs of one target are compared by S.
-        found[both] = np.where(i == k, flat[both, a] - flat[both, b], mass[every, i] - mass[every, k])
-    return found
-
-
-def _role(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateSet:
-    """The candidates of a name and the labelled objects ((N,) bool, those of the asked class) that are missing there.
-
-    Made once for all expressions of the frame that ask for it.
-    """
-    key, candidates = (name, asked.tobytes()), evidence.answers.candidates[name]
-    if key in evidence.roles:
-        return evidence.roles[key]
-    overlap = evidence.overlap[candidates.index]
-    own, objects = np.where(asked, overlap, 0.0), matched(overlap, asked)
-    shapes = np.where(objects >= 0, objects, evidence.match[candidates.index])
-    shapes = np.where((shapes >= 0) & evidence.objects.known[shapes], shapes, -1) if evidence.labelled else shapes
-    covered = (own >= HIT).any(axis=0) if len(own) else np.zeros(evidence.labelled, np.bool_)
-    missing = np.flatnonzero(asked & ~covered & evidence.objects.known)
-    truth = evidence.truth.boxes
-    evidence.roles[key] = CandidateSet(
-        index=np.concatenate([candidates.index, evidence.detections + missing]).astype(np.int64),
-        found=len(candidates.index),
-        scores=np.concatenate([candidates.scores, np.full(len(missing), evidence.confidence)]),
-        object=np.concatenate([objects, missing]).astype(np.int64),
-        shape_of=np.concatenate([shapes, missing]).astype(np.int64),
-        overlap=np.concatenate([overlap, iou_2d(truth[missing], truth).reshape(-1, evidence.labelled)]),
-    )
-    return evidence.roles[key]
 
 
 def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
-    """Rank an expression's pairs with every subset of the oracles, on its gold triple."""
+    """Rank an expression's pairs with every subset of the oracles, on its gold triple; a sentence as it was read."""
+    if case.meant is not None:
+        return substitute_sentence(evidence, case, case.meant)
     truth, answers = evidence.truth, evidence.answers
-    target = _role(evidence, case.target, truth.alike[case.target_object])
-    reference = _role(evidence, case.reference, truth.alike[case.reference_object])
+    target = role_of(evidence, case.target, truth.alike[case.target_object])
+    reference = role_of(evidence, case.reference, truth.alike[case.reference_object])
     pairs = truth.acceptable_pairs(case).astype(np.int32)
     hits, ends = ((role.overlap >= HIT).astype(np.int32) for role in (target, reference))
-    p = _relation(evidence, case.relation, target, reference)
+    p = relation_of(evidence, case.relation, target, reference)
     config = answers.source.config.rank
-    lift, srm, conf = (((_ALL & bit) > 0).astype(int) for bit in (LIFT, SRM, CONF))
-    unseen = (_ALL & RECALL) == 0
+    every = np.arange(SUBSETS)
+    lift, srm, conf = (((every & bit) > 0).astype(int) for bit in (LIFT, SRM, CONF))
+    unseen = (every & RECALL) == 0
     same, same_box = (
         one_object_twice((target.index, reference.index), table) for table in (evidence.same, evidence.same_box)
     )
@@ -248,145 +74,3 @@ def _side(role: CandidateSet, conf: np.ndarray, weight: float) -> Side:
     true = np.where(role.object >= 0, RIGHT_SCORE, WRONG_SCORE)
     both = side(role.index, np.stack([role.scores, true]), weight)
     return Side(both.index, both.scores[conf], both.log[conf])
-
-
-def _relation(evidence: FrameEvidence, relation: str, target: CandidateSet, reference: CandidateSet) -> np.ndarray:
-    """(2, 2, T, R): without and with LIFT, without and with SRM."""
-    table = evidence.probabilities(relation)
-    base = table[target.index[:, None], reference.index]
-    shaped = [
-        np.where(role.shape_of >= 0, evidence.detections + role.shape_of, role.index) for role in (target, reference)
-    ]
-    lifted = table[shaped[0][:, None], shaped[1]]
-    # Two candidates that are one object stand in no relation to each other.
-    lifted = np.where(shaped[0][:, None] == shaped[1][None, :], STATE_PROBABILITY[-1], lifted)
-    moved = (target.shape_of >= 0)[:, None] | (reference.shape_of >= 0)[None, :]
-    lifted = np.where(moved & np.isfinite(lifted), lifted, base)
-    a, b = (np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference))
-    if evidence.labelled:
-        known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])
-        states = evidence.truth.states[relation][a[:, None], b[None, :]]
-        judged = evidence.truth.judged[a[:, None], b[None, :]] & (a >= 0)[:, None] & (b >= 0)[None, :]
-        told = np.where(
-            (a[:, None] == b[None, :]) & (a >= 0)[:, None], STATE_PROBABILITY[-1], known[states.astype(int) + 1]
-        )
-        judged |= (a[:, None] == b[None, :]) & (a >= 0)[:, None]
-    else:
-        judged, told = np.zeros(base.shape, np.bool_), base
-    found = np.array([[p, np.where(judged, told, p)] for p in (base, lifted)])
-    return np.where(np.isfinite(found), found, MIN_RELATION)
-
-
-def names_of(subset: int) -> tuple[str, ...]:
-    """The oracles of a subset, which is a number with one bit for each."""
-    return tuple(name for k, name in enumerate(ORACLES) if subset >> k & 1)
-
-
-@dataclass(frozen=True)
-class Needed:
-    """What one factor would have to be, all else as it is.
-
-    Attributes
-    ----------
-    factor : str
-        target, reference or relation.
-    right, winner : float
-        The factor of the best acceptable pair and of the answer now.
-    right_above : float or None
-        The right pair wins as soon as its factor is above this; None where no probability is enough.
-    winner_below : float or None
-        The right pair wins as soon as the answer's factor is below this; None where none is low enough, or it is
-        shared by both pairs, so that it cannot be lowered for one alone.
-    """
-
-    factor: str
-    right: float
-    winner: float
-    right_above: float | None
-    winner_below: float | None
-
-
-def needed_changes(table: PairTable, winner: int, right: int) -> tuple[Needed, ...]:
-    """For each factor of weight above 0 the change that alone would put the right pair first, the smallest first.
-
-    Parameters
-    ----------
-    table : PairTable
-        Of one scene, with one reference.
-    winner, right : int
-        The pair that comes first, and the one that should.
-    """
-    config, ours, theirs = table.config, table.pair(right), table.pair(winner)
-    weights = (config.target_weight, config.reference_weight, config.relation_weight)
-    order = table.order()
-    ahead = np.zeros(table.flat.shape[1], np.bool_)
-    ahead[order[: int(np.flatnonzero(order == right)[0])]] = True
-    found = []
-    for factor, weight in zip(FACTORS, weights, strict=True):
-        if weight <= 0:
-            continue
-        low, high = (MIN_RELATION, 1.0) if factor == "relation" else (MIN_SCORE, 1 - MIN_SCORE)
-        mine, other = (max(getattr(pair, f"p_{factor}"), low) for pair in (ours, theirs))
-        up, down = _least_rise(table, factor, right, ahead), _least_fall(table, factor, winner, right, ahead)
-        above, below = mine * exp(min(up / weight, 700.0)), other * exp(-min(down / weight, 700.0))
-        found.append(Needed(factor, mine, other, above if above < high else None, below if below >= low else None))
-    return tuple(sorted(found, key=lambda n: inf if n.right_above is None else n.right_above - n.right))
-
-
-def _touched(table: PairTable, factor: str, pair: int) -> np.ndarray:
-    """(P,) bool: the pairs of which a pair's factor is a factor."""
-    columns = table.shape[1]
-    at = np.arange(table.flat.shape[1])
-    if factor == "relation":
-        return at == pair
-    return at // columns == pair // columns if factor == "target" else at % columns == pair % columns
-
-
-def _least_rise(table: PairTable, factor: str, right: int, ahead: np.ndarray) -> float:
-    """By how much the weighted log factor of the right pair has to rise; inf where that cannot put it first."""
-    low, _ = _bounds(table, _touched(table, factor, right), right, ahead)
-    return log(low) if low < inf else inf
-
-
-def _least_fall(table: PairTable, factor: str, winner: int, right: int, ahead: np.ndarray) -> float:
-    """By how much the weighted log factor of the answer has to fall; inf where that cannot put the right pair first."""
-    touched = _touched(table, factor, winner)
-    if touched[right]:
-        return inf
-    _, high = _bounds(table, touched, right, ahead, rising=False)
-    return -log(high) if high > 0 else inf
-
-
-def _bounds(
-    table: PairTable, touched: np.ndarray, right: int, ahead: np.ndarray, rising: bool = True
-) -> tuple[float, float]:
-    """Between which factors on the weights (e to the S) of the touched pairs the right pair comes first.
-
-    `ahead`, (P,) bool, are the pairs that now come before it. Rising from 1 the least such factor comes first, inf for
-    none; falling from 1 the greatest comes second, 0 for none.
-    """
-    scores = table.flat[0]
-    weight = np.exp(np.minimum(scores - scores[right], 700.0))
-    moving, fixed = np.where(touched, weight, 0.0), np.where(touched, 0.0, weight)
-    others = np.isfinite(scores) & (np.arange(len(scores)) != right)
-    rows = np.arange(len(scores)) // table.shape[1]
-    if table.config.aggregate == "marginal":
-        # Of the pairs only those of its own target are compared with it; targets by the sums of their pairs.
-        others &= rows == rows[right]
-    sides = [(moving[others], fixed[others], moving[right], fixed[right], ahead[others])]
-    if table.config.aggregate == "marginal":
-        a, b = (np.bincount(rows, weights=w, minlength=table.shape[0]) for w in (moving, fixed))
-        away = np.arange(len(a)) != rows[right]
-        before = np.bincount(rows, weights=ahead, minlength=table.shape[0]) > 0
-        sides.append((a[away], b[away], a[rows[right]], b[rows[right]], before[away]))
-    low, high = (1.0, inf) if rising else (0.0, 1.0)
-    for theirs, rest, ours, base, before in sides:
-        # ours * y + base > theirs * y + rest
-        slope, gap = ours - theirs, rest - base
-        bound = gap / np.where(slope == 0, 1.0, slope)
-        low = max(low, float(bound[slope > 0].max(initial=0.0)))
-        high = min(high, float(bound[slope < 0].min(initial=inf)))
-        if ((slope == 0) & ((gap > 0) | ((gap == 0) & before))).any():
-            low = inf
-    # Bounds that meet leave a point, where two pairs tie, and no room in which the right pair comes first.
-    return (low, high) if low < high * (1 - 1e-9) else (inf, 0.0)

@@ -2,40 +2,46 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from pipeline.answering.pair_table import HOLDS, ScoredPair, one_object_twice
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.substitution import Needed, substitute
+from pipeline.diagnosis.needed import Needed
+from pipeline.diagnosis.oracles import names_of
+from pipeline.diagnosis.substitution import substitute
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.relation_names import PHRASE
 from pipeline.language.tree import Query
-from pipeline.system.errors import InputError, require
-
-_KEYS = ("frame", "id", "mark")
+from pipeline.system.errors import InputError
 
 Miss = Literal["RANK", "THRESHOLD", "LOCALISATION", "ABSENT"]
 ORACLE_WORDS = {
     "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",
+    "ATTRIBUTE": "true attributes",
 }  # fmt: skip
 
-VERDICTS = (
-    "CORRECT", "PARSE", "LABEL", "OPM-TARGET", "OPM-REF", "LIFT", "SRM", "OPM-CONF", "PRM", "COMPOUND",
+VERDICTS: tuple[str, ...] = (
+    "CORRECT", "PARSE", "LABEL", "OPM-TARGET", "OPM-REF", "LIFT", "ATTRIBUTE", "SRM", "OPM-CONF", "PRM",
+    "COMPOUND",
 )  # fmt: skip
-"""In the order in which they are decided."""
+"""In the order in which they are decided; ATTRIBUTE only of expressions with attributes."""
+
+
+def shown_verdicts(occurring: Collection[str]) -> tuple[str, ...]:
+    """VERDICTS; ATTRIBUTE only where it occurs, for plain expressions cannot have it."""
+    return tuple(v for v in VERDICTS if v != "ATTRIBUTE" or v in occurring)
+
+
 MODULE_OF = {
-    "PARSE": "PARSE", "LABEL": "LABEL", "OPM-TARGET": "OPM", "OPM-REF": "OPM", "LIFT": "LIFT", "SRM": "SRM",
-    "OPM-CONF": "OPM", "PRM": "PRM",
+    "PARSE": "PARSE", "LABEL": "LABEL", "OPM-TARGET": "OPM", "OPM-REF": "OPM", "LIFT": "LIFT",
+    "ATTRIBUTE": "ATTRIBUTE", "SRM": "SRM", "OPM-CONF": "OPM", "PRM": "PRM",
 }  # fmt: skip
 """The module that a verdict blames; COMPOUND blames those of its repair."""
-MARKS = ("BAD_LABEL", "BAD_BOX")
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class Diagnosis:
         One of VERDICTS.
     detail : str or None
         WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK,
-        THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; the oracles of COMPOUND.
+        THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; the oracles of COMPOUND.
     lucky : bool
         Right, but with a pair that is not acceptable.
     repair : tuple of str
@@ -57,7 +63,8 @@ class Diagnosis:
         Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win.
     right_with : int
         Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple.
-    margins : (16,) float64
+    margins : (S,) float64
+        Of all S subsets, sixteen or with attributes thirty-two:
         S of the best acceptable pair less S of the best other one under each subset; NaN without any pair.
     winner, right : ScoredPair or None
         The answer, and the best acceptable pair among the candidates.
@@ -100,6 +107,11 @@ class Diagnosis:
     evidence: FrameEvidence = field(kw_only=True, repr=False)
 
     @property
+    def oracles(self) -> tuple[str, ...]:
+        """Those of `margins` and `right_with`, in the order of their bits."""
+        return names_of(len(self.margins) - 1)
+
+    @property
     def truth(self) -> FrameCases:
         """What is true of the frame."""
         return self.evidence.truth
@@ -111,17 +123,18 @@ class Diagnosis:
 
     @property
     def contributions(self) -> dict[str, float] | None:
-        """Each factor's share of S(winner) - S(right), unweighted logs; positive favours the winner."""
+        """Each factor's share of S(winner) - S(right), unweighted logs; positive favours the winner.
+
+        "attributes" only where something is said of the objects alone.
+        """
         if self.winner is None or self.right is None:
             return None
-        return {
-            name: float(np.log(max(getattr(self.winner, f), 1e-6)) - np.log(max(getattr(self.right, f), 1e-6)))
-            for name, f in (("target", "p_target"), ("reference", "p_reference"), ("relation", "p_relation"))
-        }
+        ours, theirs = self.winner.log_factors, self.right.log_factors
+        return {name: ours[name] - theirs[name] for name in ours}
 
     def acceptable_pairs(self) -> set[tuple[int, int]]:
-        """Candidate pairs that are acceptable, as indices of the trace's objects."""
-        if not self.gold:
+        """Candidate pairs that are acceptable, as indices of the trace's objects; none without a relation."""
+        if not self.gold or not self.case.reference:
             return set()
         found = substitute(self.evidence, self.case)
         targets, references = (role.index[: role.found] for role in (found.target, found.reference))
@@ -132,7 +145,7 @@ class Diagnosis:
     def labelled_boxes(self) -> dict[str, Box3D]:
         """The labelled target and reference in 3D, as far as their geometry is known."""
         ends = (("target", self.case.target_object), ("reference", self.case.reference_object))
-        found = ((name, self.evidence.objects.get(k, points=False)) for name, k in ends)
+        found = ((n, self.evidence.objects.get(k, points=False)) for n, k in ends[: 2 if self.case.reference else 1])
         return {name: o.lifted.box for name, o in found if o is not None and o.lifted.box is not None}
 
 
@@ -199,7 +212,9 @@ def _lost(d: Diagnosis, case: Case) -> str:
 
 def _correct(d: Diagnosis, case: Case) -> str:
     if not d.lucky:
-        return "Right." if d.winner is None else f"Right: relation {_p(d.winner.p_relation)}.{_nearest(d.winner)}"
+        if d.winner is None or not case.relation:
+            return "Right."
+        return f"Right: relation {_p(d.winner.p_relation)}.{_nearest(d.winner)}"
     if d.winner is None:
         return f"The right {case.target}, but alone: all candidates of the two names count as one thing. Luck."
     return f"The right {case.target}, but its {case.reference} matches none of which the expression is true: luck."
@@ -259,16 +274,24 @@ def _flipped(d: Diagnosis, case: Case) -> str:
             else f"The right {case.target} and {case.reference}"
         )
         return f"{first} count as one thing. {_repaired(d) if d.repair else ''}".strip() + f" Verdict: {d.verdict}."
-    text = _relation(winner.p_relation, right.p_relation, case)
+    text = _said_of_both(d.verdict, winner, right, case)
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""
         return f"A 3D box is off: {text}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
+    if d.verdict == "ATTRIBUTE":
+        return f"{text[0].upper()}{text[1:]}. With true attributes the right pair wins. Verdict: ATTRIBUTE."
+    if d.detail == "CHOICE":
+        return f"With all else true {text}. Verdict: SRM."
     if d.verdict == "SRM":
         return f"{text[0].upper()}{text[1:]}. With the labelled relations the right pair wins. Verdict: SRM."
     if d.verdict in ("OPM-CONF", "PRM") and d.detail != "DEGENERATE":
         return _confidences(d, winner, right, case)
     if d.verdict == "COMPOUND":
-        return f"No module alone is to blame. {_repaired(d)}"
+        return (
+            f"No module that judged the right pair is to blame alone. {_repaired(d)}"
+            if d.repair == ("RECALL",)
+            else f"No module alone is to blame. {_repaired(d)}"
+        )
     return "No true geometry, relation or confidence puts the right pair first: it lost a tie. Verdict: PRM."
 
 
@@ -283,9 +306,14 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
             if wrong
         ]
         what = "are false positives" if len(false) > 1 else "is a false positive"
+        had = (
+            f"pair had {_p(right.p_target)} and {_p(right.p_reference)}"
+            if case.reference
+            else (f"{case.target} had {_p(right.p_target)}")
+        )
         return (
-            f"The answer's {' and '.join(false)} {what}; the right pair had {_p(right.p_target)} and "
-            f"{_p(right.p_reference)}. With true confidences the right pair wins.{_nearest(right)} Verdict: OPM-CONF."
+            f"The answer's {' and '.join(false)} {what}; the right {had}. With true confidences the right pair wins."
+            f"{_nearest(right)} Verdict: OPM-CONF."
         )
     parts = [
         "the wrong {} {} and the right one {}".format(name, *apart(ours, theirs))
@@ -295,6 +323,9 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
         )
         if mine != other
     ]
+    if not case.relation:
+        text = f"the detector gave {' and '.join(parts)}" if parts else "both are one object"
+        return f"{text[0].upper()}{text[1:]}. With equal confidences the answer is right. Verdict: PRM."
     first, second = apart(*sorted((winner.p_relation, right.p_relation), reverse=True))
     favoured = "the right pair" if right.p_relation >= winner.p_relation else "the answer"
     relation = (
@@ -304,6 +335,24 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
     )
     text = "; ".join([*(f"the detector gave {' and '.join(parts)}" for _ in parts[:1]), relation])
     return f"{text[0].upper()}{text[1:]}. With equal confidences the answer is right.{_nearest(right)} Verdict: PRM."
+
+
+def _said_of_both(verdict: str, winner: ScoredPair, right: ScoredPair, case: Case) -> str:
+    """What of the expression speaks most for the answer, by kind where that is to blame, with both probabilities."""
+    relations = [(PHRASE.get(k.relation, k.relation), k.probability) for k in winner.links]
+    theirs = [k.probability for k in right.links]
+    if case.meant is None:
+        return _relation(winner.p_relation, right.p_relation, case)
+    of_one = {"ATTRIBUTE": ("attribute",), "SRM": ("choice", "negation", "viewer")}.get(verdict)
+    factors = [(f, g) for f, g in zip(winner.factors, right.factors, strict=True) if of_one is None or f.kind in of_one]
+    told = [(f.text, f.probability, g.probability) for f, g in factors]
+    if verdict != "ATTRIBUTE":
+        told += [(phrase, p, q) for (phrase, p), q in zip(relations, theirs, strict=True)]
+    if not told:
+        return f"nothing that is said tells the right {case.target} from the answer"
+    phrase, ours, other = max(told, key=lambda t: t[1] / max(t[2], 1e-9))
+    mine, its = apart(ours, other)
+    return f"“{phrase}” gave " + (f"both {mine}" if mine == its else f"the answer {mine} and the right one {its}")
 
 
 def _relation(winner: float, right: float, case: Case) -> str:
@@ -357,7 +406,12 @@ def _others(d: Diagnosis) -> str:
 
 def _smallest_change(d: Diagnosis) -> str:
     """The smallest change of one factor that would put the right pair first, or that there is none."""
-    names = {"relation": "relation", "target": "target score", "reference": "reference score"}
+    names = {
+        "relation": "relation",
+        "target": "target score",
+        "reference": "reference score",
+        "attributes": "attributes",
+    }
     for change in d.needed:
         if change.right_above is None:
             continue
@@ -381,33 +435,3 @@ def _smallest_change(d: Diagnosis) -> str:
 
 def _p(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
-
-
-def read_marks(path: Path) -> dict[tuple[str, str], str]:
-    """Marks by (frame, id of the expression), from JSON: a list of {"frame", "id", "mark"} and whatever else.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, a mark is not one of MARKS, or an expression is marked twice.
-    """
-    try:
-        entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("the marks cannot be read", got=str(error), path=path) from error
-    require(isinstance(entries, list), "marks must be a list", got=type(entries).__name__, path=path)
-    found: dict[tuple[str, str], str] = {}
-    for n, entry in enumerate(entries):
-        require(
-            isinstance(entry, dict) and all(isinstance(entry.get(key), str) for key in _KEYS),
-            f"mark {n} must have the texts {', '.join(_KEYS)}",
-            got=repr(entry)[:80],
-            path=path,
-        )
-        frame, expression, mark = (entry[key] for key in _KEYS)
-        require(mark in MARKS, f"mark {n} is not known", got=mark, expected=" or ".join(MARKS), path=path)
-        require(
-            (frame, expression) not in found, "an expression is marked twice", got=f"{frame} {expression}", path=path
-        )
-        found[frame, expression] = mark
-    return found

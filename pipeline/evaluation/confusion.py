@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import glob
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pipeline.evaluation.relation_records import RelationRecords
-from pipeline.labels.reading import Labels, read_table
-from pipeline.labels.statistics import quoted
+from pipeline.labels.reading import Labels
+from pipeline.labels.statistics import add_views, quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Row, Table
 from pipeline.relations.relations import F, T, U
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 
-DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
-OTHERS = (DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
+UNDECIDED, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
+OTHERS = (UNDECIDED, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None
     cell = np.full(len(asked), other[NO_ANSWER], np.int64)
     cell[answered] = other[UNLABELLED]
     cell[answered & matched] = other[UNJUDGED]
-    cell[index] = stands_in(states, margins, meant[index], other[DOUBT], other[NOTHING])
+    cell[index] = stands_in(states, margins, meant[index], other[UNDECIDED], other[NOTHING])
     return Standings(names, meant, cell)
 
 
@@ -149,8 +148,8 @@ def count_standings(found: Standings) -> Confusion:
     )
 
 
-def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt: int, nothing: int) -> np.ndarray:
-    """The column of each pair: the meant relation where it holds, `doubt` where it may, else the clearest other one.
+def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, undecided: int, nothing: int) -> np.ndarray:
+    """The column of each pair: the meant relation where it holds, `undecided` where it may, else the clearest other.
 
     Parameters
     ----------
@@ -171,7 +170,7 @@ def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt:
     held = np.where(states == T, np.nan_to_num(np.asarray(margins, np.float64)), -np.inf)
     clearest = np.where((states == T).any(axis=1), held.argmax(axis=1) if held.size else 0, nothing)
     own = states[every, meant]
-    return np.where(own == T, meant, np.where(own == U, doubt, clearest)).astype(np.int64)
+    return np.where(own == T, meant, np.where(own == U, undecided, clearest)).astype(np.int64)
 
 
 def _pairs_of_answers(
@@ -183,11 +182,7 @@ def _pairs_of_answers(
     rows = records.select(["frame_index", "matched_target", "matched_reference"])
     rows = rows.append_column("row", [np.arange(records.num_rows)])
     with duckdb.connect(":memory:") as connection:
-        for name in ("objects", "relations"):
-            path = labels.root / f"{name}.parquet"
-            # Reads the footer alone, and checks it.
-            read_table(path, name, [])
-            connection.read_parquet(glob.escape(str(path))).create_view(name)
+        add_views(connection, labels, ("objects", "relations"))
         connection.register("run", rows)
         told = ", ".join(
             f"coalesce(l.{quoted(n)}, {F}) AS s{k}, coalesce(l.{quoted(f'{n}_margin')}, 0) AS m{k}"

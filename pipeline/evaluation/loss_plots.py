@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
 from pipeline.evaluation.confusion import Confusion
 from pipeline.evaluation.plots import (
     ADDS_UP,
@@ -23,7 +23,7 @@ from pipeline.evaluation.plots import (
     write_figures,
 )
 from pipeline.evaluation.slices import Slices
-from pipeline.evaluation.summary import RunSummary, residual_words
+from pipeline.evaluation.summary import RunSummary, Share, residual_words
 from pipeline.labels.report.style import FULL, INK, QUIET, house_style, new_figure, save_figure, short
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
@@ -71,21 +71,25 @@ def draw_diagnosis(
     write_page(summaries, slices, confusions, out / "diagnosis.html", caveats)
 
 
+_NONE = Share(0, Estimate(0.0, 0.0, 0.0, 0, 0))
+
+
 def _verdicts(summaries: Mapping[str, RunSummary], above: str, path: Path) -> None:
+    kinds = shown_verdicts({v for s in summaries.values() for v in s.verdicts})
     figure = new_figure(
-        FULL, 90 + 34 * len(VERDICTS) * len(summaries),
+        FULL, 90 + 34 * len(kinds) * len(summaries),
         "Verdicts on every expression",
         f"{above}Share of expressions, which sums to 100 %, with 95 % intervals. CORRECT is the labelled target; "
         "LABEL is mostly another right answer.",
     )  # fmt: skip
     axes = figure.add_subplot()
     height = 0.8 / len(summaries)
-    y = np.arange(len(VERDICTS))
+    y = np.arange(len(kinds))
     for k, (name, summary) in enumerate(summaries.items()):
-        shares = [summary.verdicts[v] for v in VERDICTS]
+        shares = [summary.verdicts.get(v, _NONE) for v in kinds]
         value = np.array([100 * s.estimate.value for s in shares])
         at = y + (k - (len(summaries) - 1) / 2) * height
-        axes.barh(at, value, height * 0.9, color=[VERDICT_COLORS[v] for v in VERDICTS], alpha=1 - 0.5 * (k > 0))
+        axes.barh(at, value, height * 0.9, color=[VERDICT_COLORS[v] for v in kinds], alpha=1 - 0.5 * (k > 0))
         axes.errorbar(
             value, at, xerr=np.array([interval(s.estimate) for s in shares]).T, fmt="none", ecolor=INK, elinewidth=0.8
         )
@@ -93,7 +97,7 @@ def _verdicts(summaries: Mapping[str, RunSummary], above: str, path: Path) -> No
             text = f"{short(name)}: {share.count}" if len(summaries) > 1 else f"{share.count}"
             end = 100 * share.estimate.value + interval(share.estimate)[1]
             axes.text(end + 0.8, index, text, va="center", fontsize=8.5, color=QUIET)
-    axes.set_yticks(y, VERDICTS)
+    axes.set_yticks(y, kinds)
     axes.invert_yaxis()
     axes.set(xlim=(0, 105), xlabel="share of expressions (%)")
     axes.grid(axis="x")
@@ -148,7 +152,7 @@ def _slices(system: str, slices: Sequence[Slices], above: str, path: Path) -> No
         rows = [s for s in cut.slices if s.system == system][:MOST_SHOWN]
         left = np.zeros(len(rows))
         for verdict in VERDICTS:
-            share = np.array([100 * s.verdicts[verdict].value if s.verdicts else 0.0 for s in rows])
+            share = np.array([100 * s.verdicts[verdict].value if verdict in s.verdicts else 0.0 for s in rows])
             if share.any():
                 seen[verdict] = axes.barh(range(len(rows)), share, 0.78, left, color=VERDICT_COLORS[verdict])
             left += share
@@ -210,11 +214,11 @@ def _errors(estimates: Sequence[Estimate]) -> dict[str, Any]:
 def _verdicts_figure(summaries: Mapping[str, RunSummary]) -> Any:
     figure = moving_figure()
     for name, summary in summaries.items():
-        shares = [summary.verdicts[v] for v in VERDICTS]
+        kinds, shares = list(summary.verdicts), list(summary.verdicts.values())
         figure.add_bar(
-            x=list(VERDICTS), y=[100 * s.estimate.value for s in shares], name=plain(name),
-            marker_color=[VERDICT_COLORS[v] for v in VERDICTS], error_y=_errors([s.estimate for s in shares]),
-            customdata=[[s.count, f"verdict:{v}"] for v, s in zip(VERDICTS, shares, strict=True)],
+            x=kinds, y=[100 * s.estimate.value for s in shares], name=plain(name),
+            marker_color=[VERDICT_COLORS[v] for v in kinds], error_y=_errors([s.estimate for s in shares]),
+            customdata=[[s.count, f"verdict:{v}"] for v, s in zip(kinds, shares, strict=True)],
             hovertemplate="%{x}: %{y:.1f} %<br>%{customdata[0]} expressions<br>search: %{customdata[1]}",
         )  # fmt: skip
     return figure.update_layout(
@@ -247,7 +251,7 @@ def _slices_figure(system: str, cut: Slices) -> Any:
     rows = [s for s in cut.slices if s.system == system]
     figure = moving_figure()
     for verdict in VERDICTS:
-        if not any(s.counts[verdict] for s in rows):
+        if not any(s.counts.get(verdict) for s in rows):
             continue
         search = [
             "–" if s.query is None else " ".join([*([s.query] if s.query else []), f"verdict:{verdict}"]) for s in rows

@@ -266,7 +266,8 @@ def reliability_figures(diagrams: Diagrams) -> list[Any]:
 
 VERDICT_COLORS = {
     "CORRECT": "#009988", "PARSE": "#aa3377", "LABEL": "#b4bdca", "OPM-TARGET": "#cc3311", "OPM-REF": "#ee7733",
-    "LIFT": "#0077bb", "SRM": "#33bbee", "OPM-CONF": "#ddaa33", "PRM": "#ee3377", "COMPOUND": "#46536a",
+    "LIFT": "#0077bb", "ATTRIBUTE": "#999933", "SRM": "#33bbee", "OPM-CONF": "#ddaa33", "PRM": "#ee3377",
+    "COMPOUND": "#46536a",
 }  # fmt: skip
 LOSS_COLORS = {
     "accuracy": VERDICT_COLORS["CORRECT"], "PARSE": VERDICT_COLORS["PARSE"], "RECALL": VERDICT_COLORS["OPM-TARGET"],

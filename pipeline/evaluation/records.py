@@ -13,7 +13,7 @@ from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.pair_table import PairTable, ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.diagnosis.frame_evidence import matched
-from pipeline.diagnosis.substitution import CONF, LIFT, SRM
+from pipeline.diagnosis.oracles import CONF, LIFT, SRM
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.tree import Query

@@ -26,7 +26,7 @@ from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.arrow import pq
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import metadata, open_session
-from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, object_rows, rows_of_frame
+from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, known_pairs, object_rows, rows_of_frame
 
 _GEOMETRY = tuple(dict.fromkeys(name for names in GEOMETRY_COLUMNS.values() for name in names))
 PAPER_NAMES = {
@@ -105,17 +105,15 @@ def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | 
         numbers = objects["object"][mine]
         if len(numbers) < 2:
             continue
-        a, b = rows["a"][pairs], rows["b"][pairs]
-        i, j = (np.minimum(np.searchsorted(numbers, x), len(numbers) - 1) for x in (a, b))
-        there = (numbers[i] == a) & (numbers[j] == b) & (i != j)
+        there, i, j = known_pairs(numbers, rows["a"][pairs], rows["b"][pairs])
         if not there.any():
             continue
         yield FramePairs(
             FrameKey(str(frames["frame"][at]), str(frames["scene"][at]), index),
             numbers,
             tuple(str(n) for n in objects["label"][mine]),
-            i[there].astype(np.int64),
-            j[there].astype(np.int64),
+            i.astype(np.int64),
+            j.astype(np.int64),
             relations,
             np.stack([rows[r][pairs][there] for r in relations], axis=1).astype(np.int8),
             {name: objects[name][mine] for name in _GEOMETRY},

@@ -7,7 +7,7 @@ import json
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -26,8 +26,8 @@ from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_mak
 from pipeline.labels.makers import Makers
 from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.labels.schema import TABLES
-from pipeline.proposals.registry import with_model
 from pipeline.system.arrow import pa
+from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import parse_hub_id
 
@@ -37,10 +37,8 @@ if TYPE_CHECKING:
 RUN_FILE = "run.json"
 """The manifest of a run; a folder that holds it may be overwritten by another run."""
 RECORDS_FILE = "records.parquet"
-_PATHS = ("model", "model_config", "segmenter_model", "srm", "vectors", "synonyms")
 _HUB = "hub:"
 """Marks an id on the model hub among paths."""
-_WORDS = ("trained", "rule")
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +129,7 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
     return {
         "dataset": spec.dataset if spec.dataset == DEMO_NAME else written_path(spec.dataset, folder),
         "labels": written_path(spec.labels, folder),
-        "options": _with_paths(given, lambda path: _written_model(path, folder)),
+        "options": with_files(given, lambda path: _written_model(path, folder)),
         "config": None if config is None else asdict(config),
         "system": spec.system,
         "limit": spec.limit,
@@ -164,18 +162,6 @@ def _resolved_model(written: str, folder: Path) -> Path:
     if written.startswith(_HUB):
         return Path(written.removeprefix(_HUB))
     return Path(resolved_path(written, folder))
-
-
-def _with_paths(options: Mapping[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:
-    """The options of a run with every path in them changed: a file's, an encoder's and a decoder's, fused models'."""
-    found = dict(options)
-    for name in _PATHS:
-        value = options.get(name)
-        if value is not None and str(value) not in _WORDS:
-            found[name] = tuple(map(change, value)) if isinstance(value, list | tuple) else change(value)
-    if "fuse" in options:
-        found["fuse"] = [with_model(str(text), change) for text in options["fuse"]]
-    return found
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -233,9 +219,8 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
 
 
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
-    options = _with_paths(record["options"], lambda path: _resolved_model(str(path), folder))
-    if isinstance(options.get("intrinsics"), list):
-        options["intrinsics"] = tuple(options["intrinsics"])
+    options = with_files(record["options"], lambda path: _resolved_model(str(path), folder))
+    options |= {n: tuple(options[n]) for n in ("intrinsics", "segmenter_model") if isinstance(options.get(n), list)}
     if record["config"] is not None:
         options["config"] = TypeAdapter(AskConfig).validate_python(record["config"])
     dataset = str(record["dataset"])

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pipeline.diagnosis.substitution import ORACLES
+from pipeline.diagnosis.oracles import ALL_ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
 from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms
@@ -325,10 +325,10 @@ def _names(field: Field, term: Term) -> Condition:
     named = [v for v in term.values if not _none(v)]
     for v in named:
         require(
-            v.text.upper() in ORACLES,
+            v.text.upper() in ALL_ORACLES,
             f"no such {field.name}",
             got=repr(v.text),
-            expected=f"one of {', '.join(ORACLES)}",
+            expected=f"one of {', '.join(ALL_ORACLES)}",
         )
     chosen = sorted({v.text.upper() for v in named})
     parts = [f"len(coalesce({column}, [])) = 0"] if len(named) < len(term.values) else []

@@ -6,15 +6,18 @@ import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
 from pipeline.answering.opening import Pipeline
+from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.sentences import Judged, Outcome, SentenceFile, judge_sentences, read_sentence_file
+from pipeline.evaluation.summary import Deltas, oracle_deltas
 from pipeline.metrics.intervals import Estimate, share_estimate
-from pipeline.metrics.tables import Row, Table
+from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.whole_files import check_target, staged_folder, text_file
 
 FILE = "sentences.jsonl"
@@ -76,8 +79,27 @@ class SentenceReport:
     failures: dict[tuple[str, str | None], int]
 
     @property
-    def tables(self) -> tuple[Table, Table]:
-        """Shares by kind and over all, and what failed."""
+    def verdicts(self) -> dict[str, int]:
+        """How many sentences have each verdict, in the order of VERDICTS; those without one are left out."""
+        counts = Counter(j.verdict for j in self.judged)
+        return {name: counts[name] for name in VERDICTS if counts[name]}
+
+    @cached_property
+    def deltas(self) -> Deltas | None:
+        """What each module costs over the diagnosed sentences, ATTRIBUTE where any has attributes; None without any."""
+        found = [(j.diagnosis, j.sentence.frame) for j in self.judged if j.diagnosis is not None]
+        if not found:
+            return None
+        oracles = max((d.oracles for d, _ in found), key=len)
+        # Without attributes the oracle of attributes changes nothing.
+        right = [
+            d.right_with | (d.right_with << len(d.margins) if len(d.oracles) < len(oracles) else 0) for d, _ in found
+        ]
+        return oracle_deltas(np.array(right, np.int64), np.array([frame for _, frame in found]), oracles=oracles)
+
+    @property
+    def tables(self) -> tuple[Table, Table, Table, Table]:
+        """Shares by kind and over all, what failed, verdicts, and what each module costs; the last may be empty."""
         note = (
             "In percent, with Wilson's 95 % intervals, each sentence for itself. Read: also what was refused rightly. "
         )
@@ -85,9 +107,19 @@ class SentenceReport:
         rows = [Row(name, _cells(shares)) for name, shares in (*self.kinds.items(), ("all", self.overall))]
         total = len(self.judged)
         failed = [Row(": ".join(filter(None, name)), (count, count / total)) for name, count in self.failures.items()]
+        judged, costs = sum(self.verdicts.values()), self.deltas
+        verdicts = [Row(name, (count, count / judged)) for name, count in self.verdicts.items()]
+        unjudged = f"{total - judged} have none: nothing is right, several things tie, or no truth is to be had."
+        shapley = (
+            "Points gained with a module replaced by the truth, over the sentences that were diagnosed: by it alone, "
+            "and its fair share over all orders of replacing. The second column adds up to 100."
+        )
+        modules = () if costs is None else _costs(costs)
         return (
             Table("sentences", "Sentences", ("sentences", *SHARES.values()), tuple(rows), note),
             Table("failures", "Failures", ("sentences", "share"), tuple(failed)),
+            Table("verdicts", "Verdicts", ("sentences", "share"), tuple(verdicts), unjudged),
+            Table("oracles", "What each module costs", ("alone", "Shapley"), modules, shapley),
         )
 
     def record(self) -> dict[str, Any]:
@@ -97,11 +129,20 @@ class SentenceReport:
             "skipped": self.asked.skipped,
             "all": self.overall.record(),
             "kinds": {kind: shares.record() for kind, shares in self.kinds.items()},
+            "verdicts": self.verdicts,
+            "oracles": None if self.deltas is None else self.deltas.record(),
             "failures": [
                 {"outcome": outcome, "detail": detail, "count": n, "share": n / len(self.judged)}
                 for (outcome, detail), n in self.failures.items()
             ],
         }
+
+
+def _costs(found: Deltas) -> tuple[Row, ...]:
+    lines: list[tuple[str, tuple[Cell, Cell]]] = [("as answered", (None, float(found.value[0])))]
+    lines += [(name, (found.single[name], found.shapley[name])) for name in found.single]
+    lines.append(("residual", (None, float(1 - found.value[-1]))))
+    return tuple(Row(name, cells) for name, cells in lines)
 
 
 def _cells(shares: Shares) -> tuple[int | Estimate, ...]:

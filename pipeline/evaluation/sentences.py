@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,8 +24,11 @@ from pipeline.answering.json_records import (
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.base import resolve_frame
+from pipeline.diagnosis.answer import diagnosis_record
+from pipeline.diagnosis.asking import judge_sentence, truth_or_reason
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import HIT
+from pipeline.labels.cases import HIT, FrameCases
 from pipeline.language.unreadable import why_unread, why_unused
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
@@ -113,6 +116,18 @@ class Sentence:
         right = truth if self.boxes is None else np.array(self.boxes, np.float64).reshape(-1, 4)
         return bool((iou_2d(entry.bbox[None], right) >= HIT).any())
 
+    def among(self, truth: FrameCases) -> np.ndarray:
+        """(K,) int64: indices of the annotated objects that are right; of several under a point the smallest."""
+        if self.targets is not None:
+            return np.flatnonzero(np.isin(truth.numbers, self.targets))
+        if self.boxes is not None:
+            right = np.array(self.boxes, np.float64).reshape(-1, 4)
+            return np.flatnonzero((iou_2d(truth.boxes, right) >= HIT).any(axis=1))
+        x0, y0, x1, y1 = truth.boxes.T
+        area = (x1 - x0) * (y1 - y0)
+        under = [(x0 <= u) & (u < x1) & (y0 <= v) & (v < y1) for u, v in self.points or ()]
+        return np.unique([int(np.where(hit, area, np.inf).argmin()) for hit in under if hit.any()]).astype(np.int64)
+
 
 @dataclass(frozen=True)
 class SentenceFile:
@@ -191,6 +206,10 @@ class Judged:
         The object that answers.
     trace : Trace or None
         None where it could not be asked.
+    diagnosis : Diagnosis or None
+        Which module failed, by the frame's annotations and what is right; None where that cannot be told.
+    unjudged : str or None
+        Why it cannot.
     """
 
     sentence: Sentence
@@ -201,6 +220,15 @@ class Judged:
     text: str | None = None
     entry: SceneObject | None = None
     trace: Trace | None = None
+    diagnosis: Diagnosis | None = None
+    unjudged: str | None = None
+
+    @property
+    def verdict(self) -> str | None:
+        """PARSE where it was not read, else that of the diagnosis."""
+        if self.outcome == "PARSE":
+            return "PARSE"
+        return None if self.diagnosis is None else self.diagnosis.verdict
 
     @property
     def read(self) -> bool:
@@ -225,6 +253,8 @@ class Judged:
             "read": self.read, "answered": self.answered, "right": self.right, "outcome": self.outcome,
             "detail": self.detail, "reason": self.reason, "answer": answer,
             "expression": None if self.trace is None else expression_record(self.trace.query),
+            "verdict": None if self.diagnosis is None else diagnosis_record(self.diagnosis),
+            **present(verdict_reason=self.unjudged),
         }  # fmt: skip
 
 
@@ -248,8 +278,12 @@ def judge_sentences(
             context = source.prepare(frame)
         except InputError as error:
             raise _of_line(sentences[0].line, error, asked.path) from error
-        for sentence in sentences:
-            found.append(_judged(source, context, sentence, asked.path))
+        truth: FrameCases | str | None = None
+        for n, sentence in enumerate(sentences):
+            one = _judged(source, context, sentence, asked.path)
+            if n == 0:
+                truth = truth_or_reason(source, context, None)
+            found.append(_diagnosed(one, source, context, truth))
             if progress is not None:
                 progress(len(found), len(asked.sentences))
     return tuple(sorted(found, key=lambda j: j.sentence.line))
@@ -278,6 +312,29 @@ def _judged(source: Pipeline, context: PreparedFrame, sentence: Sentence, path: 
     correct = sentence.accepts(entry, right, trace.exact)
     detail = None if correct else "NOTHING" if sentence.nothing else "OBJECT"
     return Judged(sentence, "CORRECT" if correct else "WRONG", detail, True, None, text, entry, trace)
+
+
+def _diagnosed(one: Judged, source: Pipeline, context: PreparedFrame, truth: FrameCases | str | None) -> Judged:
+    """With which module failed, where the sentence was read and there is something right."""
+    if one.trace is None or one.outcome == "PARSE" or one.sentence.nothing:
+        return one
+    if not isinstance(truth, FrameCases):
+        return replace(one, unjudged=truth or "the frame has no annotations")
+    if one.detail == "TIED":
+        return replace(one, unjudged="several things fit equally well, and none was answered")
+    right = one.sentence.among(truth)
+    if not len(right):
+        return replace(one, unjudged="no annotated object is what is right")
+    try:
+        found = judge_sentence(one.trace, source, context, truth, right)
+    except InputError as error:
+        found = str(error)
+    if isinstance(found, str):
+        return replace(one, unjudged=found)
+    if found.correct != one.right:
+        # A point in a box that overlaps no annotation by half, or the other way round.
+        return replace(one, unjudged="by the annotations the answer is judged otherwise than by what the file says")
+    return replace(one, diagnosis=found)
 
 
 def _refused(

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
 from pipeline.evaluation.grounding_tables import clusters_of
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.summary import has_verdicts
@@ -214,7 +214,9 @@ def _sliced(
         counts = sums.sum(axis=0)
         names, queries = [*names, f"{len(rest)} others"], [*queries, None]
         order = [*kept, len(names) - 1]
-    return [_slice(system, names[k], queries[k], counts[k], _estimates(sums[:, k], config), judged) for k in order]
+    occurring = [v for v, n in zip(VERDICTS, counts[:, 1 + len(MEASURES) :].sum(axis=0), strict=True) if n]
+    kinds = shown_verdicts(occurring) if judged else ()
+    return [_slice(system, names[k], queries[k], counts[k], _estimates(sums[:, k], config), kinds) for k in order]
 
 
 def _sums(
@@ -290,8 +292,12 @@ def _estimates(sums: np.ndarray, config: BootstrapConfig | None) -> list[Estimat
     return [replace(e, n=int(own[:, 0].sum())) for e in found]
 
 
-def _slice(system: str, name: str, query: str | None, counts: np.ndarray, own: list[Estimate], judged: bool) -> Slice:
+def _slice(
+    system: str, name: str, query: str | None, counts: np.ndarray, own: list[Estimate], kinds: Sequence[str]
+) -> Slice:
     first = len(MEASURES)
+    shares = dict(zip(VERDICTS, own[first:], strict=True))
+    numbers = dict(zip(VERDICTS, counts[1 + first :].astype(int).tolist(), strict=True))
     return Slice(
         system,
         name,
@@ -299,9 +305,9 @@ def _slice(system: str, name: str, query: str | None, counts: np.ndarray, own: l
         int(counts[0]),
         own[0],
         own[1],
-        own[2] if judged else None,
-        dict(zip(VERDICTS, own[first:], strict=True)) if judged else {},
-        dict(zip(VERDICTS, counts[1 + first :].astype(int).tolist(), strict=True)) if judged else {},
+        own[2] if kinds else None,
+        {v: shares[v] for v in kinds},
+        {v: numbers[v] for v in kinds},
     )
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.diagnosis.substitution import ORACLES, SUBSETS, names_of
-from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.diagnosis.oracles import ORACLES, SUBSETS, names_of
+from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, bootstrap, mcnemar, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
@@ -52,7 +52,7 @@ class RunSummary:
     unit : str
         What intervals are drawn over: "scene" or "frame".
     verdicts : dict of str to Share
-        Each of VERDICTS; the shares sum to one.
+        Each of VERDICTS, ATTRIBUTE where it occurs; the shares sum to one.
     details : dict of (str, str) to Share
         (verdict, detail) that occur, in the order of VERDICTS, the most frequent first.
     lucky : Share
@@ -149,15 +149,16 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
     pairs = [
         (str(v), str(d)) for v, d in dict.fromkeys(zip(verdict.tolist(), detail.tolist(), strict=True)) if d is not None
     ]
+    kinds = shown_verdicts(set(verdict.tolist()))
     member = np.stack(
-        [*(verdict == v for v in VERDICTS), *((verdict == v) & (detail == d) for v, d in pairs), lucky], axis=1
+        [*(verdict == v for v in kinds), *((verdict == v) & (detail == d) for v, d in pairs), lucky], axis=1
     )
     shares = _shares(member, clusters, config)
-    verdicts: dict[str, Share] = dict(zip(VERDICTS, shares, strict=False))
+    verdicts: dict[str, Share] = dict(zip(kinds, shares, strict=False))
     total = sum(s.estimate.value for s in verdicts.values())
     if sum(s.count for s in verdicts.values()) != len(verdict) or abs(total - 1) > EXACT:
         raise AssertionError(f"shares of verdicts sum to {total}, not to one")
-    details = dict(zip(pairs, shares[len(VERDICTS) :], strict=False))
+    details = dict(zip(pairs, shares[len(kinds) :], strict=False))
     ordered = sorted(details, key=lambda p: (VERDICTS.index(p[0]), -details[p].count, p[1]))
     right_with = column(records, "right_with").astype(np.int64)
     deltas = oracle_deltas(right_with, clusters, config)
@@ -193,8 +194,8 @@ def verdict_table(systems: Mapping[str, RunSummary]) -> Table:
     found = list(systems.values())
     pairs = {p: None for s in found for p in s.details}
     rows = []
-    for verdict in VERDICTS:
-        rows.append(Row(verdict, _cells([s.verdicts[verdict] for s in found])))
+    for verdict in shown_verdicts({v for s in found for v in s.verdicts}):
+        rows.append(Row(verdict, _cells([s.verdicts.get(verdict) for s in found])))
         rows += [
             Row(f"{verdict}: {detail}", _cells([s.details.get((v, detail)) for s in found]))
             for v, detail in sorted(pairs, key=str)
@@ -264,13 +265,13 @@ class Deltas:
     Attributes
     ----------
     expressions : int
-    value : (16,) float64
-        v(S) for each subset of the oracles.
+    value : (2^K,) float64
+        v(S) for each subset of the K oracles.
     single : dict of str to Estimate
         v({m}) - v(none), not clipped: a negative one says that the module made up for an error of another.
         These do not add up.
     shapley : dict of str to Estimate
-        phi_m = sum over S without m of |S|! (3 - |S|)! / 4! (v(S + m) - v(S)). These add up to v(all) - v(none).
+        phi_m = sum over S without m of |S|! (K - 1 - |S|)! / K! (v(S + m) - v(S)). These add up to v(all) - v(none).
     """
 
     expressions: int
@@ -292,18 +293,22 @@ class Deltas:
         }
 
 
-def shapley_weights() -> np.ndarray:
-    """(4, 16) float64: phi = weights @ v."""
-    n = len(ORACLES)
-    weights = np.zeros((n, SUBSETS))
-    for m, subset in product(range(n), range(SUBSETS)):
+def shapley_weights(n: int) -> np.ndarray:
+    """(n, 2^n) float64: phi = weights @ v."""
+    weights = np.zeros((n, 1 << n))
+    for m, subset in product(range(n), range(1 << n)):
         others = (subset & ~(1 << m)).bit_count()
         share = factorial(others) * factorial(n - 1 - others) / factorial(n)
         weights[m, subset] = share if subset >> m & 1 else -share
     return weights
 
 
-def oracle_deltas(right_with: np.ndarray, clusters: np.ndarray, config: BootstrapConfig | None = None) -> Deltas:
+def oracle_deltas(
+    right_with: np.ndarray,
+    clusters: np.ndarray,
+    config: BootstrapConfig | None = None,
+    oracles: Sequence[str] = ORACLES,
+) -> Deltas:
     """The deltas of a run.
 
     Parameters
@@ -312,15 +317,18 @@ def oracle_deltas(right_with: np.ndarray, clusters: np.ndarray, config: Bootstra
         Of each expression, bit s set where the answer is right with subset s.
     clusters : (E,)
         What resembles each other, for the intervals: scenes, or frames.
+    oracles : sequence of str
+        Those that the subsets are of, in the order of their bits.
     """
-    right = ((np.asarray(right_with, np.int64)[:, None] >> np.arange(SUBSETS)) & 1).astype(np.float64)
+    subsets = 1 << len(oracles)
+    right = ((np.asarray(right_with, np.int64)[:, None] >> np.arange(subsets)) & 1).astype(np.float64)
     single = {
         name: mean_estimate(right[:, 1 << m], clusters, other=right[:, 0], config=config)
-        for m, name in enumerate(ORACLES)
+        for m, name in enumerate(oracles)
     }
-    weights = dict(zip(ORACLES, shapley_weights(), strict=True))
+    weights = dict(zip(oracles, shapley_weights(len(oracles)), strict=True))
     shapley = {name: mean_estimate(right @ own, clusters, config=config) for name, own in weights.items()}
-    return Deltas(len(right), right.mean(axis=0) if len(right) else np.full(SUBSETS, np.nan), single, shapley)
+    return Deltas(len(right), right.mean(axis=0) if len(right) else np.full(subsets, np.nan), single, shapley)
 
 
 MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")

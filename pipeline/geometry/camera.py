@@ -122,6 +122,19 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
+def depth_at(depth: np.ndarray, u: int, v: int, expected: str = "a pixel of a surface") -> float:
+    """The depth ((H, W) float32, metres) at a column and row; InputError outside, and where nothing was measured."""
+    height, width = depth.shape
+    require(
+        (0 <= u < width and 0 <= v < height),
+        "no such pixel",
+        got=f"{u},{v}",
+        expected=f"0,0 to {width - 1},{height - 1}",
+    )
+    require(depth[v, u] > 0, "the pixel has no depth", got=f"{u},{v}", expected=expected)
+    return float(depth[v, u])
+
+
 def backproject(depth: np.ndarray, camera: Camera, v: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Camera-frame points of the pixels (u, v), given the whole depth map.
 

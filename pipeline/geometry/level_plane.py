@@ -9,7 +9,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from pipeline.geometry.camera import Camera, lift_pixels
+from pipeline.geometry.camera import Camera, depth_at, lift_pixels
 from pipeline.geometry.floor_or_wall import (
     PARALLEL_DEG,
     UPRIGHT,
@@ -20,7 +20,7 @@ from pipeline.geometry.floor_or_wall import (
     surface_blocks,
 )
 from pipeline.geometry.normals import depth_noise, surface_normals
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError
 
 SAME_SURFACE_DEG = 15.0
 """Normals of one surface differ by no more than this."""
@@ -266,20 +266,13 @@ def level_normal_at(depth: np.ndarray, camera: Camera, u: int, v: int) -> np.nda
     InputError
         The pixel is outside the picture, has no depth, or lies on no plane.
     """
-    height, width = depth.shape
-    require(
-        (0 <= u < width and 0 <= v < height),
-        "no such pixel",
-        got=f"{u},{v}",
-        expected=f"0,0 to {width - 1},{height - 1}",
-    )
-    require(depth[v, u] > 0, "the pixel has no depth", got=f"{u},{v}", expected="a pixel of a level surface")
+    depth_at(depth, u, v, "a pixel of a level surface")
     no_plane = InputError("there is no plane at the pixel", got=f"{u},{v}", expected="a pixel of a level surface")
     normals, known = surface_normals(depth, camera)
     if not known[v, u]:
         raise no_plane
-    rows, columns = np.mgrid[:height, :width]
-    points = lift_pixels(depth.ravel(), camera, rows.ravel(), columns.ravel()).reshape(height, width, 3)
+    rows, columns = np.indices(depth.shape)
+    points = lift_pixels(depth.ravel(), camera, rows.ravel(), columns.ravel()).reshape(*depth.shape, 3)
     tolerance = 3 * depth_noise(depth)
     normal = normals[v, u].astype(np.float64)
     offset = float(points[v, u] @ normal)

@@ -1,30 +1,55 @@
-"""COCO's run-length code of masks: read without trust, decoded no further than to the mask's box, and written.
+"""Masks: bool crops in memory, COCO's run-length code in files, and the one codec between them.
 
-In memory a mask is bool (H, W), or a crop without the empty picture around it.
+A code is read without trust and decoded no further than to the mask's box.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import ConfigDict
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _LONGEST = 7
 """Characters of a number at most: their 35 bits are more than any picture has pixels, and no sum of them overflows."""
 
 
-class RunLength(BaseModel):
-    """A COCO run-length encoded mask."""
+@dataclass(frozen=True, slots=True)
+class RunLength:
+    """A mask in COCO's run-length code.
 
-    model_config = ConfigDict(extra="forbid")
+    Attributes
+    ----------
+    size : (int, int)
+        Height and width, pixels.
+    counts : str or tuple of int
+        Compressed, or the lengths themselves.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     size: tuple[int, int]
-    counts: str | list[int]
+    counts: str | tuple[int, ...]
+
+    @staticmethod
+    def of(mask: np.ndarray) -> RunLength:
+        """The compressed code of a mask ((H, W) bool)."""
+        return RunLength((int(mask.shape[0]), int(mask.shape[1])), encode_run_length(np.ascontiguousarray(mask)))
+
+    def crop(self, shape: tuple[int, int], where: str, path: Path | None = None) -> MaskCrop:
+        """The mask; InputError where it is not of a picture of that shape, before memory for it is asked for."""
+        require(self.size == shape, f"{where}: the mask has another size", got=self.size, expected=shape, path=path)
+        return decode_crop(self.size, self.counts, where, path)
+
+    def decoded(self, shape: tuple[int, int], where: str, path: Path | None = None) -> np.ndarray:
+        """(H, W) bool; errors as of `crop`."""
+        return self.crop(shape, where, path).of_picture(shape)
 
 
 def run_lengths(code: str) -> np.ndarray | str:
@@ -46,8 +71,8 @@ def run_lengths(code: str) -> np.ndarray | str:
     length = ends - starts + 1
     if length.max() > _LONGEST:
         return "it has a number that is too long"
-    place = np.arange(len(raw)) - np.repeat(starts, length)
-    value = np.add.reduceat((raw & 31) << (5 * place), starts)
+    digit = np.arange(len(raw)) - np.repeat(starts, length)
+    value = np.add.reduceat((raw & 31) << (5 * digit), starts)
     value -= np.where(raw[ends] & 16, np.int64(1) << (5 * length), 0)
     value[1::2], value[2::2] = np.cumsum(value[1::2]), np.cumsum(value[2::2])
     if value.min() < 0:
@@ -55,7 +80,7 @@ def run_lengths(code: str) -> np.ndarray | str:
     return value
 
 
-def decode_run_length(size: Sequence[int], counts: str | list[int], where: str = "mask") -> np.ndarray:
+def decode_run_length(size: Sequence[int], counts: str | Sequence[int], where: str = "mask") -> np.ndarray:
     """(H, W) bool from COCO run-length encoding, compressed or not.
 
     Raises
@@ -63,13 +88,12 @@ def decode_run_length(size: Sequence[int], counts: str | list[int], where: str =
     InputError
         The run lengths do not fill the mask, or are none.
     """
-    crop = decode_crop(size, counts, where)
-    mask = np.zeros((int(size[0]), int(size[1])), np.bool_)
-    crop.paint(mask)
-    return mask
+    return decode_crop(size, counts, where).of_picture(size)
 
 
-def decode_crop(size: Sequence[int], counts: str | list[int], where: str = "mask") -> MaskCrop:
+def decode_crop(
+    size: Sequence[int], counts: str | Sequence[int], where: str = "mask", path: Path | None = None
+) -> MaskCrop:
     """The mask that `decode_run_length` gives, without the empty picture around it; a fraction of the work."""
     height, width = int(size[0]), int(size[1])
     pixels = height * width
@@ -80,8 +104,12 @@ def decode_crop(size: Sequence[int], counts: str | list[int], where: str = "mask
     else:
         runs = np.array(counts, np.int64)
     if isinstance(runs, str) or runs.sum() != pixels:
-        got = runs if isinstance(runs, str) else int(runs.sum())
-        raise InputError(f"{where}: the run lengths do not fill the mask", got=got, expected=f"{pixels} pixels")
+        raise InputError(
+            f"{where}: the run lengths do not fill the mask",
+            got=runs if isinstance(runs, str) else int(runs.sum()),
+            expected=f"{pixels} pixels",
+            path=path,
+        )
     ends = np.cumsum(runs)[1::2]
     starts = ends - runs[1::2]
     starts, ends = starts[ends > starts], ends[ends > starts]
@@ -125,13 +153,30 @@ class MaskCrop:
     @property
     def box(self) -> tuple[int, int, int, int]:
         """x0, y0, x1, y1 of the mask, exclusive right and bottom edges; empty where the mask is."""
-        x, y, w, h = cv2.boundingRect(self.mask.view(np.uint8))
-        return self.x + x, self.y + y, self.x + x + w, self.y + y + h
+        x0, y0, x1, y1 = mask_box(self.mask)
+        return self.x + x0, self.y + y0, self.x + x1, self.y + y1
+
+    @property
+    def area(self) -> int:
+        """Pixels that are set."""
+        return int(self.mask.sum())
+
+    def of_picture(self, size: Sequence[int]) -> np.ndarray:
+        """The mask of the whole picture, (H, W) bool."""
+        picture = np.zeros((int(size[0]), int(size[1])), np.bool_)
+        self.paint(picture)
+        return picture
 
     def paint(self, picture: np.ndarray) -> None:
         """Set its pixels in an empty mask of the whole picture, (H, W) bool."""
         h, w = self.mask.shape
         picture[self.y : self.y + h, self.x : self.x + w] = self.mask
+
+
+def mask_box(mask: np.ndarray) -> tuple[int, int, int, int]:
+    """x0, y0, x1, y1 of a mask ((H, W) bool), exclusive right and bottom edges; zeros for an empty one."""
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    return x, y, x + w, y + h
 
 
 def fill_polygons(size: tuple[int, int], polygons: Sequence[np.ndarray]) -> np.ndarray:

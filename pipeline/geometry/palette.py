@@ -68,15 +68,22 @@ def instance_colors(count: int) -> np.ndarray:
     return cv2.cvtColor(hsv[None], cv2.COLOR_HSV2RGB)[0] if count else np.zeros((0, 3), np.uint8)
 
 
-def depth_colors(depth: np.ndarray) -> np.ndarray:
-    """(..., 3) uint8 turbo colours of depths in metres, near red to far blue over the 2nd to 98th percentile.
+def depth_ends(depth: np.ndarray) -> tuple[float, float]:
+    """Where the colours of depths in metres end: the 2nd and the 98th percentile of those that were measured."""
+    valid = depth > 0
+    low, high = np.percentile(depth[valid], [2, 98]) if valid.any() else (0.0, 1.0)
+    return float(low), float(high)
+
+
+def depth_colors(depth: np.ndarray, ends: tuple[float, float] | None = None) -> np.ndarray:
+    """(..., 3) uint8 turbo colours of depths in metres, near red to far blue between `ends`, by default `depth_ends`.
 
     Pixels without depth are dark grey.
     """
     import cv2
 
     valid = depth > 0
-    low, high = np.percentile(depth[valid], [2, 98]) if valid.any() else (0.0, 1.0)
+    low, high = ends or depth_ends(depth)
     level = 255 - np.clip((depth - low) / max(high - low, 1e-6), 0, 1) * 255
     flat = cv2.applyColorMap(np.ascontiguousarray(level.astype(np.uint8).reshape(-1, 1)), cv2.COLORMAP_TURBO)
     colors = flat[:, 0, ::-1].reshape(*depth.shape, 3).copy()
@@ -91,6 +98,7 @@ VERDICTS: dict[str, RGB] = {
     "OPM-TARGET": (0, 101, 189),
     "OPM-REF": (86, 180, 233),
     "LIFT": (204, 164, 20),
+    "ATTRIBUTE": (124, 150, 38),
     "SRM": (213, 68, 60),
     "OPM-CONF": (92, 92, 214),
     "PRM": (226, 122, 24),

@@ -14,7 +14,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from pipeline.labels.makers import makers_of
-from pipeline.labels.reading import Labels, arrow_schema
+from pipeline.labels.reading import SENTENCES_FILE, Labels, arrow_schema
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.system.arrow import pa, pc, pq
 
@@ -125,7 +125,23 @@ def dataset_card(labels: Labels, *, licence: str = UNKNOWN_LICENCE, files: Mappi
         Path or pattern of each table's files below the folder; by default those of a labels folder.
     """
     paths = files or {table: labels.manifest.tables[table].file for table in TABLES}
-    return f"{_yaml(labels, licence, paths)}\n{_page(labels, count_labels(labels), licence)}"
+    # The sentences stand in a labels folder, and in no export.
+    sentences = "" if files else _sentences(labels.manifest)
+    return f"{_yaml(labels, licence, paths)}\n{_page(labels, count_labels(labels), licence, sentences)}"
+
+
+def _sentences(manifest: Manifest) -> str:
+    if not manifest.sentences:
+        return ""
+    rows = "".join(f"| {kind} | {count} |\n" for kind, count in manifest.sentences.items())
+    return f"""\
+Besides the expressions, `{SENTENCES_FILE}` has sentences for `spatialviz eval --sentences`, each with all its right \
+answers among the labelled objects. What the labels leave undecided is in none of them.
+
+| kind of sentence | sentences |
+|---|---:|
+{rows}
+"""
 
 
 def _yaml(labels: Labels, licence: str, paths: Mapping[str, str]) -> str:
@@ -167,7 +183,7 @@ configs:
 """
 
 
-def _page(labels: Labels, counts: Counts, licence: str) -> str:
+def _page(labels: Labels, counts: Counts, licence: str, sentences: str) -> str:
     manifest, name = labels.manifest, _plain(dataset_name(labels))
     total = {table: manifest.tables[table].rows for table in TABLES}
     judged, undecided = sum(map(sum, counts.states.values())), sum(u for _, u, _ in counts.states.values())
@@ -205,7 +221,7 @@ level right, up and forward: T (1) it holds, F (-1) it does not, U (0) too close
 | relation | T | U | F | expressions |
 |---|---:|---:|---:|---:|
 {states}
-| table | rows | content hash |
+{sentences}| table | rows | content hash |
 |---|---:|---|
 {tables}
 ## Intended use

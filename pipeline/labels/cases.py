@@ -5,39 +5,85 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import numpy as np
+from pydantic import AfterValidator, ConfigDict, Field, FiniteFloat, PlainSerializer
 
 from pipeline.geometry.frame import Frame
 from pipeline.labels.reading import Labels
 from pipeline.language.expression import parse
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.language.tree import Query
+from pipeline.language.tree import Node, Query
 from pipeline.language.unreadable import Unread, why_unread, why_unused
 from pipeline.relations.relations import U
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, require
 
+if TYPE_CHECKING:
+    Indices = np.ndarray
+    Margin = float
+    NotSaved: TypeAlias = "Meant | None"
+else:
+    Indices = Annotated[
+        tuple[int, ...],
+        AfterValidator(lambda found: np.array(found, np.int64)),
+        PlainSerializer(lambda found: found.tolist()),
+    ]
+    Margin = Annotated[
+        FiniteFloat | None,
+        AfterValidator(lambda found: np.nan if found is None else found),
+        PlainSerializer(lambda found: float(found) if np.isfinite(found) else None),
+    ]
+    NotSaved = Annotated[None, Field(exclude=True)]
+
+
+@dataclass(frozen=True)
+class Meant:
+    """A sentence as it was read, where it says more than two names and a relation, with what is true of its parts.
+
+    Attributes
+    ----------
+    root : Node
+        The target with all that is said of it.
+    classes : dict of str to (N,) bool
+        By name: the labelled objects of that class, whatever they look like.
+    attributes : dict of (str, str) to (N,) float64
+        By name and attribute: .99, .50, .01 as they have it; NaN where nobody knows. Empty without attributes.
+    """
+
+    root: Node
+    classes: dict[str, np.ndarray]
+    attributes: dict[tuple[str, str], np.ndarray]
+
+    @property
+    def chooses(self) -> bool:
+        """Whether what is said of one thing depends on which others fit: choices, what it is not, the viewer's."""
+        return any(n.choices or n.excluded or not all(a.of_pairs for a in n.attachments) for n in self.root.walk())
+
 
 @dataclass(frozen=True)
 class Case:
-    """One expression with its truth.
+    """One expression with its truth; as JSON its arrays are lists, and a margin that is not known is null.
 
     Attributes
     ----------
     id, text : str
     target, relation, reference : str
-        The gold triple.
+        The gold triple; of a sentence the target with its first relation, the last two empty without one.
     target_object, reference_object : int
-        Indices in the frame's objects.
+        Indices in the frame's objects; the same without a reference.
     strict, acceptable : (K,) int64
         Indices of the right targets: beyond doubt, and with the undecided ones.
     ambiguous : bool
     margin : float
         Of the labelled pair, metres.
+    meant : Meant or None
+        None for a plain triple.
     """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
     id: str
     text: str
@@ -46,10 +92,18 @@ class Case:
     reference: str
     target_object: int
     reference_object: int
-    strict: np.ndarray
-    acceptable: np.ndarray
+    strict: Indices
+    acceptable: Indices
     ambiguous: bool
-    margin: float
+    margin: Margin
+    meant: NotSaved = None
+
+    @property
+    def relations(self) -> set[str]:
+        """All that it asks of pairs of things."""
+        if self.meant is None:
+            return {self.relation}
+        return {a.relation for n in self.meant.root.walk() for a in n.attachments if not any(e.viewer for e in a.nodes)}
 
 
 @dataclass(frozen=True)
@@ -113,9 +167,34 @@ class FrameCases:
         )
 
     def acceptable_pairs(self, case: Case) -> np.ndarray:
-        """(N, N) bool: pairs of the asked classes of which the relation holds or may hold."""
-        ends = self.alike[case.target_object][:, None] & self.alike[case.reference_object][None, :]
-        return ends & (self.states[case.relation] >= U)
+        """(N, N) bool: pairs of the asked classes of which the relation holds or may hold.
+
+        Of a sentence: its right targets with all references that may be meant; where the labels have none for a
+        target, with any of the class.
+        """
+        if case.meant is None:
+            ends = self.alike[case.target_object][:, None] & self.alike[case.reference_object][None, :]
+            return ends & (self.states[case.relation] >= U)
+        ends = np.zeros_like(self.judged)
+        top = case.meant.root.pairwise
+        if top is None:
+            return ends
+        name = top.nodes[0].label
+        ends[case.acceptable] = case.meant.classes[name]
+        for attribute in top.nodes[0].attributes:
+            ends &= ~(case.meant.attributes[name, str(attribute)] < HIT)[None]
+        if top.relation not in self.states:
+            return ends
+        states = self.states[top.relation]
+        true = ends & ((states.T if top.inverse else states) >= U)
+        return np.where(true.any(axis=1, keepdims=True), true, ends)
+
+    def roles(self, case: Case) -> list[tuple[str, np.ndarray]]:
+        """All names that an expression asks for, each with the labelled objects of its class, (N,) bool."""
+        if case.meant is not None:
+            return list(case.meant.classes.items())
+        ends = ((case.target, case.target_object), (case.reference, case.reference_object))
+        return [(name, self.alike[example]) for name, example in ends]
 
 
 def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
@@ -252,14 +331,16 @@ def misread(query: Query | None, case: Case, problem: InputError | None = None) 
     if query is None:
         return "GRAMMAR"
     e, top = query.expression, query.default.root.triple
-    if e is not None and top is not None and len(query.readings) == 1 and not e.inverse and not query.unused:
+    if e is not None and top is not None and len(query.readings) == 1 and not e.inverse and not why_unused(query):
         # One relation between two bare names: it is the names, or the relation.
         return "WORDS" if e.relation == case.relation and e.second_reference is None else "GRAMMAR"
     return why_unused(query) or "GRAMMAR"
 
 
 def is_gold(query: Query, case: Case) -> bool:
-    """Whether the parser read the gold triple and nothing else."""
+    """Whether the parser read the gold triple and nothing else; of a sentence what was read is what is meant."""
+    if case.meant is not None:
+        return True
     e = query.expression
     return (
         e is not None

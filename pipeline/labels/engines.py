@@ -9,7 +9,7 @@ import logging
 import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from importlib import import_module
 from time import perf_counter
@@ -24,7 +24,8 @@ from pipeline.datasets.base import scene_of
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
 from pipeline.labels.plan import LabelConfig, Plan, Shard, SourceSpec
 from pipeline.labels.profiles import GIVEN, open_second_opinion
-from pipeline.labels.reading import CANDIDATES, PART_TABLES, arrow_schema, build_table
+from pipeline.labels.reading import CANDIDATES, PART_TABLES, SENTENCES, arrow_schema, build_table
+from pipeline.labels.sentence_maker import make_sentences, sentence_rows
 from pipeline.labels.store import Store
 from pipeline.proposals.base import Proposals
 from pipeline.relations.model import OnnxScorer
@@ -101,7 +102,7 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
         objects = context.lift(found, detector)
     except InputError as error:
         return broken_frame(frame_id, frame_index, scene, str(error))
-    return label_objects(
+    labels = label_objects(
         context,
         objects,
         config,
@@ -111,6 +112,11 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
         network=labeller.network,
         given=given,
     )
+    if not config.sentences:
+        return labels
+    class_names = source.dataset.class_names or (detector.vocabulary or ())
+    made = make_sentences(context, objects, labels, config, class_names)
+    return replace(labels, sentences=sentence_rows(made, frame_id, objects, detector.exact))
 
 
 def detect_shard(shard: Shard, source: Pipeline) -> dict[str, Proposals]:
@@ -125,9 +131,9 @@ def detect_shard(shard: Shard, source: Pipeline) -> dict[str, Proposals]:
     return found
 
 
-def shard_tables(labels: Iterable[FrameLabels]) -> dict[str, pa.Table]:
+def shard_tables(labels: Iterable[FrameLabels], names: Sequence[str] = PART_TABLES) -> dict[str, pa.Table]:
     """The rows of many frames as Arrow tables."""
-    found: dict[str, list[pa.Table]] = {name: [] for name in PART_TABLES}
+    found: dict[str, list[pa.Table]] = {name: [] for name in names}
     for frame in labels:
         for name, columns in frame.tables().items():
             if columns:
@@ -161,7 +167,8 @@ def label_shard(
     start = perf_counter()
     found = found or {}
     tables = shard_tables(
-        label_frame(labeller, frame, shard.first + k, found.get(frame)) for k, frame in enumerate(shard.frames)
+        (label_frame(labeller, frame, shard.first + k, found.get(frame)) for k, frame in enumerate(shard.frames)),
+        (*PART_TABLES, SENTENCES) if labeller.config.sentences else PART_TABLES,
     )
     seconds = perf_counter() - start
     broken = sum(not ok for ok in tables["frames"].column("ok").to_pylist())

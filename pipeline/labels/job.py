@@ -9,12 +9,13 @@ from time import perf_counter
 from typing import Any, Literal
 
 from pipeline.labels.engines import ShardReport, needed_ray, run_local, run_ray
-from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import LabelConfig, SelectConfig, SourceSpec, input_changed, make_plan, part_of, save_plan
+from pipeline.labels.merge import SelectConfig, merge_labels
+from pipeline.labels.plan import LabelConfig, SourceSpec, input_changed, make_plan, part_of, save_plan
 from pipeline.labels.profiles import NONE, TRAINED, open_second_opinion
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.store import Store
+from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import require
 
 Engine = Literal["local", "ray"]
@@ -196,8 +197,7 @@ def label(
     InputError
         As `label_dataset`.
     """
-    plain = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
-    spec = SourceSpec(str(dataset), {"detector": detector, "segmenter": segmenter, **plain})
+    spec = SourceSpec(str(dataset), {"detector": detector, "segmenter": segmenter, **with_files(options, str)})
     label_dataset(
         spec, out, config, selection, engine=engine, workers=workers, resume=resume, limit=limit, progress=progress
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -19,7 +19,7 @@ from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import GIVEN, Judged, as_given, doubted
-from pipeline.labels.reading import PART_TABLES, Columns
+from pipeline.labels.reading import PART_TABLES, SENTENCES, Columns
 from pipeline.labels.wording import can_be_worded
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
@@ -36,9 +36,10 @@ class FrameLabels:
     relations: Columns
     candidates: Columns
     judged: Judged | None = None
+    sentences: Columns = field(default_factory=dict)
 
     def tables(self) -> dict[str, Columns]:
-        return {name: getattr(self, name) for name in PART_TABLES}
+        return {name: getattr(self, name) for name in (*PART_TABLES, SENTENCES)}
 
 
 def broken_frame(frame_id: str, frame_index: int, scene: str, problem: str) -> FrameLabels:
@@ -117,7 +118,7 @@ def judge_list(
     """Every ordered pair of objects as it is labelled: by the rules, in doubt where the geometry or a network is."""
     lifted = [o.lifted for o in objects]
     judged = judge_objects(lifted, context.viewer, config)
-    judged = in_doubt(judged, np.array([item.quality.fallback for item in lifted], np.bool_))
+    judged = with_undecided(judged, np.array([item.quality.fallback for item in lifted], np.bool_))
     return (
         judged
         if network is None
@@ -125,7 +126,7 @@ def judge_list(
     )
 
 
-def in_doubt(judged: Judged, unsure: np.ndarray) -> Judged:
+def with_undecided(judged: Judged, unsure: np.ndarray) -> Judged:
     """The judgements with U for every pair of which an object's geometry is not to be relied on.
 
     Parameters
@@ -304,10 +305,10 @@ def occluded_share(evidence: Evidence, depth: np.ndarray) -> float:
     kernel = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
     ring = (cv2.dilate(mask, kernel) > 0) & (mask == 0) & (z > 0)
     own = np.where(mask > 0, z, 0).astype(np.float32)
-    beside = cv2.dilate(own, kernel)
-    ring &= beside > 0
+    nearest = cv2.dilate(own, kernel)
+    ring &= nearest > 0
     total = int(ring.sum())
-    return float((z[ring] < beside[ring] - NEARER_M).sum() / total) if total else 0.0
+    return float((z[ring] < nearest[ring] - NEARER_M).sum() / total) if total else 0.0
 
 
 def row_hash(seed: int, *parts: object) -> int:

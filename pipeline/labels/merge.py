@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import platform
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +19,18 @@ from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.labelling import row_hash
 from pipeline.labels.makers import makers_of
-from pipeline.labels.plan import PLAN_FILE, Plan, SelectConfig, Shard, TextStyle, load_plan
-from pipeline.labels.reading import CANDIDATES, MANIFEST_FILE, ROW_GROUP, Labels, RowHash, arrow_schema
-from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile, write_schemas
+from pipeline.labels.plan import PLAN_FILE, Plan, Shard, TextStyle, load_plan
+from pipeline.labels.reading import (
+    CANDIDATES,
+    MANIFEST_FILE,
+    ROW_GROUP,
+    SENTENCES,
+    SENTENCES_FILE,
+    Labels,
+    RowHash,
+    arrow_schema,
+)
+from pipeline.labels.schema import SCHEMA_VERSION, SENTENCES_OF, Manifest, TableFile, write_schemas
 from pipeline.labels.store import Store
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
@@ -97,6 +108,7 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
         name: write_merged(out, name, (store.read_part(s.name, name) for s in shards))
         for name in ("frames", "objects", "relations")
     }
+    made = _write_sentences(out, shards, store) if plan.config.sentences else {}
     candidates, chosen = choose(shards, store, selection)
     tables["expressions"] = write_merged(out, "expressions", _worded(shards, store, chosen, plan.config.style))
     frames_ok = assumed = 0
@@ -135,16 +147,30 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
             "pairs": tables["relations"].rows,
             "candidates": candidates,
             "expressions": tables["expressions"].rows,
+            **{f"{SENTENCES_OF}{kind}": made[kind] for kind in plan.config.sentences},
         },
         warnings=warnings,
         tables=tables,
         environment=environment(),
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
+    return write_labels(out, manifest)
+
+
+def write_labels(folder: Path, manifest: Manifest) -> Manifest:
+    """Write what tells of merged tables, with their schemas, and who made them into the manifest."""
     manifest.makers = makers_of(manifest).record()
-    write_schemas(out / "schemas")
-    write_manifest(Labels(out, manifest))
+    write_schemas(folder / "schemas")
+    write_manifest(Labels(folder, manifest))
     return manifest
+
+
+def _write_sentences(out: Path, shards: Sequence[Shard], store: Store) -> Counter[str]:
+    """Write the sentences of all shards as `eval --sentences` reads them; how many there are of each kind."""
+    found = [store.read_part(shard.name, SENTENCES) for shard in shards]
+    lines = (line for part in found for line in part.column("line").to_pylist())
+    write_synced(out / SENTENCES_FILE, "".join(f"{line}\n" for line in lines).encode())
+    return Counter(kind for part in found for kind in part.column("kind").to_pylist())
 
 
 def write_manifest(labels: Labels) -> None:
@@ -362,3 +388,37 @@ def _quotas(counts: np.ndarray, config: SelectConfig) -> np.ndarray:
     rest = config.total - int(levelled.sum())
     levelled[np.flatnonzero(quota > low)[:rest]] += 1
     return levelled
+
+
+@dataclass(frozen=True)
+class SelectConfig:
+    """Which of all candidate expressions are kept.
+
+    Attributes
+    ----------
+    total : int or None
+        At most so many; None for as many as the other rules allow.
+    per_frame : int or None
+        At most so many of one frame.
+    balance : float or None
+        No relation has more than so many times the expressions of the rarest
+        one; None keeps the relations as they come.
+    telling : bool
+        Leave out what is true of every object of the target's class, where there
+        are several: such a sentence tells nothing apart.
+    seed : int
+    """
+
+    total: int | None = None
+    per_frame: int | None = 40
+    balance: float | None = 3.0
+    seed: int = 0
+    telling: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("total", "per_frame"):
+            value = getattr(self, name)
+            require(value is None or value >= 1, f"{name} must be at least 1", got=value)
+        require(
+            self.balance is None or 1 <= self.balance < inf, "balance must be a number of at least 1", got=self.balance
+        )

@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,8 +18,8 @@ from pipeline.labels.profiles import RuleProfile, canonical_hash, fingerprint, p
 from pipeline.labels.store import PLAN_FILE, Store
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
-from pipeline.proposals.registry import with_model
 from pipeline.relations.relations import PROFILE
+from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.version import __version__
@@ -29,8 +28,6 @@ MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
 SHARDS_WANTED = 32
 """Small datasets get small shards, so that workers share them and progress shows."""
-_PATHS = ("model", "model_config", "segmenter_model", "synonyms")
-"""The options that name files."""
 _CAMERA = ("intrinsics", "depth_scale", "up", "level_at")
 """The options that say what the camera is and how it stands."""
 
@@ -48,17 +45,12 @@ class SourceSpec:
 
     def absolute(self) -> SourceSpec:
         """The same with absolute paths: workers, and later readers of the plan, may stand in another folder."""
-        named = {n: _absolute(self.options[n]) for n in _PATHS if self.options.get(n) is not None}
-        if self.options.get("fuse"):
-            named["fuse"] = [with_model(text, lambda path: str(_absolute(path))) for text in self.options["fuse"]]
         path = Path(self.path)
-        return SourceSpec(str(path.absolute()) if path.exists() else self.path, {**self.options, **named})
+        return SourceSpec(str(path.absolute()) if path.exists() else self.path, with_files(self.options, _absolute))
 
 
-def _absolute(path: str | Path | Sequence[str | Path]) -> str | list[str]:
-    """A path, or several, as absolute words; an id on the model hub as it is."""
-    if not isinstance(path, str | Path):
-        return [str(_absolute(p)) for p in path]
+def _absolute(path: str | Path) -> str:
+    """A path as absolute words; an id on the model hub as it is."""
     return str(parse_hub_id(path) or Path(path).absolute())
 
 
@@ -140,9 +132,7 @@ class Plan:
 
     def record(self) -> dict[str, Any]:
         """As JSON, for `plan.json`."""
-        record = asdict(self)
-        record["config"]["background"] = list(self.config.background)
-        return {**record, "frames": list(self.frames), "key": self.key}
+        return {**asdict(self), "config": self.config.settings, "frames": list(self.frames), "key": self.key}
 
 
 def make_plan(
@@ -333,6 +323,8 @@ def part_of(shards: Sequence[Shard], k: int, n: int) -> tuple[Shard, ...]:
 
 
 TextStyle = Literal["varied", "plain", "semantic-abstraction"]
+SENTENCE_KINDS = ("attribute", "ordinal", "extreme", "side", "two-relations", "negation")
+"""The sentences that `pipeline.labels.sentence_maker` makes besides the expressions."""
 BACKGROUND = (
     "background", "wall", "floor", "ceiling", "ground", "room", "carpet", "unknown", "unlabeled", "otherprop",
     "otherstructure", "otherfurniture",
@@ -362,6 +354,10 @@ class LabelConfig:
     second_opinion : str
         "trained", "none", or the path of a network: see `labels.profiles`.
         Published geometry is taken as published, without one.
+    sentences : tuple of str
+        Kinds of sentences that are made besides the expressions, of SENTENCE_KINDS.
+    sentences_a_kind : int
+        At most so many of each kind in a frame.
     """
 
     profile: str = PROFILE
@@ -373,8 +369,15 @@ class LabelConfig:
     style: TextStyle = "varied"
     seed: int = 0
     second_opinion: str = "trained"
+    sentences: tuple[str, ...] = ()
+    sentences_a_kind: int = 4
 
     def __post_init__(self) -> None:
+        unknown = next((k for k in self.sentences if k not in SENTENCE_KINDS), None)
+        require(unknown is None, "no such kind of sentence", got=unknown, expected=" | ".join(SENTENCE_KINDS))
+        kinds = tuple(k for k in SENTENCE_KINDS if k in self.sentences)
+        object.__setattr__(self, "sentences", kinds)
+        require(self.sentences_a_kind >= 1, "at least one sentence of a kind", got=self.sentences_a_kind)
         if self.profile != PROFILE:
             object.__setattr__(self, "second_opinion", "none")
         require(
@@ -399,45 +402,17 @@ class LabelConfig:
     def is_background(self, label: str) -> bool:
         return normal_form(label) in {normal_form(b) for b in self.background}
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """As JSON; sentences only where there are some, so that other labels keep their hash."""
+        found = {**asdict(self), "background": list(self.background), "sentences": list(self.sentences)}
+        return {name: value for name, value in found.items() if self.sentences or not name.startswith("sentences")}
+
     def record(self) -> dict[str, Any]:
-        """As JSON, the hash of the profile's thresholds included."""
-        return {**asdict(self), "background": list(self.background), "profile_hash": self.rules.hash}
+        """Its settings, with the hash of the profile's thresholds."""
+        return {**self.settings, "profile_hash": self.rules.hash}
 
     @property
     def hash(self) -> str:
         """sha256 of `record`."""
         return canonical_hash(self.record())
-
-
-@dataclass(frozen=True)
-class SelectConfig:
-    """Which of all candidate expressions are kept.
-
-    Attributes
-    ----------
-    total : int or None
-        At most so many; None for as many as the other rules allow.
-    per_frame : int or None
-        At most so many of one frame.
-    balance : float or None
-        No relation has more than so many times the expressions of the rarest
-        one; None keeps the relations as they come.
-    telling : bool
-        Leave out what is true of every object of the target's class, where there
-        are several: such a sentence tells nothing apart.
-    seed : int
-    """
-
-    total: int | None = None
-    per_frame: int | None = 40
-    balance: float | None = 3.0
-    seed: int = 0
-    telling: bool = True
-
-    def __post_init__(self) -> None:
-        for name in ("total", "per_frame"):
-            value = getattr(self, name)
-            require(value is None or value >= 1, f"{name} must be at least 1", got=value)
-        require(
-            self.balance is None or 1 <= self.balance < inf, "balance must be a number of at least 1", got=self.balance
-        )

@@ -26,7 +26,7 @@ from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES, Manife
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pc, pq
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
-from pipeline.system.whole_files import temporary_beside
+from pipeline.system.whole_files import temporary_sibling
 
 VERSION_KEY = b"spatialviz.schema_version"
 TABLE_KEY = b"spatialviz.table"
@@ -40,11 +40,17 @@ CANDIDATES = "candidates"
 """The table of a shard: expressions before some of them are chosen and put into words. `same_class` counts the
 objects of the frame that are of the target's class."""
 PART_TABLES = ("frames", "objects", "relations", CANDIDATES)
+SENTENCES = "sentences"
+"""The table of a shard that was asked for further sentences: the kind of each, and its line of SENTENCES_FILE."""
+SENTENCES_FILE = "sentences.jsonl"
 
 
 @lru_cache
 def arrow_schema(table: str) -> pa.Schema:
     """The Arrow schema of a table, with the schema's version in its metadata."""
+    if table == SENTENCES:
+        metadata = {VERSION_KEY: SCHEMA_VERSION.encode(), TABLE_KEY: SENTENCES.encode()}
+        return pa.schema([pa.field(name, pa.string(), False) for name in ("kind", "line")], metadata=metadata)
     if table == CANDIDATES:
         worded = arrow_schema("expressions")
         metadata = {**worded.metadata, TABLE_KEY: CANDIDATES.encode()}
@@ -91,7 +97,7 @@ def table_of_rows(table: str, rows: Collection[Mapping[str, Any]]) -> pa.Table:
 
 def write_table(table: pa.Table, path: Path) -> None:
     """Write Parquet under a temporary name, sync it, and rename it into place."""
-    temporary = temporary_beside(path)
+    temporary = temporary_sibling(path)
     try:
         pq.write_table(table, temporary, compression="zstd", row_group_size=ROW_GROUP)
         with open(temporary, "rb") as written:

@@ -175,6 +175,10 @@ class TableFile(BaseModel):
     sha256: str
 
 
+SENTENCES_OF = "sentences_"
+"""Before the kind, in the counts of the manifest, of the sentences beside the tables."""
+
+
 class Manifest(BaseModel):
     """What made the labels, from what, and what came out.
 
@@ -206,6 +210,11 @@ class Manifest(BaseModel):
     created: str
     corrections: dict[str, Any] | None = None
     makers: dict[str, Any] | None = None
+
+    @property
+    def sentences(self) -> dict[str, int]:
+        """By kind, how many sentences stand beside the tables."""
+        return {k.removeprefix(SENTENCES_OF): n for k, n in self.counts.items() if k.startswith(SENTENCES_OF)}
 
 
 TABLES: dict[str, type[Row]] = {

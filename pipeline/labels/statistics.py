@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import glob
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -355,14 +355,19 @@ def open_database(labels: Labels) -> Iterator[Database]:
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as spill:
         connection = duckdb.connect(":memory:", config={"temp_directory": spill})
         try:
-            for name in TABLES:
-                path = labels.root / f"{name}.parquet"
-                # No column is asked for: this reads the footer alone, and checks it.
-                read_table(path, name, [])
-                connection.read_parquet(glob.escape(str(path))).create_view(name)
+            add_views(connection, labels, TABLES)
             yield Database(connection, labels)
         finally:
             connection.close()
+
+
+def add_views(connection: duckdb.DuckDBPyConnection, labels: Labels, tables: Iterable[str]) -> None:
+    """Views over these tables of labels; raises as `open_database`."""
+    for name in tables:
+        path = labels.root / f"{name}.parquet"
+        # No column is asked for: this reads the footer alone, and checks it.
+        read_table(path, name, [])
+        connection.read_parquet(glob.escape(str(path))).create_view(name)
 
 
 def quoted(name: str) -> str:

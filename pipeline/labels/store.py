@@ -13,7 +13,7 @@ from typing import Any
 from pipeline.labels.reading import read_table
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
-from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_beside, temporary_folder, write_synced
+from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, temporary_sibling, write_synced
 
 PARTS = "parts"
 PLAN_FILE = "plan.json"
@@ -108,7 +108,7 @@ class Store:
         if self.remote:
             self._fs.pipe_file(f"{self._root}/{name}", text.encode())
             return
-        temporary = temporary_beside(self.folder / name)
+        temporary = temporary_sibling(self.folder / name)
         try:
             write_synced(temporary, text.encode())
             try:

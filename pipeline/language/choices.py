@@ -78,6 +78,12 @@ FROM_SIDE = re.compile(
 )
 """Where an ordinal begins to count: `second from the left`."""
 
+BARE_SIDE = re.compile(
+    rf"(?:(?P<far>far|very|extreme) (?P<only>left|right|back)|(?P<side>(?:{_SIDE})(?: (?:left|right))?)"
+    rf"(?P<part>(?: {_PART})+)|(?P<two>(?:top|bottom|upper|lower|front|back) (?:left|right))){_SCENE}(?= |$)(?! of )"
+)
+"""A side after the noun, without a preposition: `plant far left`, `mug, right side`, `box bottom left`."""
+
 EXTREME_AT_SIDE = re.compile(
     rf"(?:farthest|furthest|most|further|farther|closest|nearest|all the way)(?: away)? ?(?:to|on|at|toward|towards)? "
     rf"{_THE}(?P<side>left|right|top|bottom|front|back)(?: (?:hand )?(?:side|end|edge))?{_SCENE}(?= |$)(?! of )"

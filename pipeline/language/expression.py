@@ -112,7 +112,7 @@ def _parents(clauses: Sequence[Clause]) -> Iterator[tuple[int, ...]]:
     target. Trees grown so do not cross, and there are 1, 2, 5, 14, ... (Catalan) of them.
     """
 
-    def places(clause: Clause, done: tuple[int, ...], frontier: tuple[int, ...]) -> Sequence[int]:
+    def attachable(clause: Clause, done: tuple[int, ...], frontier: tuple[int, ...]) -> Sequence[int]:
         if clause.attach == "nearest":
             return (len(frontier) - 1,)
         if clause.attach == "root":
@@ -126,9 +126,9 @@ def _parents(clauses: Sequence[Clause]) -> Iterator[tuple[int, ...]]:
             yield done
             return
         clause = clauses[len(done)]
-        for place in places(clause, done, frontier):
+        for index in attachable(clause, done, frontier):
             reached = () if clause.closed else clause.references[-1:]
-            yield from grow((*done, frontier[place]), (*frontier[: place + 1], *reached))
+            yield from grow((*done, frontier[index]), (*frontier[: index + 1], *reached))
 
     if len(clauses) <= MAX_RELATIONS:
         return grow((), (0,))

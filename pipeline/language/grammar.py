@@ -22,8 +22,8 @@ from pipeline.language.nouns import Phrase, is_name
 from pipeline.language.regions import RegionReader
 from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice, Span
-from pipeline.language.unreadable import FORM, not_known, unreadable
-from pipeline.language.views import leading_removed, without_view
+from pipeline.language.unreadable import FORM, NOT_EXACT, not_known, unreadable
+from pipeline.language.views import closing_removed, leading_removed, without_view
 from pipeline.system.errors import InputError, Unsupported
 
 
@@ -64,8 +64,7 @@ class _Reader(RegionReader):
     """One pass over one expression, adding to its chain."""
 
     def __init__(self, text: str, tokens: list[Token]) -> None:
-        while tokens and tokens[-1].plain in lexicon.CLOSING and tokens[-2:][0].text not in lexicon.POINTING:
-            tokens = tokens[:-1]
+        tokens = closing_removed(tokens)
         tokens = without_view(tokens, text)
         tokens, self.asks_what = leading_removed(tokens)
         contrast = next((k for k, t in enumerate(tokens) if t.plain == "but" and k + 1 < len(tokens)), None)
@@ -102,6 +101,7 @@ class _Reader(RegionReader):
             return self._with(at)
         if word in lexicon.NEGATIONS:
             self.negated = self.linked = True
+            self.joined = self.joined or word == "nor"
             self._relation_span(token)
             return at + 1
         if word in lexicon.AND or word in ("or", "nor", "plus"):
@@ -113,17 +113,21 @@ class _Reader(RegionReader):
             return at + 1
         if (side := self._side(at)) is not None:
             return side
+        if not self.opened and (clause := self._object_clause(at)) is not None:
+            return clause
         loose = self.chain.nouns and not self.opened and token.relation is None
         filler = self.match(lexicon.FILLER, at) if loose else None
         if filler is not None and self._goes_on(filler[1]):
             return filler[1]
-        if self.chain.nouns and not self.opened and not self._said_of(at):
+        if self.chain.nouns and not self.opened and not self._predicative(at):
             for pattern, why in _NOT_JUDGED:
                 if (found := self.match(pattern, at)) and self._goes_on(found[1]):
                     self.problems.append(Unsupported(why, got=f"'{self.words(at, found[1])}'"))
                     self._note(at, found[1], why)
                     return found[1]
         if self._links(at):
+            if word in lexicon.HOW_EXACTLY and self.chain.nouns and self._relates(at + 1):
+                self._note(at, at + 1, NOT_EXACT)
             self.linked = True
             return at + 1
         if self.opened and (viewer := self._viewer(at)) is not None:
@@ -149,13 +153,6 @@ class _Reader(RegionReader):
 
     def _relates(self, at: int) -> bool:
         return at < len(self.tokens) and self.tokens[at].relation is not None and not self.breaks[at]
-
-    def _said_of(self, at: int) -> bool:
-        """Whether what begins here is said of a thing: `is red`, `is not the red one`, and not `there is`."""
-        at -= 1
-        while at > 0 and (self.tokens[at].plain in lexicon.NEGATIONS or self.tokens[at].plain in lexicon.DEGREES):
-            at -= 1
-        return bool(self.chain.nouns) and self.tokens[at].plain in lexicon.BE and self.tokens[at - 1].plain != "there"
 
     def _links(self, at: int) -> bool:
         """Whether a word only links a noun to what follows."""
@@ -233,10 +230,11 @@ class _Reader(RegionReader):
     # ---- nouns -----------------------------------------------------------------------------------------------------
 
     def _noun(self, at: int) -> int:
-        predicate = not self.opened and self._said_of(at) and self.tokens[at].plain not in DETERMINERS
+        predicate = not self.opened and self._predicative(at) and self.tokens[at].plain not in DETERMINERS
         phrase, end = self.noun(at, stop_at_and=bool(self.opened), predicate=predicate)
         if phrase is None:
-            self._note(at, max(end, at + 1), "these words have no place here")
+            if end > at + 1 or self.tokens[at].plain not in DETERMINERS:
+                self._note(at, max(end, at + 1), "these words have no place here")
             return max(end, at + 1)
         if phrase.superlative is not None and (reference := self._superlative_reference(end)) is not None:
             return self._nearest_noun(phrase, end, reference)
@@ -266,7 +264,7 @@ class _Reader(RegionReader):
             token = self.opened[-1].token
             self._choice(Choice("high", 1, f"{token.text} {self.words(at, end)}"), at, end)
             return end
-        phrase = self._resolved(phrase)
+        phrase = self._whole(at, self._resolved(phrase))
         first = self._add_noun(phrase, "reference", phrase.where)
         if self.opened[-1].token.relation == "between":
             second, end = self._second(phrase, first, end)
@@ -332,8 +330,11 @@ class _Reader(RegionReader):
         """A noun without a relation before it: the target once more, what it is not, or nothing that is of use."""
         root = self.chain.nouns[0]
         if self.negated:
+            where = phrase.where
             if root.anything and root.head_word == "one" and not phrase.anything:
-                self._merge(replace(phrase, attributes=(), words=(), modifiers=(), choices=()), named=True)
+                bare = replace(phrase, attributes=(), words=(), modifiers=(), choices=())
+                self._merge(bare, named=True)
+                where = (end, end)
                 root = self.chain.nouns[0]
             again = phrase.anything or (phrase.name == root.name and self._relates(end))
             if again and not (phrase.attributes or phrase.choices):
@@ -341,7 +342,7 @@ class _Reader(RegionReader):
                 self.at_root = True
                 return end
             implied = phrase.where[0] == phrase.where[1]
-            number = self._add_noun(self._resolved(phrase, root, implied=implied), "reference", phrase.where)
+            number = self._add_noun(self._resolved(phrase, root, implied=implied), "reference", where)
             self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
             self.negated, self.at_root = False, True
             return end
@@ -353,14 +354,14 @@ class _Reader(RegionReader):
             self._forget()
             return end
         same = phrase.name == root.name or phrase.anything or phrase.name in root.name.split()
-        said_of = self._said_of(at)
+        predicative = self._predicative(at)
         noun = self.tokens[at].plain in DETERMINERS or is_name(singular(phrase.head_word))
-        named = said_of and noun and (root.anything or phrase.name.endswith(f" {root.name}"))
+        named = predicative and noun and (root.anything or phrase.name.endswith(f" {root.name}"))
         told_before = any(t.plain in lexicon.BE for t in self.tokens[:at])
         if self.joined and not told_before and not clauses and not same:
             joint = "and the" if self.tokens[at].plain in DETERMINERS else "and"
             raise InputError(f"'{joint}' names a second target", got=f"'{self.text}'", expected="one target a relation")
-        if same or named or (said_of and (phrase.attributes or phrase.choices)):
+        if same or named or (predicative and (phrase.attributes or phrase.choices)):
             relative = {self.tokens[at - 1].plain, self.tokens[at - 2].plain} & lexicon.RELATIVE_COPULAS
             number = len(self.chain.nouns) - 1 if relative and same else 0
             if not (same or named):
@@ -376,14 +377,6 @@ class _Reader(RegionReader):
             self._note(at, end, "a second thing without a relation to the first")
         self._forget()
         return end
-
-    def _resolved(self, phrase: Phrase, other: Phrase | None = None, *, implied: bool = False) -> Phrase:
-        """`the yellow one` of the thing that was named last; so too where no thing is said."""
-        if not phrase.anything or not (implied or phrase.head_word in ("one", "ones")) or not self.chain.nouns:
-            return phrase
-        named = other if other is not None and not other.anything else self.chain.nouns[-1]
-        words = list(phrase.words)
-        return replace(phrase, label=" ".join([*words, named.name]), head=named.name if words else "")
 
     def _nearest_noun(self, phrase: Phrase, end: int, at: int) -> int:
         """`the nearest chair to the door`: the relation stands before the noun that it modifies."""

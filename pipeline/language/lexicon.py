@@ -65,6 +65,11 @@ BARE_SIDES = {"in front": "near", "behind": "far", "in back": "far", "on top": "
 
 SURFACES = _words("table desk counter countertop shelf bookshelf bed couch sofa bench dresser nightstand rug tray")
 """Things that others stand on, so that their left side may be a place on them."""
+PARTS = _words(
+    "shelf drawer door leg arm armrest seat back backrest lid rim handle surface step tier level compartment foot "
+    "cover frame base side half part section edge corner end tabletop headboard"
+)
+"""Heads before `of the` that name a part of a thing."""
 LYING = _words(
     "standing sitting lying laying resting placed put located positioned situated kept stands sits lies rests"
 )
@@ -85,9 +90,15 @@ LEADING = _phrases(
     "go to, move to, navigate to, drive to, walk to, head to, look for, look at, search for, detect, segment, "
     "highlight, ground, identify, mark, reach for, reach, click, click on, hand, hand me, pass, pass me, where is, "
     "where can i find, where can i see, where are, where's, what is, what are, what's, which is, which are, "
-    "which one is, which, what, is there, are there, there's, is it true that, there is, there are, this is, "
-    "these are, it is, it's, is, are, does, do you see, can you see, can i see, i can see, you can see, we see, "
-    "tell me where, tell me which, tell me, tell me where is, let me see"
+    "which one is, which one of, which of, which, what, is there, are there, there's, please could i have, "
+    "could i have, can i have, may i have, i'll have, could we have, would you mind, do you mind, be so kind as to, "
+    "would you be so kind as to, would you be able to, are you able to, i wonder if you could, kindly, "
+    "i was wondering if you could, passing me, passing, handing me, handing, giving me, bringing me, fetching me, "
+    "fetching, getting me, grabbing, picking up, finding, showing me, taking, pass us, give us, hand us, bring us, "
+    "show us, get us, fetch us, to bring me, to pass me, to hand me, to give me, to fetch, to get me, to find, "
+    "to show me, to pick up, to grab, is it true that, there is, there are, this is, these are, it is, it's, is, are, "
+    "does, do you see, can you see, can i see, i can see, you can see, we see, tell me where, tell me which, tell me, "
+    "tell me where is, let me see"
 )
 """What may stand before the first noun and says nothing about it."""
 
@@ -100,6 +111,9 @@ LINKING = _words(
     "wedged tossed thrown stuck draped built"
 )
 """Words between a noun and its relation that say nothing: `the mug that is standing on`."""
+
+HOW_EXACTLY = _words("directly immediately just right straight exactly slightly almost nearly closely")
+"""Words before a relation that say more than it, which no relation judges."""
 
 COPULAS = _words(
     "does do did that which who is are was were be been being that's which's who's it's there thats whos also"
@@ -133,6 +147,11 @@ DOING = re.compile(
 """What somebody does with a thing."""
 
 CLOSING = _words("please thanks is are there")
+CLOSING_PHRASES = _phrases(
+    "for me, for us, would you, will you, could you, can you, if you can, if you could, if you please, thank you, "
+    "do you see it, can you see it, if possible"
+)
+"""What may stand after the last noun and says nothing about it."""
 AND = frozenset({"and", "but", "&"})
 EVERY = _words("any all every each everything anything")
 """Before a noun they make `but` mean `except`."""

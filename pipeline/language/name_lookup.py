@@ -9,7 +9,7 @@ from functools import lru_cache
 from string import ascii_lowercase
 from typing import Literal
 
-from pipeline.language.name_table import Synonyms
+from pipeline.language.name_table import Synonyms, default_synonyms
 from pipeline.language.normal import HEAD_ENDS, base_of, forms_of, key_of, singular, spellings
 
 How = Literal["exact", "synonym", "kind", "spelling", "vectors"]
@@ -159,6 +159,13 @@ def _is_a(form: str, general: str, table: Synonyms) -> bool:
     return form == general or any(upper == general for upper, _ in above(form, table))
 
 
+@lru_cache(maxsize=4096)
+def is_packed(word: str, table: Synonyms | None = None) -> bool:
+    """Whether a thing is what others are sold in, or is sold in it."""
+    table = table or default_synonyms()
+    return _is_a(word, PACKAGING, table) or _is_a(word, PACKED, table)
+
+
 def _content(form: str, table: Synonyms) -> str:
     """`tomato soup` of `tomato soup can`: what is packed in a package; "" for anything else."""
     *first, head = form.split() or [""]
@@ -247,17 +254,19 @@ def _variants(query: str, table: Synonyms) -> Iterator[str]:
 
 def respelled(query: str, known: KnownNames) -> str | None:
     """The query with its misspelt words mended, None where there are none: words of five letters and more that
-    neither the known names nor the table have, and of which one word that they have is one letter away."""
+    neither the known names nor the table have, and of which one word that they have is one letter away; of
+    four letters only two of a known name may have changed places."""
     words = query.split()
     mended = [_mended(word, known.words, known.table) for word in words]
     return " ".join(mended) if mended != words else None
 
 
 def _mended(word: str, words: frozenset[str], table: Synonyms) -> str:
-    if len(word) < 5 or not word.isalpha() or word in words or word in table.words or singular(word) in table.words:
+    if len(word) < 4 or not word.isalpha() or word in words or word in table.words or singular(word) in table.words:
         return word
-    near = _one_letter_away(word)
-    for among in (words, table.words):
+    short = len(word) == 4
+    near = _two_swapped(word) if short else _one_letter_away(word)
+    for among in (words,) if short else (words, table.words):
         candidates = [n for n in near if n in among]
         kept = [c for c in candidates if c[0] == word[0]] or candidates
         if len(kept) == 1:
@@ -269,7 +278,10 @@ def _mended(word: str, words: frozenset[str], table: Synonyms) -> str:
 def _one_letter_away(word: str) -> frozenset[str]:
     splits = [(word[:i], word[i:]) for i in range(len(word) + 1)]
     lost = {a + b[1:] for a, b in splits if b}
-    swapped = {a + b[1] + b[0] + b[2:] for a, b in splits if len(b) > 1}
     changed = {a + c + b[1:] for a, b in splits if b for c in ascii_lowercase}
     added = {a + c + b for a, b in splits for c in ascii_lowercase}
-    return frozenset((lost | swapped | changed | added) - {word})
+    return frozenset((lost | _two_swapped(word) | changed | added) - {word})
+
+
+def _two_swapped(word: str) -> frozenset[str]:
+    return frozenset(word[:k] + word[k + 1] + word[k] + word[k + 2 :] for k in range(len(word) - 1))

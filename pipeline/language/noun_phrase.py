@@ -43,7 +43,7 @@ _INITIALISMS = _words(
 )
 """Letters said one by one although a vowel among them would let them be said as a word."""
 
-_SAID_AS_WORDS = _words("sim ram rom lan nes mac nas sap")
+_PRONOUNCED_AS_WORDS = _words("sim ram rom lan nes mac nas sap")
 _ABBREVIATIONS = _words("mr mrs ms st")
 _VOWELS = frozenset("aeiou")
 _SPELLED_WITH_VOWEL = frozenset("aefhilmnorsx")
@@ -145,7 +145,7 @@ def _is_spelled_out(word: str) -> bool:
     lower = letters[0].lower()
     if len(lower) == 1 or lower in _INITIALISMS:
         return lower != "a" or word != "a"
-    if not lower.isascii() or lower in _SAID_AS_WORDS:
+    if not lower.isascii() or lower in _PRONOUNCED_AS_WORDS:
         return False
     if _VOWELS.isdisjoint(lower) and "y" not in lower:
         return len(lower) <= 5
@@ -204,15 +204,15 @@ def same_names(labels: Sequence[str]) -> np.ndarray:
     names = list(dict.fromkeys(labels))
     alike = np.array([[a == b or same_class(a, b) for b in names] for a in names], np.bool_)
     alike = alike.reshape(len(names), len(names))
-    place = np.array([names.index(label) for label in labels], np.int64)
-    return alike[np.ix_(place, place)]
+    index = np.array([names.index(label) for label in labels], np.int64)
+    return alike[np.ix_(index, index)]
 
 
 def alone(labels: Sequence[str]) -> np.ndarray:
     """(N,) bool: names that mean one object only, neither a second of the class nor one of a kind of it."""
     # As they are said: `bat (animal)` and `bat (club)` may both be said `bat`.
-    said = [readable(label) for label in labels]
-    single = (same_names(labels).sum(axis=1) == 1) & (same_names(said).sum(axis=1) == 1)
-    forms = [normal_form(name) for name in said]
+    readings = [readable(label) for label in labels]
+    single = (same_names(labels).sum(axis=1) == 1) & (same_names(readings).sum(axis=1) == 1)
+    forms = [normal_form(name) for name in readings]
     general = [any(other.endswith(f" {form}") for other in forms) for form in forms]
     return single & ~np.array(general, np.bool_)

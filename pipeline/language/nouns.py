@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pipeline.language import choices, lexicon
-from pipeline.language.attributes import Attribute, attribute
+from pipeline.language.attributes import BASIC_COLORS, FURTHER_COLORS, Attribute, attribute
 from pipeline.language.cursor import MODALS, Cursor
+from pipeline.language.name_lookup import is_packed
 from pipeline.language.naming import DETERMINERS, default_synonyms, is_compound, key_of, known_words, singular
 from pipeline.language.normal import normal_form
 from pipeline.language.relation_names import MIRRORED
@@ -245,6 +246,8 @@ class NounReader(Cursor):
             found = attribute(text) or (_superlative_of(text) if size == 1 else None)
             if found is None or (size == 1 and (self._compound(at) or self._is_the_thing(at, draft, found))):
                 continue
+            if self._is_content(at + size - 1, found) or (size == 2 and self._compound(at + 1)):
+                continue
             draft.attributes.append(found)
             draft.words.append(text)
             draft.modifiers.append((self.tokens[at].start, self.tokens[at + size - 1].end, "attribute"))
@@ -263,6 +266,14 @@ class NounReader(Cursor):
         # `orange, white and blue flags`
         listed = after + (self.tokens[after].plain in lexicon.AND)
         return self._ends(after) and attribute(self._text(listed)) is None
+
+    def _is_content(self, at: int, found: Attribute) -> bool:
+        """`peach` in `peach jar`: a word for a colour that first names a thing, before what such things are sold in."""
+        word, following = self._text(at), singular(self._text(at + 1))
+        named = (
+            found.kind == "color" and word not in (*BASIC_COLORS, *FURTHER_COLORS, "grey", "light") and is_name(word)
+        )
+        return named and (is_packed(following) or is_name(f"{word} {following}"))
 
     def _of_several(self, at: int, draft: _Draft) -> int:
         """`the taller of the two boxes`: past `of the two`."""
@@ -312,6 +323,10 @@ class NounReader(Cursor):
             verb = any(self.tokens[k].plain in DETERMINERS for k in range(max(at - 3, 0), at))
             return verb and self._ends(end + 1) and not is_compound([self.tokens[end - 1].text, singular(word)])
         if word in ("it", "this") or self.match(choices.EXTREME_AT_SIDE, end) or self._filler(end):
+            return True
+        if (bare := self.match(choices.BARE_SIDE, end)) is not None and self._ends(bare[1]):
+            return True
+        if word in ("up", "down", "out", "back") and self.match(choices.AT_SIDE, end + 1) is not None:
             return True
         if word in ("left", "right"):
             return not self._compound(end - 1)

@@ -1,11 +1,15 @@
-"""Sides and parts of an expression: `on the left`, `at the right end of the couch`, `in the middle of the room`."""
+"""Sides and parts of an expression, `on the left`, `at the right end of the couch`, and things told by what others do
+to them: `the shelf the jar stands on`."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from pipeline.language import choices, lexicon
-from pipeline.language.chain import ChainReader, Clause, Opened
-from pipeline.language.naming import DETERMINERS
+from pipeline.language.chain import Attach, ChainReader, Clause, Opened
+from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import Phrase
+from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token
 from pipeline.language.tree import Choice, Span
 
@@ -22,6 +26,10 @@ class RegionReader(ChainReader):
         if found := self.match(choices.EXTREME_AT_SIDE, at):
             self._choice(Choice(choices.SIDES[found[0]["side"]], 1, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
             return found[1]
+        if (bare := self.match(choices.BARE_SIDE, at)) and self.chain.nouns and not self.opened and self._ends(bare[1]):
+            for order in choices.orders_of(bare[0]["only"] or bare[0]["side"] or bare[0]["two"]):
+                self._choice(Choice(order, 1 if bare[0]["far"] else None, bare[0][0].strip()), at, bare[1])  # type: ignore[arg-type]
+            return bare[1]
         found, region = self.match(choices.AT_SIDE, at), self.match(choices.REGION_OF, at)
         inside = region is not None and region[0]["side"] and region[0]["preposition"] != "to"
         if found is not None and region is not None and inside and region[1] > found[1]:
@@ -90,3 +98,69 @@ class RegionReader(ChainReader):
         if word in lexicon.SCENE and self._ends(at + 1):
             return at + 1
         return None
+
+    # ---- things told by others -------------------------------------------------------------------------------------
+
+    def _object_clause(self, at: int) -> int | None:
+        """`the shelf (that) the jar stands on`: a relation that holds from the thing named in it; None elsewhere."""
+        word = self.tokens[at].plain
+        bare = word in DETERMINERS - lexicon.RELATIVE and not self._predicative(at) and not self.breaks[at]
+        asked = self.asks_what and (word in ("is", "are") if self.chain.nouns else bare)
+        if not (
+            asked or (self.chain.nouns and not self.negated and not self.joined and (bare or word in lexicon.RELATIVE))
+        ):
+            return None
+        start = at if bare else at + 1
+        if not self._starts_noun(start):
+            return None
+        phrase, end = self.noun(start, stop_at_and=True)
+        if phrase is None or phrase.where[0] == phrase.where[1] or phrase.head_word in lexicon.SOMEBODY:
+            return None
+        negated = False
+        while end < len(self.tokens) and self.tokens[end].plain in (
+            lexicon.LINKING | lexicon.POSTURES | lexicon.NEGATIONS
+        ):
+            negated = negated or self.tokens[end].plain in lexicon.NEGATIONS
+            end += 1
+        token = self.tokens[end] if end < len(self.tokens) else None
+        if token is None or token.relation not in (*MIRRORED, "on", "in"):
+            return None
+        if self._starts_noun(end + 1):
+            return None
+        if not self.chain.nouns:
+            self._add_noun(Phrase(label="thing"), "target", (at, at))
+        number = self._add_noun(self._resolved(phrase), "reference", phrase.where)
+        self._relation_span(token)
+        attach: Attach = "root" if asked else "nearest"
+        self.chain.clauses.append(
+            Clause(str(token.relation), token.text, (number,), not token.swapped, attach, closed=True, negated=negated)
+        )
+        self._forget()
+        return end + 1
+
+    def _predicative(self, at: int) -> bool:
+        """Whether what begins here is said of a thing: `is red`, `is not the red one`, and not `there is`."""
+        at -= 1
+        while at > 0 and (self.tokens[at].plain in lexicon.NEGATIONS or self.tokens[at].plain in lexicon.DEGREES):
+            at -= 1
+        return bool(self.chain.nouns) and self.tokens[at].plain in lexicon.BE and self.tokens[at - 1].plain != "there"
+
+    def _whole(self, at: int, phrase: Phrase) -> Phrase:
+        """`the bookcase` for `the lowest shelf of the bookcase`: of what part of a thing is meant nothing is known."""
+        start, end = phrase.where
+        of = next((k for k in range(start, end) if self.tokens[k].plain == "of"), end)
+        if phrase.named or of + 1 >= end or singular(self.tokens[of - 1].text) not in lexicon.PARTS:
+            return phrase
+        whole, after = self.noun(of + 1)
+        if whole is None or after != end:
+            return phrase
+        self._note(at, of + 1, "which part of a thing is meant is not judged")
+        return whole
+
+    def _resolved(self, phrase: Phrase, other: Phrase | None = None, *, implied: bool = False) -> Phrase:
+        """`the yellow one` of the thing that was named last; so too where no thing is said."""
+        if not phrase.anything or not (implied or phrase.head_word in ("one", "ones")) or not self.chain.nouns:
+            return phrase
+        named = other if other is not None and not other.anything else self.chain.nouns[-1]
+        words = list(phrase.words)
+        return replace(phrase, label=" ".join([*words, named.name]), head=named.name if words else "")

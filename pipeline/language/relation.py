@@ -87,7 +87,7 @@ DECLARED: tuple[Relation, ...] = (
         inverse="left", axis=(0, 1), viewer_dependent=True, vocabularies=("avd",), color=(136, 204, 238),
     ),
     Relation(
-        "above", "above", ("above", "over", "higher than", "up above", "higher up than"),
+        "above", "above", ("above", "over", "higher than", "up above", "higher up than", "over top of"),
         says=("above", "higher than"),
         inverse="below", axis=(1, 1), vocabularies=("avd",), seen_from="side", color=(17, 119, 51),
     ),
@@ -115,7 +115,7 @@ DECLARED: tuple[Relation, ...] = (
     Relation(
         "on", "on",
         (
-            "on", "on top of", "on the top of", "on top", "on the top", "atop", "atop of", "upon", "onto",
+            "on", "on top of", "on the top of", "on top", "on the top", "top of", "atop", "atop of", "upon", "onto",
             "on the surface of", "resting on", "lying on", "sitting on", "standing on", "placed on", "laying on",
             "supported by",
         ),

@@ -104,8 +104,17 @@ _MISSPELT = [
     "beneath",
     "underneath",
     "infront",
+    "against",
+    "across",
 ]
 """Words of the grammar that are taken for what a misspelt word should be."""
+_SLIPS = {"th": "the"} | {
+    word[:k] + word[k + 1] + word[k] + word[k + 2 :]: word
+    for word in ("the", "that", "this", "and", "with", "which", "from")
+    for k in range(len(word) - 1)
+    if word != "from" or k != 1
+}
+"""Two letters of a small word that changed places: `teh`; `form` is a word of its own."""
 
 
 @lru_cache(maxsize=4096)
@@ -114,12 +123,20 @@ def spelled(word: str) -> str:
 
     A word that is known is left alone; in long ones one letter may be another.
     """
+    if word in _SLIPS:
+        return _SLIPS[word]
     if len(word) < 3 or word in _PHRASES or word in _MISSPELT or word in GRAMMAR_WORDS or word in known_words():
         return word
     for meant in _MISSPELT:
         if abs(len(word) - len(meant)) <= 1 and word[0] == meant[0] and _one_slip(word, meant):
             return meant
     return word
+
+
+def mended(text: str) -> tuple[tuple[int, int, str], ...]:
+    """The words of the grammar that were misspelt: where each stands, and what it was read as."""
+    words = ((m.start(), m.end(), m[0].lower().replace("’", "'")) for m in _WORD.finditer(text))
+    return tuple((start, end, spelled(word)) for start, end, word in words if spelled(word) != word)
 
 
 def _one_slip(word: str, meant: str) -> bool:
@@ -206,6 +223,9 @@ def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[T
     """
     found = list(_WORD.finditer(text))
     words = [spelled(m[0].lower().replace("’", "'")) for m in found]
+    words = [
+        "with" if w == "w" and text[m.end() : m.end() + 1] == "/" else w for w, m in zip(words, found, strict=True)
+    ]
     starts = [m.start() for m in found]
     ends = [m.end() for m in found]
     opens = [i == 0 or _BREAKS.search(text, ends[i - 1], starts[i]) is not None for i in range(len(found))]

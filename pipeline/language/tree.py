@@ -9,6 +9,7 @@ from typing import Literal
 from pipeline.language.attributes import Attribute
 from pipeline.language.lexicon import ANYTHING, wording
 from pipeline.language.relation_names import RELATIONS
+from pipeline.language.tokens import mended
 from pipeline.system.errors import InputError, require
 
 Role = Literal["target", "relation", "reference", "attribute", "choice", "unused"]
@@ -312,6 +313,16 @@ class Query:
         return tuple(label for label in self.labels if label in there)
 
     @property
+    def mended(self) -> tuple[tuple[str, str], ...]:
+        """The misspelt words of the grammar, and what each was read as."""
+        names = [s for s in self.spans if s.role in ("target", "reference")]
+        return tuple(
+            (self.text[start:end], meant)
+            for start, end, meant in mended(self.text)
+            if not any(s.start <= start and end <= s.end for s in names)
+        )
+
+    @property
     def unused(self) -> tuple[Span, ...]:
         """The words that say something and could not be used, with the reason."""
         return tuple(s for s in self.spans if s.role == "unused")
@@ -320,8 +331,8 @@ class Query:
 def described(node: Node) -> str:
     """A noun phrase with brackets, in one form for every wording: `mug left of (laptop on table)`."""
     words = node.label
-    for choice in node.choices:
-        words = f"{words} [{choice.text}]"
+    for text in dict.fromkeys(c.text for c in node.choices):  # `bottom left` is two
+        words = f"{words} [{text}]"
     for number, attachment in enumerate(node.attachments):
         ends = [f"({described(n)})" if n.attachments or n.choices else n.label for n in attachment.nodes]
         head = f"({words})" if number else words

@@ -13,6 +13,8 @@ from pipeline.language.tree import Query
 from pipeline.system.errors import InputError, UnknownClass, Unsupported, require
 
 FORM = "TARGET RELATION REFERENCE"
+NOT_EXACT = "how exactly it stands so is not judged"
+"""Of `directly` before a relation, which itself is judged."""
 Unread = Literal["WORDS", "GRAMMAR", "UNSUPPORTED"]
 """Why an expression was not read as meant: a name is not known, the sentence cannot be read, or it can and what it asks
 for is not judged."""
@@ -26,10 +28,11 @@ def why_unread(problem: InputError) -> Unread:
 
 
 def why_unused(query: Query) -> Unread | None:
-    """The same of words that were left out of what was asked; None where all were used."""
-    if not query.unused:
+    """The same of words that were left out of what was asked; None where all were used, or only `directly` was not."""
+    unused = [span for span in query.unused if span.note != NOT_EXACT]
+    if not unused:
         return None
-    return "WORDS" if any(span.unknown for span in query.unused) else "UNSUPPORTED"
+    return "WORDS" if any(span.unknown for span in unused) else "UNSUPPORTED"
 
 
 def check_judged(tokens: Sequence[Token], text: str) -> None:

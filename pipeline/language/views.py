@@ -48,11 +48,25 @@ def without_view(tokens: list[Token], text: str) -> list[Token]:
     return tokens
 
 
+def closing_removed(tokens: list[Token]) -> list[Token]:
+    """Without `please`, `for me` and the like at the end, as long as something is left."""
+    while tokens:
+        if tokens[-1].plain in lexicon.CLOSING and tokens[-2:][0].text not in lexicon.POINTING:
+            tokens = tokens[:-1]
+            continue
+        ends = (n for n in (4, 3, 2) if len(tokens) > n + 1)
+        told = next((n for n in ends if " ".join(t.plain or "_" for t in tokens[-n:]) in lexicon.CLOSING_PHRASES), None)
+        if told is None:
+            return tokens
+        tokens = tokens[:-told]
+    return tokens
+
+
 def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
     """Without `please find me` and the like, as long as something is left; whether they ask `what` or `which`."""
     asks = False
     while tokens:
-        for n in (5, 4, 3, 2, 1):
+        for n in range(7, 0, -1):
             run = tokens[:n]
             if len(run) == n and " ".join(t.text for t in run) in lexicon.LEADING:
                 if any(t.bound or t.name is not None for t in run):

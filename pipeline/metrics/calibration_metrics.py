@@ -286,6 +286,15 @@ def fit_calibration(
     return found
 
 
+def labelled_pairs(
+    values: Sequence[np.ndarray], truth: Sequence[np.ndarray], classes: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(P, R) values and (P,) int64 classes of the pairs of all views whose class ((N, N) int each) is not below 0."""
+    pairs = [(v[t >= 0], t[t >= 0]) for v, t in zip(values, truth, strict=True)]
+    found = np.concatenate([np.zeros((0, classes)), *(v for v, _ in pairs)])
+    return found, np.concatenate([np.zeros(0, np.int64), *(t for _, t in pairs)]).astype(np.int64)
+
+
 def fit_temperature(
     logits: Sequence[np.ndarray], truth: Sequence[np.ndarray], vocabulary: Sequence[str]
 ) -> dict[str, Platt]:
@@ -303,9 +312,7 @@ def fit_temperature(
     dict of str to (1 / temperature, 0)
         The identity with fewer than 50 pairs.
     """
-    pairs = [(z[t >= 0], t[t >= 0]) for z, t in zip(logits, truth, strict=True)]
-    z = np.concatenate([np.zeros((0, len(vocabulary))), *(z for z, _ in pairs)])
-    t = np.concatenate([np.zeros(0, np.int64), *(t for _, t in pairs)]).astype(np.int64)
+    z, t = labelled_pairs(logits, truth, len(vocabulary))
     slope = 1.0
     if len(t) >= FEWEST_POSITIVES:
         # The likelihood is concave in the slope: golden sections of its logarithm, 1/16 to 16.

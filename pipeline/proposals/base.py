@@ -182,11 +182,11 @@ MAX_CANDIDATES = 1000
 
 def top_k(proposals: Proposals, k: int, *, min_score: float = 0.0, nms_iou: float = NMS_IOU) -> Proposals:
     """The K best proposals after class-agnostic non-maximum suppression, best first."""
-    return proposals.take(top_k_places(proposals, k, min_score=min_score, nms_iou=nms_iou))
+    return proposals.take(top_k_indices(proposals, k, min_score=min_score, nms_iou=nms_iou))
 
 
-def top_k_places(proposals: Proposals, k: int, *, min_score: float = 0.0, nms_iou: float = NMS_IOU) -> np.ndarray:
-    """(M,) int64: the places of the proposals that `top_k` takes."""
+def top_k_indices(proposals: Proposals, k: int, *, min_score: float = 0.0, nms_iou: float = NMS_IOU) -> np.ndarray:
+    """(M,) int64: the indices of the proposals that `top_k` takes."""
     order = np.argsort(-proposals.scores, kind="stable")
     order = order[proposals.scores[order] >= min_score]
     return order[suppress(proposals.boxes[order], nms_iou)][:k]

@@ -134,11 +134,11 @@ def read_box_model(path: Path) -> BoxModel:
         model = BoxModel.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(p) for p in first["loc"]) or "the top"
+        location = ".".join(str(p) for p in first["loc"]) or "the top"
         keys = {(): BoxModel, ("input",): BoxInput, ("output",): BoxOutput}.get(first["loc"][:-1])
         unknown = "extra" in first["type"] and keys is not None
         raise InputError(
-            f"the detector's TOML file is wrong at {place}",
+            f"the detector's TOML file is wrong at {location}",
             got="a key that there is not" if unknown else first["msg"],
             expected="one of " + ", ".join(keys.model_fields) if unknown and keys else None,
             path=path,

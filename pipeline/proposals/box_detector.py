@@ -64,7 +64,7 @@ class BoxDetector(NetworkDetector):
         return f"boxes:{self.min_score}:{':'.join(parts)}"
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        """Detections of the classes that the names mean, the better first; `ids` are places in the network's answer."""
+        """Detections of the classes that the names mean, the better first; `ids` are rows of the network's answer."""
         wanted = self._wanted(labels)
         candidates, placement = self._once(frame, self._forward)
         score, which = self._best(candidates.scores, wanted)

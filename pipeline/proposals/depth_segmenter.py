@@ -249,11 +249,11 @@ def _cut(maps: _Maps, window: tuple[int, int, int, int], fx: float) -> _Cut | No
     e = int(np.ceil(step))
     frame_rows = np.concatenate([[max(y0 - e, 0)][: y0 > 0], rows, [min(y1 - 1 + e, height - 1)][: y1 < height]])
     frame_columns = np.concatenate([[max(x0 - e, 0)][: x0 > 0], columns, [min(x1 - 1 + e, width - 1)][: x1 < width]])
-    place = np.ix_(frame_rows.astype(np.int64), frame_columns.astype(np.int64))
+    at = np.ix_(frame_rows.astype(np.int64), frame_columns.astype(np.int64))
     inside = slice(int(y0 > 0), int(y0 > 0) + shape[0]), slice(int(x0 > 0), int(x0 > 0) + shape[1])
-    framed = maps.lab[place].copy()
+    framed = maps.lab[at].copy()
     framed[inside] = colour
-    links = _links(framed, maps.points[place], maps.normals[place], maps.known[place])
+    links = _links(framed, maps.points[at], maps.normals[at], maps.known[at])
 
     def solved(log_odds: np.ndarray) -> np.ndarray:
         everything = np.full(framed.shape[:2], -50.0)
@@ -291,9 +291,9 @@ def _samples(
 ) -> _Samples:
     x0, y0, x1, y1 = window
     reach = IMAGE * max(x1 - x0, y1 - y0)
-    place = np.stack([(u - (x0 + x1) / 2) / reach, (v - (y0 + y1) / 2) / reach], axis=-1)
+    position = np.stack([(u - (x0 + x1) / 2) / reach, (v - (y0 + y1) / 2) / reach], axis=-1)
     points = maps.points[v, u]
-    features = np.concatenate([colour / COLOUR, place], axis=1).astype(np.float32)
+    features = np.concatenate([colour / COLOUR, position], axis=1).astype(np.float32)
     return _Samples(features, points, maps.normals[v, u], points[:, 2] > 0, maps.known[v, u])
 
 

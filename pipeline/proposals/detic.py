@@ -76,12 +76,12 @@ class DeticDetector(NetworkDetector):
         )
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        """Detections of the classes that the names mean, the better first; `ids` are places in the network's answer."""
+        """Detections of the classes that the names mean, the better first; `ids` are rows of the network's answer."""
         names = self.vocabulary or ()
         wanted = self._wanted(labels)
         boxes, scores, classes, masks = self._once(frame, self._forward)
-        place = {name: k for k, name in enumerate(wanted)}
-        which = np.array([place.get(names[int(c)], -1) for c in classes], np.int64)
+        index_of = {name: k for k, name in enumerate(wanted)}
+        which = np.array([index_of.get(names[int(c)], -1) for c in classes], np.int64)
         chosen = np.flatnonzero((which >= 0) & (scores >= self.min_score))
         chosen = chosen[np.argsort(-scores[chosen], kind="stable")]
         pasted = paste_masks(masks[chosen], boxes[chosen], frame.height, frame.width)
@@ -138,11 +138,11 @@ def find_names(model: Path) -> Path:
     InputError
         Where there is none.
     """
-    beside = [model.with_name(n.format(stem=model.stem)) for n in NAME_FILES]
+    candidates = [model.with_name(n.format(stem=model.stem)) for n in NAME_FILES]
     return needed(
-        next((p for p in beside if p.is_file()), None),
+        next((p for p in candidates if p.is_file()), None),
         "the class names of the Detic model are not known",
-        expected=f"{beside[0].name} beside it, or --model-config FILE",
+        expected=f"{candidates[0].name} beside it, or --model-config FILE",
         cause="one name a line, or the categories of LVIS's annotations",
         path=model,
     )
@@ -196,5 +196,5 @@ def paste_masks(
 
 def _weights(pixels: np.ndarray, low: float, high: float, cells: int) -> np.ndarray:
     """(P, cells) weights of a mask's cells at pixel centres along one axis of a box."""
-    place = (pixels + 0.5 - low) / (high - low) * cells - 0.5
-    return np.maximum(1 - np.abs(place[:, None] - np.arange(cells)), 0)
+    position = (pixels + 0.5 - low) / (high - low) * cells - 0.5
+    return np.maximum(1 - np.abs(position[:, None] - np.arange(cells)), 0)

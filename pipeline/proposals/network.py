@@ -72,16 +72,16 @@ class NetworkDetector:
         return wanted_names(labels, self.vocabulary or (), self.synonyms, f"the model {self.path.name}")
 
     def _best(self, scores: np.ndarray, wanted: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """The score (N,) and the place in `wanted` (N,) of each row's best class, of (N, C) scores of all classes.
+        """The score (N,) and the index in `wanted` (N,) of each row's best class, of (N, C) scores of all classes.
 
         Vocabularies such as that of LVIS hold names twice. Where nothing is wanted, scores are below 0.
         """
-        place = {name: k for k, name in enumerate(wanted)}
-        columns = [c for c, name in enumerate(self.vocabulary or ()) if name in place]
+        index_of = {name: k for k, name in enumerate(wanted)}
+        columns = [c for c, name in enumerate(self.vocabulary or ()) if name in index_of]
         if not columns:
             return np.full(len(scores), -1, np.float32), np.zeros(len(scores), np.int64)
         scores = scores[:, columns]
-        which = np.array([place[(self.vocabulary or ())[c]] for c in columns], np.int64)
+        which = np.array([index_of[(self.vocabulary or ())[c]] for c in columns], np.int64)
         return scores.max(axis=1), which[scores.argmax(axis=1)]
 
 
@@ -232,9 +232,9 @@ def padded_square(rgb: np.ndarray, side: int, fill: float = 0.0) -> np.ndarray:
     sigma = max(0.0, (longest / side - 1) / 2)
     if sigma:
         square = gaussian_filter(square, (sigma, sigma, 0), mode="mirror")
-    place = (np.arange(side) + 0.5) * longest / side - 0.5
-    before = np.floor(place).astype(np.int64)
-    share = (place - before).astype(np.float32)
+    position = (np.arange(side) + 0.5) * longest / side - 0.5
+    before = np.floor(position).astype(np.int64)
+    share = (position - before).astype(np.float32)
     first, second = _mirrored(before, longest), _mirrored(before + 1, longest)
     rows = square[first] * (1 - share)[:, None, None] + square[second] * share[:, None, None]
     return np.clip(rows[:, first] * (1 - share)[:, None] + rows[:, second] * share[:, None], low, high)

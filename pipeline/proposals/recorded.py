@@ -19,8 +19,8 @@ thing of its own.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import MaskCrop, RunLength, decode_crop
+from pipeline.geometry.masks import MaskCrop, RunLength
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
@@ -43,8 +43,8 @@ KEPT_ANSWERS = 32
 
 MADE_BY, MADE_BY_FILE = "made_by", "recording.json"
 
-MaskCode = tuple[tuple[int, int], "str | list[int]"] | str
-"""(size, run lengths), or the name of a file."""
+MaskCode = RunLength | str
+"""The code, or the name of a file."""
 
 
 class RecordedDetection(BaseModel):
@@ -53,7 +53,7 @@ class RecordedDetection(BaseModel):
     label: str = Field(min_length=1)
     score: float = Field(ge=0, le=1)
     bbox: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-    mask: RunLength | str | None = None
+    mask: MaskCode | None = None
     id: int | None = Field(default=None, ge=0, lt=2**63)
 
 
@@ -67,7 +67,10 @@ class FrameDetections:
     scores : (N,) float32
     names : tuple of str
     ids : (N,) int64
+        -1 where there is none.
     masks : sequence of MaskCode or None, or (N, H, W) bool
+    segmented : (N,) bool or None
+        As of `Proposals`.
     """
 
     boxes: np.ndarray
@@ -75,18 +78,19 @@ class FrameDetections:
     names: tuple[str, ...]
     ids: np.ndarray
     masks: Sequence[MaskCode | None] | np.ndarray
+    segmented: np.ndarray | None = None
 
 
-class _Playback:
+class Playback:
     """One frame of a recording: masks are decoded when they are asked for, and only to their boxes."""
 
-    def __init__(self, frame: Frame, found: FrameDetections, read: Callable[[MaskCode, str], np.ndarray | MaskCrop]):
+    def __init__(self, frame: Frame, found: FrameDetections, path: Path) -> None:
         self.frame_id, self.shape = frame.id, (frame.height, frame.width)
         self.found = found
         self.names = np.array(found.names, dtype=np.str_)
         self.answers: Recent[tuple[str, ...] | None, Proposals] = Recent(KEPT_ANSWERS)
-        self._read = read
-        self._crops: dict[str, MaskCrop] = {}
+        self._path = path
+        self._crops: dict[RunLength, MaskCrop] = {}
 
     def shows(self, frame: Frame) -> bool:
         return self.frame_id == frame.id and self.shape == (frame.height, frame.width)
@@ -110,6 +114,7 @@ class _Playback:
             masks,
             self.found.ids[index],
             has_mask,
+            None if self.found.segmented is None else self.found.segmented[index],
         )
 
     def _paint(self, i: int, picture: np.ndarray) -> bool:
@@ -119,17 +124,20 @@ class _Playback:
             picture |= box_mask(self.found.boxes[i], *self.shape)
             return False
         where = f"frame {self.frame_id}, detection {i}"
-        # One thing that was found under several names is decoded once.
-        known = code[1] if isinstance(code, tuple) and isinstance(code[1], str) else None
-        mask = self._crops.get(known) if known is not None else None
-        if mask is None:
-            mask = self._read(code, where)
-            if known is not None and isinstance(mask, MaskCrop):
-                self._crops[known] = mask
-        if isinstance(mask, MaskCrop):
-            mask.paint(picture)
-        else:
-            picture |= mask
+        if isinstance(code, RunLength):
+            # One thing that was found under several names is decoded once.
+            self._crops[code] = crop = self._crops.get(code) or code.crop(self.shape, where, self._path)
+            crop.paint(picture)
+            return True
+        mask = _mask_file(self._path, code, where)
+        require(
+            mask.shape == self.shape,
+            f"{where}: the mask has another size",
+            got=mask.shape,
+            expected=self.shape,
+            path=self._path,
+        )
+        picture |= mask
         return True
 
 
@@ -172,7 +180,7 @@ class RecordedDetector:
         maker = "" if self.made_by is None else f"<{self.made_by}"
         self._fingerprint = f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{min_score}{maker}"
         self._meanings: dict[str, tuple[str, ...]] = {}
-        self._last: _Playback | None = None
+        self._last: Playback | None = None
 
     @property
     def vocabulary(self) -> tuple[str, ...] | None:
@@ -195,7 +203,7 @@ class RecordedDetector:
         key = None if labels is None else tuple(labels)
         return playback.answers.get(key, lambda: self._answer(frame, playback, key))
 
-    def _answer(self, frame: Frame, playback: _Playback, labels: tuple[str, ...] | None) -> Proposals:
+    def _answer(self, frame: Frame, playback: Playback, labels: tuple[str, ...] | None) -> Proposals:
         keep = playback.found.scores >= self.min_score
         if labels is not None:
             wanted = [name for label in labels for name in self._meant(label)]
@@ -215,7 +223,7 @@ class RecordedDetector:
             self._meanings[label] = meant = meant_names(label, self.vocabulary or (), self.synonyms, where)
         return meant
 
-    def _of_frame(self, frame: Frame) -> _Playback:
+    def _of_frame(self, frame: Frame) -> Playback:
         if self._last is None or not self._last.shows(frame):
             found = needed(
                 self._read_arrays(frame) if self._recording is None else self._recording.get(frame.id),
@@ -223,8 +231,9 @@ class RecordedDetector:
                 path=self.path,
                 error=FrameUnusable,
             )
-            shape = (frame.height, frame.width)
-            self._last = _Playback(frame, found, lambda code, where: self._mask(code, shape, where))
+            if (found.ids < 0).any():
+                found = replace(found, ids=np.arange(len(found.ids)))
+            self._last = Playback(frame, found, self.path)
         return self._last
 
     def _read_arrays(self, frame: Frame) -> FrameDetections | None:
@@ -241,40 +250,28 @@ class RecordedDetector:
             )
         return found
 
-    def _mask(self, code: MaskCode, shape: tuple[int, int], where: str) -> np.ndarray | MaskCrop:
-        if isinstance(code, tuple):
-            # The size is checked before memory for it is asked for.
-            require(
-                code[0] == shape, f"{where}: the mask has another size", got=code[0], expected=shape, path=self.path
-            )
-            return decode_crop(code[0], code[1], where)
-        mask = self._mask_file(code, where)
-        require(
-            mask.shape == shape, f"{where}: the mask has another size", got=mask.shape, expected=shape, path=self.path
-        )
-        return mask
 
-    def _mask_file(self, name: str, where: str) -> np.ndarray:
-        import cv2
+def _mask_file(path: Path, name: str, where: str) -> np.ndarray:
+    import cv2
 
-        try:
-            file = (self.path.parent / name).resolve()
-        except (OSError, ValueError, RuntimeError) as error:  # A NUL in the name, a loop of links.
-            raise InputError(f"{where}: the mask is not a readable file", got=repr(name), path=self.path) from error
-        require(
-            file.is_relative_to(self.path.parent.resolve()),
-            f"{where}: the mask lies outside the recording's folder",
-            got=name,
-            path=self.path,
-        )
-        image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) if file.is_file() else None
-        if image is None or image.ndim != 2:
-            raise InputError(f"{where}: the mask is not a readable one-channel image", path=file)
-        return image > 0
+    try:
+        file = (path.parent / name).resolve()
+    except (OSError, ValueError, RuntimeError) as error:  # A NUL in the name, a loop of links.
+        raise InputError(f"{where}: the mask is not a readable file", got=repr(name), path=path) from error
+    require(
+        file.is_relative_to(path.parent.resolve()),
+        f"{where}: the mask lies outside the recording's folder",
+        got=name,
+        path=path,
+    )
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) if file.is_file() else None
+    if image is None or image.ndim != 2:
+        raise InputError(f"{where}: the mask is not a readable one-channel image", path=file)
+    return image > 0
 
 
 def _each_thing_once(index: np.ndarray, found: FrameDetections) -> np.ndarray:
-    """The places out of `index` ((M,) int, rising) without those of a thing that has a higher score elsewhere."""
+    """Those of `index` ((M,) int, rising) without those of a thing that has a higher score elsewhere."""
     ids = found.ids[index]
     if len(np.unique(ids)) == len(ids):
         return index
@@ -313,28 +310,19 @@ def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetectio
         # What was read goes, frame by frame, so that both forms never stand side by side.
         wrong = "the recording does not follow the format at {}"
         entries = checked(reader.validate_python, frames.pop(frame_id), wrong, path, inside=("frames", frame_id))
-        found[frame_id] = _compact(entries, shared)
+        found[frame_id] = as_arrays(entries, shared)
     return found
 
 
-def _compact(entries: Sequence[RecordedDetection], shared: dict[str, str]) -> FrameDetections:
+def as_arrays(entries: Sequence[RecordedDetection], shared: dict[str, str]) -> FrameDetections:
     """Detections as arrays; equal names of all frames, and equal masks of this one, stand once in memory."""
-    codes: dict[str, str] = {}
-    masks: list[MaskCode | None] = []
-    for entry in entries:
-        code = entry.mask
-        if isinstance(code, RunLength):
-            counts = code.counts
-            masks.append((code.size, codes.setdefault(counts, counts) if isinstance(counts, str) else counts))
-        else:
-            masks.append(code)
-    numbered = all(entry.id is not None for entry in entries)
+    codes: dict[MaskCode | None, MaskCode | None] = {}
     return FrameDetections(
         np.array([e.bbox for e in entries], np.float32).reshape(-1, 4),
         np.array([e.score for e in entries], np.float32),
         tuple(shared.setdefault(e.label, e.label) for e in entries),
-        np.array([e.id if numbered else i for i, e in enumerate(entries)], np.int64),
-        masks,
+        np.array([-1 if e.id is None else e.id for e in entries], np.int64),
+        [codes.setdefault(e.mask, e.mask) for e in entries],
     )
 
 
@@ -379,12 +367,10 @@ def _read_npz(file: Path) -> FrameDetections:
         codes = masks
     elif counts is not None:
         shape = (int(size[0]), int(size[1]))
-        codes = [(shape, code) if code else None for code in counts.tolist()]
+        codes = [RunLength(shape, code) if code else None for code in counts.tolist()]
     require(
         len(boxes) == len(scores) == len(labels) == len(ids) == len(codes),
         "the arrays of a recording differ in length",
         path=file,
     )
-    if (ids < 0).any():
-        ids = np.arange(len(ids))
     return FrameDetections(boxes, scores, tuple(labels.tolist()), ids, codes)

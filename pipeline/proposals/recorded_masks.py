@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat
 
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import RunLength, decode_run_length, fill_polygons
+from pipeline.geometry.masks import RunLength, fill_polygons, mask_box
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter, Segments, segment_from
@@ -137,7 +137,7 @@ class CocoMasks:
         rectangles = np.zeros((len(found), 4))
         for i, annotation in enumerate(found):
             if annotation.bbox is None:
-                rectangles[i] = _bounding_box(mask(i))
+                rectangles[i] = mask_box(mask(i))
             else:
                 x, y, w, h = annotation.bbox
                 rectangles[i] = (x, y, x + w, y + h)
@@ -170,18 +170,7 @@ class CocoMasks:
     def _decode(self, annotation: CocoAnnotation, shape: tuple[int, int], where: str) -> np.ndarray:
         content = annotation.segmentation
         if isinstance(content, RunLength):
-            # The size is checked before memory for it is asked for.
-            require(
-                content.size == shape,
-                f"{where}: the mask has another size",
-                got=content.size,
-                expected=shape,
-                path=self.path,
-            )
-            try:
-                return decode_run_length(content.size, content.counts, where)
-            except InputError as error:
-                raise InputError(str(error), path=self.path) from error
+            return content.decoded(shape, where, self.path)
         return _filled(content, shape, where, self.path)
 
 
@@ -232,7 +221,7 @@ class PngMasks:
             from scipy.ndimage import find_objects
 
             values = _read_png(file, frame)
-            found = [(v, place) for v, place in enumerate(find_objects(values.astype(np.int32)), start=1) if place]
+            found = [(v, window) for v, window in enumerate(find_objects(values.astype(np.int32)), start=1) if window]
             rectangles = [(x.start, y.start, x.stop, y.stop) for _, (y, x) in found]
             numbers = [v for v, _ in found]
             return Segments(
@@ -241,7 +230,7 @@ class PngMasks:
         files = sorted(folder.glob("*.png")) if folder.is_dir() else []
         require(files, f"there are no recorded masks for frame {frame.id}", path=file, error=FrameUnusable)
         masks = [_read_png(f, frame) > 0 for f in files]
-        return Segments(np.stack([_bounding_box(m) for m in masks]), (None,) * len(masks), lambda i: masks[i])
+        return Segments(np.stack([mask_box(m) for m in masks]), (None,) * len(masks), lambda i: masks[i])
 
 
 def _read_png(file: Path, frame: Frame) -> np.ndarray:
@@ -263,12 +252,6 @@ def _read_png(file: Path, frame: Frame) -> np.ndarray:
         error=FrameUnusable,
     )
     return image
-
-
-def _bounding_box(mask: np.ndarray) -> tuple[float, float, float, float]:
-    """x0, y0, x1, y1 with exclusive right and bottom edges; zeros for an empty mask."""
-    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
-    return (x, y, x + w, y + h)
 
 
 def _fingerprint(kind: str, path: Path) -> str:

@@ -1,4 +1,4 @@
-"""Detectors by name, and what one is made from, so that another process makes the same one.
+"""Detectors and segmenters by name.
 
 Others add theirs through the entry point group `spatialviz.detectors`.
 """
@@ -6,7 +6,7 @@ Others add theirs through the entry point group `spatialviz.detectors`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +19,7 @@ from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.ensemble import EnsembleDetector
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, Segmented, Segmenter
+from pipeline.system.detector_setup import DetectorSetup, named_model
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import resolve_model
 from pipeline.system.plugins import load_plugins
@@ -84,7 +85,7 @@ def _simulated(request: DetectorRequest) -> Detector:
     )
 
 
-_BESIDE = "an ONNX file with its tokenizer.json beside it"
+_OWL = "an ONNX file with its tokenizer.json beside it"
 DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
     "annotations": lambda request: AnnotationDetector(request.class_names, request.synonyms),
     "recorded": _recorded,
@@ -105,10 +106,10 @@ DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
         lambda request: {"default_labels": request.class_names},
     ),
     "owlv2": _network(
-        "owlv2", "owl.OwlDetector", _BESIDE, lambda request: {"kind": "owlv2", "default_labels": request.class_names}
+        "owlv2", "owl.OwlDetector", _OWL, lambda request: {"kind": "owlv2", "default_labels": request.class_names}
     ),
     "owlvit": _network(
-        "owlvit", "owl.OwlDetector", _BESIDE, lambda request: {"kind": "owlvit", "default_labels": request.class_names}
+        "owlvit", "owl.OwlDetector", _OWL, lambda request: {"kind": "owlvit", "default_labels": request.class_names}
     ),
     "simulated": _simulated,
 }  # fmt: skip
@@ -166,93 +167,31 @@ def make_detector(
     return make(DetectorRequest(model, class_names, synonyms, min_score, config))
 
 
-def named_model(text: str) -> tuple[str, Path | None]:
-    """A detector and its model as the command line names them together: "yolo-seg=FILE.onnx", or "simulated" alone.
+def open_detector(setup: DetectorSetup, class_names: tuple[str, ...], table: Synonyms | None = None) -> Detector:
+    """Make the detector.
+
+    Parameters
+    ----------
+    class_names : tuple of str
+        Of the dataset.
+    table : Synonyms, optional
+        Where the file is read already.
 
     Raises
     ------
     InputError
-        There is no name, or nothing behind the sign.
+        As `make_detector` and `EnsembleDetector`, and where the synonyms cannot be read.
     """
-    name, sign, model = text.partition("=")
-    require(
-        not (not name.strip() or (sign and not model.strip())),
-        "a further detector needs a name",
-        got=repr(text),
-        expected="NAME or NAME=MODEL",
-    )
-    return name.strip(), Path(model.strip()) if sign else None
+    table = table or Synonyms.load(setup.synonyms)
 
+    def make(name: str, model: Path | None, config: Path | None = None) -> Detector:
+        return make_detector(
+            name, model=model, class_names=class_names, synonyms=table, min_score=setup.min_score, config=config
+        )
 
-def with_model(text: str, change: Callable[[Path], str | Path]) -> str:
-    """The same text with its model's path changed."""
-    name, model = named_model(text)
-    return name if model is None else f"{name}={change(model)}"
-
-
-@dataclass(frozen=True)
-class DetectorSetup:
-    """A detector by name with its files and thresholds; picklable, which a detector need not be.
-
-    Attributes
-    ----------
-    name : str
-        As of `make_detector`.
-    model, config : Path or None
-        As of `make_detector`.
-    min_score : float or None
-        Of every detector in it; None for their own defaults.
-    synonyms : Path or None
-        A JSON file with more synonyms.
-    fuse : tuple of str
-        Further detectors, "NAME" or "NAME=MODEL", that are fused with it.
-    fusion : str
-        "wbf" or "nms".
-    """
-
-    name: str
-    model: Path | None = None
-    config: Path | None = None
-    min_score: float | None = None
-    synonyms: Path | None = None
-    fuse: tuple[str, ...] = ()
-    fusion: str = "wbf"
-
-    @classmethod
-    def named(cls, text: str, min_score: float | None = None, synonyms: Path | None = None) -> DetectorSetup:
-        """Of "NAME" or "NAME=MODEL"; raises as `named_model`."""
-        name, model = named_model(text)
-        return cls(name, model, min_score=min_score, synonyms=synonyms)
-
-    def with_min_score(self, min_score: float | None) -> DetectorSetup:
-        """The same with another minimum score."""
-        return replace(self, min_score=min_score)
-
-    def open(self, class_names: tuple[str, ...], table: Synonyms | None = None) -> Detector:
-        """Make the detector.
-
-        Parameters
-        ----------
-        class_names : tuple of str
-            Of the dataset.
-        table : Synonyms, optional
-            Where the file is read already.
-
-        Raises
-        ------
-        InputError
-            As `make_detector` and `EnsembleDetector`, and where the synonyms cannot be read.
-        """
-        table = table or Synonyms.load(self.synonyms)
-
-        def make(name: str, model: Path | None, config: Path | None = None) -> Detector:
-            return make_detector(
-                name, model=model, class_names=class_names, synonyms=table, min_score=self.min_score, config=config
-            )
-
-        others = [make(*named_model(text)) for text in self.fuse]
-        first = make(self.name, self.model, self.config)
-        return EnsembleDetector((first, *others), self.fusion, table) if others else first
+    others = [make(*named_model(text)) for text in setup.fuse]
+    first = make(setup.detector or "annotations", setup.model, setup.model_config)
+    return EnsembleDetector((first, *others), setup.fusion, table) if others else first
 
 
 def made_by(text: str | None, detector: Detector) -> bool:

@@ -324,8 +324,8 @@ class SimulatedDetector:
         stretch = 2.0 ** (self._uniform(*key, "stretch") - 0.5)
         limit = np.array([frame.width, frame.height], np.float64)
         half = np.minimum(np.maximum([side * stretch / 2, side / stretch / 2], 1.0), limit / 2)
-        place = np.array([self._uniform(*key, "x"), self._uniform(*key, "y")])
-        center = half + place * (limit - 2 * half)
+        position = np.array([self._uniform(*key, "x"), self._uniform(*key, "y")])
+        center = half + position * (limit - 2 * half)
         box = np.concatenate([center - half, center + half]).astype(np.float32)
         if frame.annotations and iou_2d(box, np.stack([a.bbox for a in frame.annotations])).max() > REGION_IOU:
             return None

@@ -170,7 +170,7 @@ def _masks(raw: _Raw, order: np.ndarray, boxes: np.ndarray, height: int, width: 
     """(N, H, W) bool masks of the chosen rows, each inside its box ((N, 4), picture pixels)."""
     channels, proto_h, proto_w = raw.prototypes.shape
     logits = (raw.coefficients[order] @ raw.prototypes.reshape(channels, -1)).reshape(-1, proto_h, proto_w)
-    place = raw.placement
+    placement = raw.placement
     # Prototypes cover the whole input, padding included, mostly at a quarter of its size.
     down, across = raw.cell
     masks = np.zeros((len(order), height, width), np.bool_)
@@ -179,8 +179,8 @@ def _masks(raw: _Raw, order: np.ndarray, boxes: np.ndarray, height: int, width: 
         right, bottom = min(int(np.ceil(x1)), width), min(int(np.ceil(y1)), height)
         if right <= left or bottom <= top:
             continue
-        xs = (((np.arange(left, right) + 0.5) * place.scale + place.left) * across - 0.5).astype(np.float32)
-        ys = (((np.arange(top, bottom) + 0.5) * place.scale + place.top) * down - 0.5).astype(np.float32)
+        xs = (((np.arange(left, right) + 0.5) * placement.scale + placement.left) * across - 0.5).astype(np.float32)
+        ys = (((np.arange(top, bottom) + 0.5) * placement.scale + placement.top) * down - 0.5).astype(np.float32)
         grid_x, grid_y = np.meshgrid(xs, ys)
         smooth = cv2.remap(
             np.ascontiguousarray(logits[k]), grid_x, grid_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE

@@ -95,14 +95,17 @@ def attribute_probabilities(
     if attribute.kind == "color":
         return color_probabilities(attribute, colors or object_colors(rgb, masks))
     if attribute.kind == "size":
-        return _sizes(attribute.value, size_keys(boxes, viewer), alike)
+        return size_probabilities(attribute.value, boxes, alike, viewer)
     if attribute.kind == "shape":
         return _shapes(attribute.value, masks, boxes, viewer or viewer_axes(IMAGE_UP))
     return None
 
 
-def _sizes(value: str, keys: dict[str, np.ndarray], alike: np.ndarray) -> np.ndarray:
-    """The chance to be told as the bigger (smaller, taller ...) of two, averaged over the objects of the same name."""
+def size_probabilities(
+    value: str, boxes: Sequence[Box3D | None], alike: np.ndarray, viewer: ViewerAxes | None = None
+) -> np.ndarray:
+    """(N,) float64: the chance to be told as the bigger (smaller, taller ...) of two, averaged over the same name's."""
+    keys = size_keys(boxes, viewer)
     key, sign = SIZES[value]
     # A volume goes with the cube of a length, so the same step of its edges is a step three times as large.
     step = _JUST_NOTICED * (3 if key == "volume" else 1)

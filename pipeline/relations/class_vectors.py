@@ -71,7 +71,7 @@ class ClassVectors:
         return cls(tuple(str(n) for n in names), vectors.astype(np.float32))
 
 
-def vectors_beside(network: Path) -> Path:
+def vectors_path(network: Path) -> Path:
     """Where the class vectors of an ONNX file are."""
     return network.with_suffix(".vectors.npz")
 
@@ -102,21 +102,21 @@ class ClassLookup:
         if vectors is not None:
             self._file = open_vectors(vectors)
             language.check(self._file)
-        beside = vectors_beside(network)
-        if beside.is_file():
-            known = ClassVectors.read(beside)
+        path = vectors_path(network)
+        if path.is_file():
+            known = ClassVectors.read(path)
             require(
                 known.hash == expected and known.vectors.shape[1] == language.dimension,
                 "these class vectors belong to another network",
                 got=known.hash,
                 expected=expected,
-                path=beside,
+                path=path,
             )
         elif self._file is None:
             raise InputError(
                 "the network's class vectors are missing",
-                expected=f"{beside.name} beside the network, or --vectors {language.name}",
-                path=beside,
+                expected=f"{path.name} beside the network, or --vectors {language.name}",
+                path=path,
             )
         else:
             known = ClassVectors((), np.zeros((0, language.dimension), np.float32))

@@ -93,8 +93,8 @@ class Contract:
             values["classes"] = self.classes
         if self.trained_on is not None:
             values["trained_on"] = self.trained_on.to_json()
-        said = {PREFIX + key: value for key, value in values.items()}
-        return said if self.language is None else {**said, **self.language.to_metadata()}
+        stored = {PREFIX + key: value for key, value in values.items()}
+        return stored if self.language is None else {**stored, **self.language.to_metadata()}
 
     @classmethod
     def read(cls, metadata: Mapping[str, str], path: Path | None = None) -> Contract:
@@ -105,11 +105,11 @@ class Contract:
         InputError
             Where they are not those of a relation network that this program can feed.
         """
-        said = metadata.get(PREFIX + "contract")
+        stored = metadata.get(PREFIX + "contract")
         require(
-            said == CONTRACT,
+            stored == CONTRACT,
             "the model is not a relation network",
-            got="no contract" if said is None else f"contract {said!r}",
+            got="no contract" if stored is None else f"contract {stored!r}",
             expected=f"contract {CONTRACT!r} in its metadata",
             cause="was it made by `spatialviz train`?",
             path=path,
@@ -286,9 +286,9 @@ class TrainedOn:
     @classmethod
     def from_json(cls, text: str) -> TrainedOn:
         """The reverse; KeyError, TypeError or ValueError where it is something else."""
-        said = json.loads(text)
-        texts: dict[str, Any] = {k: str(said[k]) for k in ("dataset", "input_hash", "content_hash", "split")}
-        if not all(isinstance(said[k], list) for k in ("train", "validation", "scenes")):
+        stored = json.loads(text)
+        texts: dict[str, Any] = {k: str(stored[k]) for k in ("dataset", "input_hash", "content_hash", "split")}
+        if not all(isinstance(stored[k], list) for k in ("train", "validation", "scenes")):
             raise ValueError("what was learnt from must be lists of names")
-        lists: dict[str, Any] = {k: tuple(map(str, said[k])) for k in ("train", "validation", "scenes")}
+        lists: dict[str, Any] = {k: tuple(map(str, stored[k])) for k in ("train", "validation", "scenes")}
         return cls(**texts, **lists)

@@ -34,8 +34,8 @@ def network_folder() -> Path:
     """Where networks are installed: of the user, or SPATIALVIZ_NETWORKS."""
     from platformdirs import user_data_path
 
-    said = os.environ.get("SPATIALVIZ_NETWORKS")
-    return Path(said) if said else user_data_path("spatialviz") / "networks"
+    given = os.environ.get("SPATIALVIZ_NETWORKS")
+    return Path(given) if given else user_data_path("spatialviz") / "networks"
 
 
 def installed_networks() -> tuple[InstalledNetwork, ...]:
@@ -61,7 +61,7 @@ def install_network(network: Path, name: str, *, overwrite: bool = False) -> Ins
     InputError
         No such network, one that cannot be fed, a name that is none or is taken, a folder that cannot be written.
     """
-    from pipeline.relations.class_vectors import vectors_beside
+    from pipeline.relations.class_vectors import vectors_path
     from pipeline.relations.model import OnnxScorer
 
     require(
@@ -79,12 +79,12 @@ def install_network(network: Path, name: str, *, overwrite: bool = False) -> Ins
         expected="another name, or --overwrite",
         path=target,
     )
-    beside = (network.with_suffix(".json"), vectors_beside(network))
+    companions = (network.with_suffix(".json"), vectors_path(network))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix=".install-") as staging:
             # The network last: one that is there has its card and its vectors.
-            for source in (*(f for f in beside if f.is_file()), network):
+            for source in (*(f for f in companions if f.is_file()), network):
                 suffix = source.name.removeprefix(network.stem)
                 copied = Path(staging) / f"{name}{suffix}"
                 shutil.copyfile(source, copied)

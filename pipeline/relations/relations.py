@@ -7,7 +7,7 @@ relation is judged in the viewer's level axes (right, up, forward) of
 `pipeline.geometry.viewer`; nothing here knows an object's own front.
 
 The profile: left, right, front (nearer) and behind (farther) are cones of 45
-degrees with a doubtful band to 67.5 degrees around the axis, on signed gaps
+degrees with an undecided band to 67.5 degrees around the axis, on signed gaps
 between extents; above and below ask for overlap in plan. on, in and near are
 extras of the same profile; `pipeline.relations.scorer` has between, closest and farthest.
 
@@ -134,8 +134,8 @@ def _vertical_states(measured: Measured) -> tuple[np.ndarray, np.ndarray]:
     elevation = np.rad2deg(np.arctan2(np.maximum(clearance, 0), sideways))
     resting, raised = clearance >= -tolerance, clearance > profile.clear_height
     holds = (plan >= profile.plan_overlap) & resting | raised & (elevation >= profile.elevation)
-    doubtful = (plan >= profile.plan_overlap_doubtful) & resting | raised & (elevation >= profile.elevation_doubtful)
-    state = np.where(holds, T, np.where(doubtful, U, F))
+    undecided = (plan >= profile.plan_overlap_doubtful) & resting | raised & (elevation >= profile.elevation_doubtful)
+    state = np.where(holds, T, np.where(undecided, U, F))
     above = _sign_gate(state, pairs.delta[..., 1], profile.dead_zone)
     return above, above.swapaxes(-1, -2)
 

@@ -189,8 +189,8 @@ def between_states(lo: np.ndarray, hi: np.ndarray, candidates: Indices, first: I
     along = ((p - a) * line).sum(axis=-1) / safe**2
     aside = np.linalg.norm((p - a) - along[..., None] * line, axis=-1) / safe
     off_middle = np.abs(along - 0.5)
-    holds, doubtful = (off_middle <= 0.35) & (aside <= 0.25), (off_middle <= 0.5) & (aside <= 0.5)
-    state = np.where(holds, T, np.where(doubtful, U, F))
+    holds, undecided = (off_middle <= 0.35) & (aside <= 0.25), (off_middle <= 0.5) & (aside <= 0.5)
+    state = np.where(holds, T, np.where(undecided, U, F))
     c, i, j = np.asarray(candidates)[:, None, None], np.asarray(first)[None, :, None], np.asarray(second)[None, None]
     state[np.broadcast_to((c == i) | (c == j) | (i == j) | (length < 1e-6), state.shape)] = F
     return state.astype(np.int8)

@@ -61,9 +61,9 @@ def recall(path: Path, dimension: int) -> FileMemory:
         return FileMemory()
     try:
         with np.load(path, allow_pickle=False) as data:
-            said = json.loads(bytes(data["said"]).decode())
+            header = json.loads(bytes(data["said"]).decode())
             vectors = data["vectors"]
-        words, absent, fingerprint = said["words"], said["absent"], said["fingerprint"]
+        words, absent, fingerprint = header["words"], header["absent"], header["fingerprint"]
         if vectors.dtype != np.float32 or vectors.shape != (len(words), dimension) or not np.isfinite(vectors).all():
             return FileMemory()
         if not all(isinstance(w, str) for w in (*words, *absent, fingerprint)):
@@ -76,17 +76,17 @@ def recall(path: Path, dimension: int) -> FileMemory:
 def keep(path: Path, memory: FileMemory, dimension: int) -> None:
     """Keep it there, whole or not at all; a folder that cannot be written only means that nothing is kept."""
     words = list(memory.vectors)
-    said = {"words": words, "absent": sorted(memory.absent), "fingerprint": memory.fingerprint}
+    header = {"words": words, "absent": sorted(memory.absent), "fingerprint": memory.fingerprint}
     vectors = np.stack([memory.vectors[w] for w in words]) if words else np.zeros((0, dimension), np.float32)
-    about = np.frombuffer(json.dumps(said).encode(), np.uint8)
+    about = np.frombuffer(json.dumps(header).encode(), np.uint8)
     keep_whole(path, lambda file: np.savez(file, said=about, vectors=vectors))
 
 
 def remembered_fingerprint(path: Path, cache: Path | None, dimension: int, compute: Callable[[], str]) -> str:
     """The fingerprint of a file, computed once."""
-    place = memory_path(path, cache)
-    memory = recall(place, dimension)
+    location = memory_path(path, cache)
+    memory = recall(location, dimension)
     if memory.fingerprint is None:
         memory.fingerprint = compute()
-        keep(place, memory, dimension)
+        keep(location, memory, dimension)
     return memory.fingerprint

@@ -227,8 +227,8 @@ def _expected(repo: str, commit: str, name: str, listed: Any) -> KnownFile:
 
 def _companions(file: str, listed: Sequence[str]) -> list[str]:
     folder = PurePosixPath(file).parent
-    beside = [folder / n for n in COMPANIONS] + [folder.parent / n for n in COMPANIONS]
-    wanted = [*(file + ending for ending in WEIGHTS), *(p.as_posix() for p in beside)]
+    companions = [folder / n for n in COMPANIONS] + [folder.parent / n for n in COMPANIONS]
+    wanted = [*(file + ending for ending in WEIGHTS), *(p.as_posix() for p in companions)]
     return [n for n in dict.fromkeys(wanted) if n in listed]
 
 

@@ -204,9 +204,9 @@ def file_hash(path: Path) -> str:
 
 def model_hash(path: Path) -> str:
     """Hash of a model file and of the files that its weights are in, where they are in files of their own."""
-    beside = {path.with_name(path.name + ending): None for ending in ("_data", ".data")}
-    beside |= {path.parent / name: None for name in sorted(set(_weight_files(path)))}
-    return "+".join(file_hash(p) for p in (path, *beside) if p.is_file())
+    companions = {path.with_name(path.name + ending): None for ending in ("_data", ".data")}
+    companions |= {path.parent / name: None for name in sorted(set(_weight_files(path)))}
+    return "+".join(file_hash(p) for p in (path, *companions) if p.is_file())
 
 
 _LOCATION = re.compile(rb"\n\x08location\x12([\x80-\xff]?[\x01-\x7f])")
@@ -220,7 +220,7 @@ def _weight_files(path: Path) -> Iterator[str]:
             return
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
             for found in _LOCATION.finditer(content):
-                size = sum((byte & 127) << 7 * place for place, byte in enumerate(found[1]))
+                size = sum((byte & 127) << 7 * digit for digit, byte in enumerate(found[1]))
                 name = content[found.end() : found.end() + size]
                 if b"\0" not in name:
                     yield name.decode("utf-8", "replace")

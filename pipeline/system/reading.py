@@ -38,9 +38,9 @@ def checked(
     Parameters
     ----------
     wrong : str
-        What to say where it is wrong, with the place for {}.
+        What to say where it is wrong, with the location for {}.
     inside : iterable of str
-        The place of the content in the file.
+        The location of the content in the file.
     keys : iterable of str
         The keys there are, to be told where another one is given.
 
@@ -53,8 +53,8 @@ def checked(
         return check(content)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(p) for p in (*inside, *first["loc"])) or "the top"
+        location = ".".join(str(p) for p in (*inside, *first["loc"])) or "the top"
         known = ", ".join(keys) if "extra" in first["type"] else ""
         raise InputError(
-            wrong.replace("{}", place), got=first["msg"], expected=f"one of {known}" if known else None, path=path
+            wrong.replace("{}", location), got=first["msg"], expected=f"one of {known}" if known else None, path=path
         ) from error

@@ -23,7 +23,7 @@ _ABANDONED_S = 86_400
 """A temporary name of another machine counts as left behind when it is as old as this."""
 
 
-def temporary_beside(path: Path) -> Path:
+def temporary_sibling(path: Path) -> Path:
     """A hidden name beside a file or folder that is this writer's alone, also where machines share the folder."""
     host = socket.gethostname().replace(".", "-")
     return path.with_name(f".{path.name}.{host}.{os.getpid()}.{uuid4().hex[:8]}.tmp")
@@ -66,7 +66,7 @@ def write_whole(path: Path, data: bytes, what: str, make_folder: bool = True) ->
     InputError
         `what` cannot be written.
     """
-    temporary = temporary_beside(path)
+    temporary = temporary_sibling(path)
     try:
         if make_folder:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,7 +90,7 @@ def write_synced(path: Path, data: bytes) -> None:
 @contextmanager
 def temporary_folder(path: Path) -> Iterator[Path]:
     """A new folder under a hidden name beside `path`; what is left of it at the end of the block is removed."""
-    folder = temporary_beside(path)
+    folder = temporary_sibling(path)
     folder.mkdir(parents=True)
     try:
         yield folder

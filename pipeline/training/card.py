@@ -18,10 +18,16 @@ from typing import Any
 import numpy as np
 
 from pipeline.language.relation_names import DIRECTIONAL, RELATIONS
-from pipeline.metrics.calibration_metrics import Platt, calibration_metrics, expected_calibration_error, fit_calibration
+from pipeline.metrics.calibration_metrics import (
+    Platt,
+    calibration_metrics,
+    expected_calibration_error,
+    fit_calibration,
+    labelled_pairs,
+)
 from pipeline.metrics.intervals import mean_of_defined, ratio
 from pipeline.metrics.relation_metrics import multi_label_metrics, single_label_metrics
-from pipeline.relations.class_vectors import vectors_beside
+from pipeline.relations.class_vectors import vectors_path
 from pipeline.relations.contract import TrainedOn
 from pipeline.relations.features import cli_features
 from pipeline.relations.model import OnnxScorer
@@ -256,7 +262,7 @@ def save_onnx(
     """The trained network with its contract, as `OnnxScorer` reads it, and its class vectors beside it."""
     write_onnx(path, model.layers, replace(model.contract(calibration), trained_on=trained_on).metadata())
     if model.vectors is not None:
-        vectors_beside(path).write_bytes(model.vectors.content())
+        vectors_path(path).write_bytes(model.vectors.content())
 
 
 CLEAR_GAP_M = 0.10
@@ -332,15 +338,11 @@ def evaluate_classes(
     Returns
     -------
     dict
-        `pairs`, `top1`, `top2`, `top1_prior_divided` (argmax of p / prior),
-        `mean_recall` over classes that occur, `most_frequent` (what always
-        saying the most frequent class gets), `log_loss`, `ece` of the
-        probability of the answer, and `relations` (name -> precision,
-        recall, f1, positives). None where a figure has no meaning.
+        `pairs`, `top1`, `top2`, `top1_prior_divided` (argmax of p / prior), `mean_recall` over classes that occur,
+        `most_frequent` (what always saying the most frequent class gets), `log_loss`, `ece` of the probability of the
+        answer, and `relations` (name -> precision, recall, f1, positives). None where a figure has no meaning.
     """
-    rows = [(p[t >= 0], t[t >= 0]) for p, t in zip(probabilities, truth, strict=True)]
-    p = np.concatenate([np.zeros((0, len(vocabulary))), *(p for p, _ in rows)])
-    t = np.concatenate([np.zeros(0, np.int64), *(t for _, t in rows)]).astype(np.int64)
+    p, t = labelled_pairs(probabilities, truth, len(vocabulary))
     metrics = single_label_metrics(p, t, vocabulary)
     weighted = p / np.asarray(prior, np.float64)
     divided = single_label_metrics(weighted / weighted.sum(axis=1, keepdims=True), t, vocabulary)

@@ -221,17 +221,22 @@ def rows_of_frame(sorted_index: np.ndarray, value: int) -> slice:
     return slice(int(np.searchsorted(sorted_index, value)), int(np.searchsorted(sorted_index, value, side="right")))
 
 
+def known_pairs(numbers: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(P,) bool: rows of two different objects of these sorted numbers; and their indices i and j, int64."""
+    i, j = (np.minimum(np.searchsorted(numbers, x), len(numbers) - 1) for x in (a, b))
+    there = (numbers[i] == a) & (numbers[j] == b) & (i != j)
+    return there, i[there], j[there]
+
+
 def pair_states(
     relations: dict[str, np.ndarray], vocabulary: Sequence[str], index: int, numbers: np.ndarray
 ) -> np.ndarray:
     """(N, N, R) states of the pairs of these objects (sorted numbers)."""
     mine = rows_of_frame(relations["frame_index"], index)
     states = np.full((len(numbers), len(numbers), len(vocabulary)), U, np.int8)
-    a, b = relations["a"][mine], relations["b"][mine]
-    i, j = (np.minimum(np.searchsorted(numbers, x), len(numbers) - 1) for x in (a, b))
-    there = (numbers[i] == a) & (numbers[j] == b) & (i != j)
+    there, i, j = known_pairs(numbers, relations["a"][mine], relations["b"][mine])
     for k, relation in enumerate(vocabulary):
-        states[i[there], j[there], k] = relations[relation][mine][there]
+        states[i, j, k] = relations[relation][mine][there]
     return states
 
 

@@ -18,7 +18,7 @@ from pipeline.language.relation_names import VOCABULARIES
 from pipeline.language.vectors import LanguageContract, open_vectors
 from pipeline.metrics.calibration_metrics import Platt, fit_calibration, fit_temperature
 from pipeline.metrics.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, SplitPlan, split_frames
-from pipeline.relations.class_vectors import ClassVectors, vectors_beside
+from pipeline.relations.class_vectors import ClassVectors, vectors_path
 from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geometry_of
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import require
@@ -151,7 +151,7 @@ def train_on_labels(
             card["language"] = {**asdict(language), "classes": len(vectors.names), "classes_xxh3_128": vectors.hash}
         made.with_suffix(".json").write_text(json.dumps(rounded(card), indent=1) + "\n", encoding="utf-8")
         # The network last: a network that is there has its vectors and its card.
-        for name in (vectors_beside(made), made.with_suffix(".json"), made):
+        for name in (vectors_path(made), made.with_suffix(".json"), made):
             if name.exists():
                 os.replace(name, out.with_name(name.name))
     return card

@@ -24,6 +24,7 @@ from pipeline.datasets.synthetic.scattered import make_scattered, roaming_camera
 from pipeline.datasets.synthetic.solids import solid_view
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.lifting import lift
+from pipeline.geometry.masks import mask_box
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.features import FEATURES, Appearance
 from pipeline.relations.relations import directional_states
@@ -296,7 +297,7 @@ def _seen_samples(
     viewer = viewer_axes(camera.up)
     lifted = lift(depth, camera, masks, viewer, boxes=False)
     kept = [k for k, item in enumerate(lifted) if item.quality.points >= MIN_POINTS]
-    boxes = np.array([_tight_box(masks[k]) for k in kept], np.float64).reshape(-1, 4)
+    boxes = np.array([mask_box(masks[k]) for k in kept], np.float64).reshape(-1, 4)
     seen = Appearance(boxes, ("",) * len(kept), camera.width, camera.height)
     rows = {name: contract.describe([lifted[k] for k in kept], viewer, seen) for name, contract in FEATURES.items()}
     whole = np.array([exact[k] for k in kept], np.float64).reshape(-1, 2, 3)
@@ -331,11 +332,6 @@ def _roughened(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     size = (mask.shape[1], mask.shape[0])
     plain, nearest = changed.view(np.uint8), cv2.INTER_NEAREST
     return cv2.warpAffine(plain, shift, size, flags=nearest, borderMode=cv2.BORDER_REPLICATE).view(np.bool_)
-
-
-def _tight_box(mask: np.ndarray) -> tuple[int, int, int, int]:
-    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
-    return x, y, x + w, y + h
 
 
 def _exact_extents(instance: Instance, camera: Camera, viewer: ViewerAxes) -> tuple[np.ndarray, np.ndarray]:

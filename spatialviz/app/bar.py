@@ -16,7 +16,6 @@ TOOLS = (
     ("paste-state", "Open view", "open a view from its string (Shift+V)", {"do": "paste-state"}),
     ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)", {"do": "keep-case"}),
     ("report", "Report", "one page of this answer, as a download (Shift+P)", {"do": "report"}),
-    ("shot-scene", "Picture of the scene", "as a PNG", {"local": "shot"}),
     ("theme", "Dark or light", "M", {"do": "theme"}),
     ("help", "Keys", "all keys (?)", {"do": "help"}),
 )

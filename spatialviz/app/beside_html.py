@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pipeline.answering.agreement.agreement import MIN_IOU
-from pipeline.answering.agreement.frames import Beside
+from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.geometry.palette import hex_color, ink, palette, second_color
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
 from spatialviz.app.text import DOUBT, GOOD, dot, heading, note, panel, segments
 
 
-def second_name(beside: Beside, j: int) -> str:
+def second_name(beside: SecondDetections, j: int) -> str:
     """The name of one of the second detector's objects."""
     return f"{beside.objects[j].label}·{j}"
 
@@ -116,7 +116,7 @@ def _figure(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}".replace("-", "−")
 
 
-def _rows(state: State, beside: Beside) -> Child:
+def _rows(state: State, beside: SecondDetections) -> Child:
     color = hex_color(second_color(state.dark))
     grey = palette(state.dark)
     iou = {(int(i), int(j)): float(v) for (i, j), v in zip(beside.found.pairs, beside.found.iou, strict=True)}
@@ -175,7 +175,7 @@ def hollow(color: str) -> Element:
     return h.span(cls="hollow", css={"--c": color})
 
 
-def _beyond(beside: Beside) -> Element | None:
+def _beyond(beside: SecondDetections) -> Element | None:
     sums = beside.sums
     if not sums.beyond_a + sums.beyond_b:
         return None

@@ -17,7 +17,6 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import installed_networks
 from pipeline.relations.relations import Profile
 from spatialviz.app.edit_messages import PROFILE_SETTINGS, WEIGHTS, partners
-from spatialviz.app.edit_scene import map_colors
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.state import State
 from spatialviz.app.text import button, dot, heading, panel, segments
@@ -170,18 +169,8 @@ def _map(state: State, editable: bool, found: DecisionMap | None) -> Child:
     head = heading("Decision map", button(label, "edit-map", hint, disabled=found is None and not editable))
     if found is None:
         return head, h.div(f"Which answer wins if {name} stands elsewhere.", cls="dim")
-    colors = map_colors(found)
-    winners, counts = np.unique(found.winner, return_counts=True)
-    rows = (
-        h.span(
-            dot((int(colors[w][0]), int(colors[w][1]), int(colors[w][2])) if w >= 0 else (150, 150, 150)),
-            f"{state.named(found.keys[w]) if w >= 0 else 'no pair'} {n / found.winner.size:.0%} ",
-            h.span(f"{n:,} cells", cls="dim"),
-        )
-        for n, w in sorted(zip(counts.tolist(), winners.tolist(), strict=True), reverse=True)
-    )
-    cost = f"{found.seconds * 1000:.0f} ms"
-    return head, h.div(f"Who wins where {name} stands; paler: by less. {cost}", cls="dim"), h.div(rows, cls="legend")
+    said = f"In the scene: who wins where {name} stands. {found.winner.size:,} cells, {found.seconds * 1000:.0f} ms"
+    return head, h.div(said, cls="dim")
 
 
 def _settings(state: State, source: Pipeline) -> Child:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
 from pipeline.diagnosis.whatif.region import Region
 from pipeline.geometry.boxes import EDGES, Box3D
-from pipeline.geometry.palette import RGB, instance_colors, palette
+from pipeline.geometry.palette import RGB, Role, palette
 from pipeline.language.relation_names import RELATIONS
 from pipeline.relations.relations import letter
 from spatialviz.app.glb import unlit_glb
@@ -26,13 +27,20 @@ REGION_COLORS = {"T": HOLDS, "U": DOUBTFUL}
 OPACITY = {"T": 0.30, "U": 0.16}
 OUTLINE_GROWTH = 0.006
 MAP_OPACITY = 0.8
-MAP_LIFT = 0.012
-"""The map lies a little above the floor, metres."""
+MAP_LIFT = 0.008
+"""The map lies a little above the points of the floor, metres."""
+FLOOR_NOISE = 0.06
+OTHERS: tuple[RGB, ...] = ((166, 122, 214), (84, 178, 160), (186, 170, 84), (208, 122, 150), (148, 156, 168))
+"""Winners that are neither target nor reference: apart from orange and blue, and from each other."""
 
 
-def map_colors(found: DecisionMap) -> np.ndarray:
-    """(K, 3) uint8: a colour for each object that may win."""
-    return instance_colors(len(found.keys))
+def winner_colors(found: DecisionMap, state: State) -> dict[int, RGB]:
+    """A colour for each object that wins somewhere: the roles of the chosen pair, and others that are like neither."""
+    colors, others = palette(state.dark), cycle(OTHERS)
+    role_of: dict[str, Role] = {state.shown.names[i]: role for i, role in state.roles.items()}
+    winners = (int(k) for k in np.unique(found.winner) if k >= 0)
+    roles: dict[int, Role | None] = {k: role_of.get(state.named(found.keys[k])) for k in winners}
+    return {k: next(others) if role is None else colors[role] for k, role in roles.items()}
 
 
 class EditScene:
@@ -43,8 +51,8 @@ class EditScene:
         self._lines: dict[str, Any] = {}
         self._region: list[Any] = []
         self._of: tuple[object, ...] | None = None
-        self._map: Any = None
-        self._mapped: tuple[DecisionMap, bool] | None = None
+        self._map: list[Any] = []
+        self._mapped: tuple[Any, ...] | None = None
         self._middle: Any = None
 
     def draw(self, state: State, found: DecisionMap | None, keep_map: bool) -> None:
@@ -53,7 +61,7 @@ class EditScene:
             self._draw_boxes(state)
             self._draw_region(state)
             if not keep_map:
-                self._draw_map(found, state.dark)
+                self._draw_map(found, state)
 
     def _draw_boxes(self, state: State) -> None:
         """Edited objects in the edited colour; thin, the boxes that they had."""
@@ -121,31 +129,42 @@ class EditScene:
             color = (245, 247, 250) if dark else (24, 26, 30)
             self._region.append(self._segments("/region/dead-zone", edges, color, 1.2))
 
-    def _draw_map(self, found: DecisionMap | None, dark: bool) -> None:
-        shown = None if found is None else (found, dark)
-        if self._mapped is not None and shown is not None and self._mapped[0] is found and self._mapped[1] == dark:
+    def _draw_map(self, found: DecisionMap | None, state: State) -> None:
+        shown = None if found is None else (found, state.dark, tuple(winner_colors(found, state).items()))
+        if (
+            self._mapped is not None
+            and shown is not None
+            and self._mapped[0] is found
+            and self._mapped[1:] == shown[1:]
+        ):
             return
-        if self._map is not None:
-            self._map.remove()
-            self._map = None
-        self._mapped = shown
-        if found is None:
+        for node in self._map:
+            node.remove()
+        self._map, self._mapped = [], shown
+        if found is None or state.loaded is None:
             return
         rows, columns = np.nonzero(found.winner >= 0)
         if not len(rows):
             return
-        winners = found.winner[rows, columns]
-        strength = (0.5 + 0.5 * np.clip(found.margin[rows, columns], 0, 1))[:, None]
-        background = 34.0 if dark else 244.0
-        colors = map_colors(found)[winners] * strength + background * (1 - strength)
+        by_winner = np.zeros((len(found.keys), 3))
+        for k, color in winner_colors(found, state).items():
+            by_winner[k] = color
+        strength = (0.4 + 0.6 * np.clip(found.margin[rows, columns], 0, 1))[:, None]
+        background = 34.0 if state.dark else 244.0
+        colors = by_winner[found.winner[rows, columns]] * strength + background * (1 - strength)
+        corners = found.corners @ self._scene.to_show.T
+        corners[..., 2] = _above(state.loaded.cloud.points, corners) + MAP_LIFT
         steps = ((0, 0), (0, 1), (1, 1), (1, 0))
-        quads = np.stack([found.corners[rows + r, columns + c] for r, c in steps], axis=1) @ self._scene.to_show.T
-        vertices = quads.reshape(-1, 3).astype(np.float32)
-        vertices[:, 2] += MAP_LIFT
+        vertices = np.stack([corners[rows + r, columns + c] for r, c in steps], axis=1).reshape(-1, 3)
         first = 4 * np.arange(len(rows))[:, None]
         faces = np.concatenate([first + np.array(half) for half in ((0, 1, 2), (0, 2, 3))])
-        data = unlit_glb(vertices, faces, np.repeat(np.round(colors).astype(np.uint8), 4, axis=0), MAP_OPACITY)
-        self._map = self._client.scene.add_glb("/map", data, cast_shadow=False, receive_shadow=False)
+        cells = np.repeat(np.round(colors).astype(np.uint8), 4, axis=0)
+        data = unlit_glb(vertices.astype(np.float32), faces, cells, MAP_OPACITY)
+        rims = (_rims(found.winner, corners) + np.array([0, 0, MAP_LIFT / 4])).astype(np.float32)
+        self._map = [
+            self._client.scene.add_glb("/map/areas", data, cast_shadow=False, receive_shadow=False),
+            self._segments("/map/rims", rims, (245, 247, 250) if state.dark else (24, 26, 30), 1.6),
+        ]
 
     def _edges(self, boxes: Sequence[Box3D]) -> np.ndarray:
         if not boxes:
@@ -178,3 +197,24 @@ def _dead_zone(region: Region) -> np.ndarray:
     reach = across * REACH / 2
     edges = [middle + side * region.dead_zone * along for side in (-1, 1)]
     return np.array([[edge - reach, edge + reach] for edge in edges])
+
+
+def _above(points: np.ndarray, corners: np.ndarray) -> float:
+    """The height ((N, 3) points of the cloud, shown frame) over which nearly none of the floor's own points lie.
+
+    Depth is noisy: a map in the floor itself would show as specks between its points.
+    """
+    low, high, floor = corners[0, 0, :2], corners[-1, -1, :2], corners[0, 0, 2]
+    near = (np.abs(points[:, 2] - floor) < FLOOR_NOISE) & ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
+    return float(np.percentile(points[near, 2], 98)) if near.any() else float(floor)
+
+
+def _rims(winner: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """(N, 2, 3): the edges of cells between two winners, and around all of them."""
+    padded = np.pad(winner, 1, constant_values=-1)
+    across, along = padded[:-1, 1:-1] != padded[1:, 1:-1], padded[1:-1, :-1] != padded[1:-1, 1:]
+    r, c = np.nonzero(across)
+    v, h = np.nonzero(along)
+    return np.concatenate(
+        [np.stack([corners[r, c], corners[r, c + 1]], axis=1), np.stack([corners[v, h], corners[v + 1, h]], axis=1)]
+    )

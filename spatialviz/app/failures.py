@@ -18,6 +18,7 @@ MEANING = {
     "OPM-TARGET": "no candidate is a right target",
     "OPM-REF": "no candidate pair is a right one",
     "LIFT": "a 3D box is off",
+    "ATTRIBUTE": "a colour, size or shape is judged wrongly",
     "SRM": "the relation network is wrong",
     "OPM-CONF": "a false detection outscored the right one",
     "PRM": "confidences overruled the relation",

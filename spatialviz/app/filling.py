@@ -10,6 +10,7 @@ from spatialviz.app.answer import answer_html
 from spatialviz.app.bar import problem_html, refusal_html, tasks_html, tools_html, where_html
 from spatialviz.app.beside_html import agreement_html
 from spatialviz.app.layout import Page
+from spatialviz.app.legend import depth_bar
 from spatialviz.app.objects import objects_html
 from spatialviz.app.picture import image_html, log_html
 from spatialviz.app.shared import Shared
@@ -44,6 +45,7 @@ def fill_page(
         page.show("problem", problem_html(state))
         page.show("ask-problem", refusal_html(state))
         page.show("scene-tools", scene_tools_html(state))
+        page.show("depth-legend", depth_bar(state))
         page.show("objects", objects_html(state))
         fill_answer(page, state, can_ask)
         page.show("agreement", agreement_html(state) if shared.second else None)

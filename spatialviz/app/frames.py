@@ -10,7 +10,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from pipeline.answering.agreement.frames import Beside, beside
+from pipeline.answering.agreement.frames import SecondDetections, second_detections
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
@@ -49,7 +49,7 @@ class LoadedFrame:
         Everything the detector finds in it; empty without a detector.
     problem : str
         Why a detector could not be asked about this frame.
-    beside : Beside or None
+    beside : SecondDetections or None
         What a second detector finds in it.
     told : ToldUp or None
         What was said of up since the program began.
@@ -58,7 +58,7 @@ class LoadedFrame:
     context: PreparedFrame
     objects: tuple[SceneObject, ...]
     problem: str = ""
-    beside: Beside | None = None
+    beside: SecondDetections | None = None
     told: ToldUp | None = None
     _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
 
@@ -107,7 +107,7 @@ class FrameStore:
         if opened.detector is not None:
             try:
                 objects = all_objects(context, opened.detector)
-                second = beside(opened, context, objects)
+                second = second_detections(opened, context, objects)
             except InputError as error:
                 problem = str(error)
         loaded = LoadedFrame(context, objects, problem, second, self.told.get(source))

@@ -43,7 +43,12 @@ KEYS: Mapping[str, Rows] = {
         ("U", "Show or hide the room around the frame", "flag:context"),
         ("Shift+R", "Show or hide the region of the asked relation", "flag:region"),
         ("Shift+F", "Show or hide the decision map", "edit-map"),
-        ("Shift+U", "Say which surface is level: click it next", "level"),
+        ("Shift+U", "Say which surface is level: click it next", "pick:level"),
+        ("Shift+D", "Measure: click two surfaces", "pick:measure"),
+        ("Shift+S", "Show or hide the metre grid on the floor", "flag:grid"),
+        ("-", "Smaller points", "point-size:less"),
+        ("=", "Larger points", "point-size:more"),
+        ("Escape", "Stop measuring, and leave the large view", "pick:"),
         ("M", "Dark or light", "theme"),
     ),
     "Keeping": (

@@ -13,7 +13,7 @@ from spatialviz.app.messages import Address, Call, Outgoing, Patch
 
 LISTED_FRAMES = 1000
 """A list of more frames would be slow to open; around the current one are enough to pick from."""
-KEPT_CALLS = ("tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking")
+KEPT_CALLS = ("tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure")
 """Calls that a page which comes back must hear again."""
 
 

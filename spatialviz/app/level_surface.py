@@ -9,13 +9,13 @@ from pipeline.datasets import write_settings
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.level_plane import level_normal_at
 from pipeline.system.errors import InputError
-from spatialviz.app.frames import FrameStore, ToldUp
+from spatialviz.app.frames import FrameStore, LoadedFrame, ToldUp
 from spatialviz.app.layout import Page
 from spatialviz.app.state import State
 
 
 class LevelSurface:
-    """Takes the next click of one client as a pixel of a level surface.
+    """Takes a click of one client as a pixel of a level surface.
 
     Up is a fact of the data: what one client says holds for all of them, until the program ends or it is saved.
 
@@ -27,7 +27,6 @@ class LevelSurface:
         Gives the client's state.
     take : callable
         Takes a new one.
-    draw : callable
     reopen : callable
         Opens the frame anew, with its question.
     note : callable
@@ -41,44 +40,31 @@ class LevelSurface:
         *,
         state: Callable[[], State],
         take: Callable[[State], None],
-        draw: Callable[[], None],
         reopen: Callable[[], None],
         note: Callable[[str], None],
     ) -> None:
         self._page, self._store = page, store
-        self._state, self._take, self._draw, self._reopen, self._note = state, take, draw, reopen, note
+        self._state, self._take, self._reopen, self._note = state, take, reopen, note
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
         return {
-            "level": lambda _: self.ask(),
             "level-keep": lambda _: self.keep(),
             "level-back": lambda _: self.take_back(),
         }
 
-    def ask(self) -> None:
-        """Take the next click as one on a level surface; asked again, as any other."""
-        state = self._state()
-        if state.loaded is not None and state.labels is None:
-            self._take(replace(state, picking=not state.picking))
-            self._draw()
-
-    def on_pixel(self, u: int, v: int) -> bool:
-        """A click on a pixel; whether it was meant for a level surface."""
-        state = self._state()
-        if not state.picking or state.loaded is None or state.labels is not None:
-            return False
-        frame = state.loaded.context.frame
+    def on_pixel(self, loaded: LoadedFrame, u: int, v: int) -> None:
+        """A click on a pixel of a level surface."""
+        state, frame = self._state(), loaded.context.frame
         try:
             x, y, z = level_normal_at(frame.depth, frame.camera, u, v).tolist()
         except InputError as error:
             self._tell("Not a level surface", str(error))
-            return True
+            return
         self._store.tell_up(state.source, ToldUp(frame.id, (u, v), (x, y, z)))
         self._note(f"frame {frame.id}: the surface at {u},{v} is level, up {x:.3f}, {y:.3f}, {z:.3f} in the camera")
-        self._take(replace(state, picking=False))
+        self._take(replace(state, picking=""))
         self._reopen()
-        return True
 
     def keep(self) -> None:
         """Write what was said into the settings beside the data."""

@@ -14,6 +14,7 @@ from pipeline.geometry.palette import hex_color, palette
 from spatialviz.app.beside_html import name_tag, second_overlay
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.images import jpeg_url
+from spatialviz.app.legend import depth_bar
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.pixels_html import pixel_row_html
@@ -43,11 +44,18 @@ def image_html(state: State) -> Element:
             h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false", id="photo"),
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
             _svg(frame, overlay_marks(state), "overlay"),
+            h.button(
+                cls="large",
+                local="maximise:picture",
+                title="only the picture, or both again (Esc)",
+                aria_label="enlarge the picture, or show both",
+            ),
             cls="pic",
             css={"--wh": f"{frame.width / frame.height:.3f}"},
             point="image:",
             band="edit:mask:rectangle:" if state.labels is None else "px-new:",
         ),
+        depth_bar(state),
         cls="picture",
     )
 
@@ -89,7 +97,22 @@ def overlay_marks(state: State) -> list[Element]:
         x0, y0 = _name_place(state, i)
         shape, color = (frame.height, frame.width), hex_color(colors[roles.get(i, "other")])
         marks += name_tag(state.shown.names[i], x0, y0 - 14 * unit, shape, unit, color)
-    return marks
+    return [*marks, *_measured(state, unit)]
+
+
+def _measured(state: State, unit: float) -> list[Element]:
+    """The pixels between which is measured, and the line and length between them."""
+    assert state.loaded is not None
+    ends = [(u + 0.5, v + 0.5) for u, v in state.marks]
+    marks = [h.circle(cx=u, cy=v, r=2.2 * unit, cls="measured", stroke_width=0.8 * unit) for u, v in ends]
+    found = state.measured
+    if found is None:
+        return marks
+    (x0, y0), (x1, y1) = ends
+    frame = state.loaded.context.frame
+    line = h.path(d=f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}", cls="measured", stroke_width=1.2 * unit)
+    text, shape = f"{found.distance:.3f} m", (frame.height, frame.width)
+    return [line, *marks, *name_tag(text, (x0 + x1) / 2, (y0 + y1) / 2 + 3 * unit, shape, unit, "#f5f7fa")]
 
 
 def _rectangle(bbox: np.ndarray) -> str:

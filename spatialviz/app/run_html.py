@@ -30,7 +30,7 @@ CUTS = {
 """Dimensions that a run is cut by here, and what they are called in the choice."""
 COST_COLORS = {
     "PARSE": COLORS["PARSE"], "RECALL": COLORS["OPM-TARGET"], "LIFT": COLORS["LIFT"], "SRM": COLORS["SRM"],
-    "CONF": COLORS["OPM-CONF"], "residual": COLORS["LABEL"],
+    "CONF": COLORS["OPM-CONF"], "ATTRIBUTE": COLORS["ATTRIBUTE"], "residual": COLORS["LABEL"],
 }  # fmt: skip
 COST_WORDS = {
     "PARSE": "the expression as it was meant",

@@ -94,6 +94,7 @@ class SceneFlags:
     camera: bool = False
     ghosts: bool = True
     region: bool = False
+    grid: bool = False
 
 
 class SceneView:
@@ -110,6 +111,8 @@ class SceneView:
         self._boxed: dict[int, Box3D] = {}
         self._cloud: Cloud | None = None
         self._bands: list[Node] = []
+        self._sizes: list[float] = []
+        self._point_scale = 1.0
         self._lines: dict[str, Any] = {}
         self._faces: Any = None
         self._anchors: list[Node] = []
@@ -132,6 +135,7 @@ class SceneView:
         self.to_show = np.stack([viewer.right, viewer.forward, viewer.up])
         cloud = self._cloud = loaded.cloud
         self.viewpoint.set_frame(cloud.points, self.to_show, frame.camera)
+        self._sizes = (BAND_RATIO ** (cloud.levels + 0.6) / frame.camera.fx * cloud.stride * 1.15).tolist()
         with self._client.atomic():
             for handle in self._bands:
                 handle.remove()
@@ -140,12 +144,12 @@ class SceneView:
                     f"/cloud/{k}",
                     cloud.points[index],
                     colors[cloud.v[index], cloud.u[index]],
-                    point_size=float(BAND_RATIO ** (level + 0.6) / frame.camera.fx * cloud.stride * 1.15),
+                    point_size=size * self._point_scale,
                     precision="float32",
                     point_shading="flat",
                     point_shape="square",
                 )
-                for k, (level, index) in enumerate(zip(cloud.levels, cloud.bands, strict=True))
+                for k, (size, index) in enumerate(zip(self._sizes, cloud.bands, strict=True))
             ]
             if self._frustum is not None:
                 self._frustum.remove()
@@ -192,6 +196,14 @@ class SceneView:
         with self._client.atomic():
             for handle, index in zip(self._bands, self._cloud.bands, strict=True):
                 handle.colors = colors[self._cloud.v[index], self._cloud.u[index]]
+
+    def scale_points(self, factor: float) -> None:
+        """Draw the points of the cloud larger, or smaller; they are not sent again."""
+        if factor != self._point_scale:
+            self._point_scale = factor
+            with self._client.atomic():
+                for handle, size in zip(self._bands, self._sizes, strict=True):
+                    handle.point_size = size * factor
 
     def draw(
         self,

@@ -9,7 +9,8 @@ from pipeline.corrections.journal.edits import Edits, set_ambiguous, set_mark, s
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.object_card import ExpressionCard, set_answer
-from pipeline.diagnosis.verdict import MARKS, Diagnosis
+from pipeline.diagnosis.marks import MARKS
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.system.errors import InputError
 from spatialviz.app.conflict import Conflicts
 from spatialviz.app.correct import Correct

@@ -40,9 +40,11 @@ from spatialviz.app.level_surface import LevelSurface
 from spatialviz.app.messages import Go, Hello, Incoming, Scene
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
+from spatialviz.app.pointing import Pointing
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_aids import SceneAids
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.selection import Selection
 from spatialviz.app.shared import Shared
@@ -100,10 +102,12 @@ class Session:
         )
         client.camera.on_update(self._turned)
         self._level = LevelSurface(
-            page, store, state=self._now, take=self._take, draw=self._draw, note=self._note,
+            page, store, state=self._now, take=self._take, note=self._note,
             reopen=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
         )  # fmt: skip
-        self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus, self._level.on_pixel)
+        pointing = Pointing(page, self._now, self._take, self._draw, {"level": self._level.on_pixel})
+        self._aids = SceneAids(client, page, self.scene)
+        self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus, pointing.on_pixel)
         reach = (self._source, self._now, self._take)
         self._beside = BesideLayer(client, self.scene, self._now, self._take, self._draw)
         self._view = ViewSettings(page, self.scene, *reach, self._draw, self._note, client.set_dark)
@@ -136,7 +140,7 @@ class Session:
         )  # fmt: skip
         parts = (
             self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._labels, self._beside,
-            dialog, self._steps, self._level, keys,
+            dialog, self._steps, self._level, pointing, keys,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
 
@@ -324,7 +328,7 @@ class Session:
         stays = self._labels.correct.stays and asking is None
         # A frame that the labels lack is shown with its answer, and why is said.
         correcting = stays and (desk := self._labels.correct.desk) is not None and frame_id in desk
-        cleared = replace(self.state.unasked, frame_id=frame_id, problem="")
+        cleared = replace(self.state.unasked, frame_id=frame_id, problem="", marks=())
         try:
             loaded = self._store.load(self.state.source, frame_id)
             scores = None if correcting else self._source().score(loaded.context, loaded.objects)
@@ -512,7 +516,9 @@ class Session:
                 replace(state.flags, boxes=state.boxes_shown),
                 state.dark,
             )
-            self.page.call("tags", [asdict(t) for t in tags + self._beside.follow(live)])
+            self.page.call("tags", [asdict(t) for t in [*tags, *self._beside.follow(live), *self._aids.follow(state)]])
+        else:
+            self._aids.follow(state)
         self._what_if.follow(live)
         self._labels.follow_object(live)
 

@@ -85,8 +85,8 @@ def _against(state: State) -> list[Child]:
     if not isinstance(d, Diagnosis) or not d.gold or d.winner is None or d.right is None or d.winner == d.right:
         return []
     config = d.evidence.answers.source.config.rank
-    weights = (config.target_weight, config.reference_weight, config.relation_weight)
-    shares = {name: w * v for (name, v), w in zip((d.contributions or {}).items(), weights, strict=True)}
+    weights = {"target": config.target_weight, "reference": config.reference_weight, "relation": config.relation_weight}
+    shares = {name: weights.get(name, 1.0) * share for name, share in (d.contributions or {}).items()}
     scale = max(1e-9, *(abs(v) for v in shares.values()))
     needed = {n.factor: n.right_above for n in d.needed}
     rows = []

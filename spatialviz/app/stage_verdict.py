@@ -6,7 +6,6 @@ import numpy as np
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
-from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.boxes import iou_2d
 from spatialviz.app.answer import verdict_chip_of
@@ -18,6 +17,7 @@ ORACLE_WORDS = {
     "RECALL": ("missing objects", "every labelled object the detector missed joins the candidates"),
     "LIFT": ("true geometry", "every candidate that is an object gets the geometry of its own labelled pixels"),
     "SRM": ("true relations", "the relation of every pair of real objects is .99, .5 or .01, as labelled"),
+    "ATTRIBUTE": ("true attributes", "attributes of real objects are .99, .5 or .01, as far as they are known"),
     "CONF": ("true confidences", "real objects of the asked class get .99, false positives .01"),
 }
 UNKNOWN = "No verdict: nothing is known of the truth in this frame. It needs labels (a run) or annotations."
@@ -34,7 +34,7 @@ def verdict_evidence(state: State, trace: Trace) -> list[Child]:
 def _oracles(d: Diagnosis) -> list[Child]:
     """Each oracle alone: is the answer right with it, and by what margin."""
     rows = []
-    for k, name in enumerate(("", *ORACLES)):
+    for k, name in enumerate(("", *d.oracles)):
         subset = 0 if k == 0 else 1 << (k - 1)
         right, margin = bool(d.right_with >> subset & 1), float(d.margins[subset])
         words, hint = ("nothing: as it is", "the pipeline's own answer") if k == 0 else ORACLE_WORDS[name]

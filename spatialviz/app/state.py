@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from pipeline.answering.agreement.frames import Beside
+from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Edits
 from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.palette import Role
 from spatialviz.app.edited import Edited
 from spatialviz.app.frames import LoadedFrame
@@ -25,6 +26,7 @@ from spatialviz.app.scene import Ghost, SceneFlags
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
 Layers = Literal["both", "a", "b"]
 CameraMode = Literal["pair", "sensor", "orbit", "top"]
+Tool = Literal["", "level", "measure"]
 
 
 @dataclass(frozen=True)
@@ -117,8 +119,12 @@ class State:
         Whose boxes are shown where there is a second detector.
     second : int or None
         The selected object of the second detector, where it is not the one that stands for `selected`.
-    picking : bool
-        The next click names a level surface.
+    picking : str
+        What the next click on a surface is for, "level" or "measure"; "" selects.
+    marks : tuple of (int, int)
+        The pixels, none to two, between which is measured.
+    point_size : float
+        Of the cloud, as a factor.
     hovered : int or None
         The object whose row the mouse is over, as a place in `shown.objects`.
     evaluating : bool
@@ -151,7 +157,9 @@ class State:
     correctable: bool = False
     layers: Layers = "both"
     second: int | None = None
-    picking: bool = False
+    picking: Tool = ""
+    marks: tuple[tuple[int, int], ...] = ()
+    point_size: float = 1.0
     evaluating: bool = False
     hovered: int | None = None
     stage: str = ""
@@ -170,7 +178,7 @@ class State:
         )  # fmt: skip
 
     @property
-    def beside(self) -> Beside | None:
+    def beside(self) -> SecondDetections | None:
         """What a second detector finds, where that is looked at."""
         return None if self.loaded is None or self.labels is not None else self.loaded.beside
 
@@ -269,6 +277,14 @@ class State:
                     text = f"{self.other.name}: {entry.label}"
                     found.append(Ghost(f"other-{name}", text, entry.lifted.box, "edited"))
         return found
+
+    @property
+    def measured(self) -> Measurement | None:
+        """What lies between the two marked pixels."""
+        if self.loaded is None or len(self.marks) < 2:
+            return None
+        context = self.loaded.context
+        return measure(context.frame.depth, context.frame.camera, context.viewer, *self.marks[:2])
 
     @property
     def paint_key(self) -> tuple[object, ...]:

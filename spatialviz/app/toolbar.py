@@ -33,7 +33,17 @@ FLAGS = {
     "region": "region",
     "context": "room",
     "camera": "camera",
+    "grid": "metre grid",
 }
+LEAST_POINT, LARGEST_POINT = 0.4, 4.0
+"""How small and how large points are drawn, as a factor."""
+PICTURES = tuple(
+    h.button(label, cls="toggle", local=local, title=title)
+    for label, local, title in (
+        ("Picture of the scene", "shot:scene", "the scene as it stands, with its names, as a PNG"),
+        ("of the page", "shot:page", "the whole page, as a PNG; the browser asks first"),
+    )
+)
 
 
 def scene_tools_html(state: State) -> Element:
@@ -50,10 +60,26 @@ def scene_tools_html(state: State) -> Element:
         segments("color", COLORS, state.colors, "paint"),
         segments("camera", CAMERAS, state.camera, "look from"),
         layers_html(state),
+        h.button(
+            "Measure", cls="toggle", do="pick:measure", aria_pressed=str(state.picking == "measure").lower(),
+            title="metres between two surfaces that you click, here or in the picture (Shift+D; Escape ends)",
+        ),
+        _point_size(state),
+        h.div(PICTURES, cls="toggles", role="group", aria_label="pictures to keep"),
         h.div(toggles, cls="toggles", role="group", aria_label="shown in the scene"),
         h.div(legend, cls="legend") if state.colors == "evidence" else None,
         cls="tools",
     )
+
+
+def _point_size(state: State) -> Element:
+    value = f"{state.point_size:.2f}"
+    part = (state.point_size - LEAST_POINT) / (LARGEST_POINT - LEAST_POINT)
+    field = h.input(
+        type="range", min=LEAST_POINT, max=LARGEST_POINT, step="0.05", value=value, live="point-size", id="point-size",
+        css={"--v": f"{part:.3f}"}, title="how large points are drawn (- and =)",
+    )  # fmt: skip
+    return h.label("points", field, cls="points")
 
 
 def frame_nav_html(place: int, count: int) -> Element:

@@ -33,12 +33,13 @@ def up_chip(state: State) -> Element | None:
         css={"--c": DOUBT if loud else IDLE},
         title=f"{said} {HOW if labels is None else MADE_WITH}",
     )
-    return made if labels is not None else made.with_(do="level", aria_pressed=str(state.picking).lower())
+    on = str(state.picking == "level").lower()
+    return made if labels is not None else made.with_(do="pick:level", aria_pressed=on)
 
 
 def level_html(state: State) -> Element | None:
     """What to click while a level surface is asked for; afterwards, how to keep what was said."""
-    if state.picking:
+    if state.picking == "level":
         return note(PICK)
     loaded = state.loaded
     if loaded is None or loaded.told is None or loaded.context.viewer.up_source != "given":

@@ -11,8 +11,9 @@ from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import CameraMode, ColorMode, State
-from spatialviz.app.toolbar import FLAGS
+from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 
+POINT_STEP = 1.25
 MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
 
 
@@ -57,6 +58,7 @@ class ViewSettings:
             "next-color": lambda _: self.paint(MODES[(MODES.index(self._state().colors) + 1) % len(MODES)]),
             "camera": self.look_from,
             "flag": self.toggle,
+            "point-size": self.size_points,
             "theme": lambda _: self.switch_theme(),
         }
 
@@ -83,6 +85,18 @@ class ViewSettings:
             if flag == "context":
                 self.show_context()
             self._draw()
+
+    def size_points(self, text: str) -> None:
+        """Draw the points by a factor of their size; "more" and "less" are steps."""
+        state, steps = self._state(), {"more": POINT_STEP, "less": 1 / POINT_STEP}
+        try:
+            factor = state.point_size * steps[text] if text in steps else float(text)
+        except ValueError:
+            return
+        if LEAST_POINT <= (factor := round(factor, 2)) <= LARGEST_POINT:
+            self._take(replace(state, point_size=factor))
+            # The slider stands where the hand has put it.
+            (self._draw if text in steps else lambda: self._scene.scale_points(factor))()
 
     def show_context(self) -> None:
         """Fuse the frames around this one, where that is wanted and possible."""

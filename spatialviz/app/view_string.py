@@ -15,11 +15,13 @@ from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState
 from spatialviz.app.scene import SceneFlags
 from spatialviz.app.state import State
+from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
 
 BEGINS = re.compile(r"\s*sv[0-9]{1,6}:")
 """How a state string begins; no expression does."""
-CAMERA, FOV = "camera view", "field of view"
-"""Names of toggles: from where one looks ("sensor", "orbit", "top"), and in radians how wide a turned camera sees."""
+CAMERA, FOV, POINTS = "camera view", "field of view", "point size"
+"""Names of toggles: from where one looks ("sensor", "orbit", "top"), in radians how wide a turned camera sees, and the
+factor by which points are drawn larger."""
 SHIPPED_SCORERS = (None, "rule", "trained")
 
 
@@ -43,6 +45,8 @@ def view_of(
     toggles: dict[str, Toggle] = {**asdict(state.flags), CAMERA: state.camera}
     if camera is not None:
         toggles[FOV] = round(camera[1], 4)
+    if state.point_size != 1:
+        toggles[POINTS] = state.point_size
     return ViewState(
         state.source,
         state.frame_id,
@@ -67,6 +71,9 @@ def with_settings(state: State, view: ViewState) -> State:
         changed["colors"] = view.colors
     if view.toggles.get(CAMERA) in ("sensor", "orbit", "top"):
         changed["camera"] = view.toggles[CAMERA]
+    size = view.toggles.get(POINTS)
+    if isinstance(size, float | int) and LEAST_POINT <= size <= LARGEST_POINT:
+        changed["point_size"] = float(size)
     return replace(state, **changed)
 
 

@@ -25,6 +25,7 @@ from spatialviz.app.edit_scene import EditScene
 from spatialviz.app.edited import Edited
 from spatialviz.app.gizmo import MODES, BoxGizmo
 from spatialviz.app.layout import Page
+from spatialviz.app.legend import map_legend
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import Shown, State, shown_objects
@@ -274,6 +275,7 @@ class WhatIf:
         self._page.show("cost", cost_html(state, len(self._undo)))
         if not live:
             hidden = selected is not None and f"#{state.shown.objects[selected].id}" in state.edits.hidden
+            self._page.show("map-legend", map_legend(state, self._map))
             self._page.show("edit", edit_html(state, self._source(), candidate or hidden, self._map))
 
 

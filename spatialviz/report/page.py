@@ -192,7 +192,8 @@ def _facts(
         facts.append(("scores", f"calibrated, a {c.a:.3f}, b {c.b:.3f}"))
     if judged is not None:
         case = judged.case
-        facts.append(("meant", f"{case.target} {wording(case.relation)} {case.reference}"))
+        told = f"{case.target} {wording(case.relation)} {case.reference}" if case.meant is None else case.text
+        facts.append(("meant", told))
         facts.append(("right answers", f"{len(case.strict)} beyond doubt, {len(case.acceptable)} with the undecided"))
         facts += [("judged by", share.sentence) for share in subject.shares]
     return '<dl class="facts">' + "".join(

@@ -19,7 +19,7 @@ from pipeline.diagnosis.answer import Answer
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import Camera, project
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import MaskCrop
+from pipeline.geometry.masks import mask_box
 from pipeline.geometry.palette import ON_DARK, Role
 from pipeline.system.errors import require
 from pipeline.system.whole_files import write_whole
@@ -214,7 +214,7 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
     shown = {cast.labelled.get(index) for index in cast.roles}
     for k, (role, entry) in cast.truth.items():
         if k not in shown and entry.mask.any():
-            bbox = np.array(MaskCrop(0, 0, entry.mask).box, np.float64)
+            bbox = np.array(mask_box(entry.mask), np.float64)
             parts.append(_svg_tag(f"true {role}: {entry.label}", "truth", bbox, frame, taken))
     return "".join([*parts, "</g></svg>"])
 
@@ -324,7 +324,7 @@ def answer_roles(answered: Answer) -> AnswerRoles:
             right = None if pair is None or pair.reference is None else (pair.target, pair.reference)
             labelled = {index: int(k) for index, k in enumerate(evidence.match) if k >= 0}
         ends: tuple[tuple[Role, int], ...] = (("target", case.target_object), ("reference", case.reference_object))
-        for role, k in ends:
+        for role, k in ends[: 2 if case.reference else 1]:
             entry = evidence.objects.get(k, points=True)
             if entry is not None:
                 truth[k] = role, entry

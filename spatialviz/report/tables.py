@@ -14,10 +14,10 @@ from spatialviz.report.picture import AnswerRoles
 SHOWN_PAIRS = 8
 _MODULES = (
     ("PARSE", "expression", ("parse",)), ("OPM", "proposals", ("opm",)), ("LIFT", "3D boxes", ("frame", "lift")),
-    ("SRM", "relations", ("srm",)), ("PRM", "ranking", ("prm",)), ("LABEL", "the label", ()),
+    ("ATTRIBUTE", "attributes", ()), ("SRM", "relations", ("srm",)), ("PRM", "ranking", ("prm",)),
+    ("LABEL", "the label", ()),
 )  # fmt: skip
-_ORACLE_MODULE = {"RECALL": "OPM", "LIFT": "LIFT", "SRM": "SRM", "CONF": "PRM"}
-_FACTORS = (("target", "p_target"), ("reference", "p_reference"), ("relation", "p_relation"))
+_ORACLE_MODULE = {"RECALL": "OPM", "LIFT": "LIFT", "SRM": "SRM", "CONF": "PRM", "ATTRIBUTE": "ATTRIBUTE"}
 
 
 def modules_html(answered: Answer) -> str:
@@ -25,7 +25,10 @@ def modules_html(answered: Answer) -> str:
     blamed = blamed_modules(answered.diagnosis)
     times = {} if answered.trace is None else answered.trace.timings
     cells = []
+    judged = answered.diagnosis
     for name, what, stages in _MODULES:
+        if name == "ATTRIBUTE" and (judged is None or "ATTRIBUTE" not in judged.oracles):
+            continue
         took = sum(times.get(s, 0.0) for s in stages) * 1000
         shown = f"{took:.1f} ms" if any(s in times for s in stages) else "–"
         mark = ' class="blamed"' if name in blamed else ""
@@ -51,12 +54,13 @@ def decomposition_html(d: Diagnosis, cast: AnswerRoles) -> str:
         return '<p class="quiet">The answer is the best right pair: nothing is lost.</p>'
     widest = max(*(abs(v) for v in d.contributions.values()), 0.1)
     rows = []
-    for factor, attribute in _FACTORS:
-        ours, theirs, share = getattr(d.winner, attribute), getattr(d.right, attribute), d.contributions[factor]
+    for factor, share in d.contributions.items():
+        ours, theirs = getattr(d.winner, f"p_{factor}"), getattr(d.right, f"p_{factor}")
         side = "ours" if share >= 0 else "theirs"
         drawn = abs(share) >= 5e-4
         bar = f'<span class="bar {side}" style="width:{50 * abs(share) / widest:.1f}%"></span>' if drawn else ""
-        name = factor if factor != "relation" else f"relation “{escape(PHRASE[d.case.relation])}”"
+        phrase = escape(PHRASE.get(d.case.relation, d.case.relation))
+        name = f"relation “{phrase}”" if factor == "relation" and phrase else factor
         rows.append(
             f'<tr><th scope="row">{name}</th><td>{ours:.3f}</td><td>{theirs:.3f}</td>'
             f'<td class="wide"><span class="axis">{bar}</span></td><td>{share:+.2f}</td></tr>'

@@ -25,12 +25,12 @@ from pipeline.answering.agreement.agreement import (
     overlaps,
     rank_correlation,
 )
-from pipeline.answering.agreement.frames import agree_frames, agreement_record, beside
+from pipeline.answering.agreement.frames import agree_frames, agreement_record, second_detections
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import open_pipeline
 from pipeline.geometry.boxes import iou_2d
-from pipeline.proposals.registry import DetectorSetup
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions
+from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError
 
 WORDS = ("mug", "trash can", "bin", "lamp")
@@ -282,7 +282,7 @@ def test_objects_of_both_detectors_stand_beside_each_other() -> None:
     source = open_pipeline("demo", detector="annotations", also="simulated", srm="rule")
     context = PreparedFrame(source.dataset.load(source.dataset.frame_ids[0]))
     objects = all_objects(context, source.needed_detector())
-    shown = beside(source, context, objects)
+    shown = second_detections(source, context, objects)
     assert shown is not None
     assert shown.names == ("annotations", "simulated")
     ((_, found),) = agree_frames(source, "0")
@@ -294,15 +294,15 @@ def test_objects_of_both_detectors_stand_beside_each_other() -> None:
         assert j is None or j < len(shown.objects)
         assert shown.partner(i) == (j if i is not None else None)
         assert shown.partner_of_b(j) == (i if j is not None else None)
-    assert beside(open_pipeline("demo", srm="rule"), context, objects) is None
+    assert second_detections(open_pipeline("demo", srm="rule"), context, objects) is None
 
 
 def test_two_models_of_one_kind_go_by_their_files() -> None:
     source = open_pipeline("demo", detector="simulated", also="simulated", srm="rule")
-    assert source.sides == ("simulated", "simulated")
+    assert source.detector_names == ("simulated", "simulated")
     small, large = (DetectorSetup("simulated", Path(f"a/{name}.onnx")) for name in ("small", "large"))
     both = replace(source, setup=small, second_setup=large)
-    assert both.sides == ("small", "large")
-    assert replace(source, second_setup=large).sides == ("simulated", "large")
+    assert both.detector_names == ("small", "large")
+    assert replace(source, second_setup=large).detector_names == ("simulated", "large")
     other = replace(both, detector=open_pipeline("demo", srm="rule").detector)
-    assert other.sides == ("annotations", "simulated")
+    assert other.detector_names == ("annotations", "simulated")

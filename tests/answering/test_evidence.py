@@ -99,6 +99,16 @@ def test_a_name_is_shown_as_what_it_was_taken_for(row: Frame) -> None:
     assert [(n["said"], n["taken_as"]) for n in names] == [("cup", "mug")]
 
 
+def test_a_misspelt_name_is_shown_as_what_it_was_taken_for(row: Frame) -> None:
+    trace = asked(row, "the mug abov the tabel, left of the lapotp")
+    record = trace_record(trace)["expression"]
+    assert [(n["said"], n["taken_as"], n["how"]) for n in record["names"]] == [
+        ("tabel", "table", "spelling"),
+        ("lapotp", "laptop", "spelling"),
+    ]
+    assert record["mended"] == [{"said": "abov", "read_as": "above"}]
+
+
 def test_nothing_that_is_all_of_it_does_not_hold(row: Frame) -> None:
     best = best_pair(asked(row, "the black mug left of the book"))
     assert best is not None

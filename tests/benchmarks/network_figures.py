@@ -17,7 +17,7 @@ from benchmarks.mesh_worlds import mesh_world
 from box_worlds import box_world
 from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied
 
-from pipeline.labels.labelling import in_doubt, judge_objects
+from pipeline.labels.labelling import judge_objects, with_undecided
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import doubted
 from pipeline.language.relation_names import DIRECTIONAL
@@ -48,7 +48,7 @@ def tallies(networks: Sequence[OnnxScorer], seen: Seen) -> list[np.ndarray]:
     lo, hi = (np.array([e[k] for e in seen.exact]) for k in (0, 1))
     truth = directional_states(lo, hi)
     rules = judge_objects(seen.objects, seen.viewer, config)
-    rules = in_doubt(rules, np.array([o.quality.fallback for o in seen.objects], np.bool_))
+    rules = with_undecided(rules, np.array([o.quality.fallback for o in seen.objects], np.bool_))
     found = []
     for network in networks:
         labels = doubted(rules, network, seen.objects, seen.viewer).states[..., :6]

@@ -13,8 +13,8 @@ from pipeline.corrections.review.label_jobs import CANCELLED, LabelJobs, QueueJo
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.worklist import write_queue
 from pipeline.labels.reading import Labels
-from pipeline.proposals.registry import DetectorSetup
 from pipeline.system.background import SharedJob
+from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError
 
 

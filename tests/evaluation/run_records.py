@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pipeline.diagnosis.substitution import names_of
+from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.records import COLUMNS, records_schema
 

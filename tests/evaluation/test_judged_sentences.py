@@ -132,11 +132,48 @@ def test_the_report_counts_what_the_lines_say(source: Pipeline, tmp_path: Path) 
     assert record["all"]["told"]["value"] == pytest.approx(2 / 3)
     assert record["kinds"]["bare"]["refused_rightly"]["value"] is None
     assert sum(f["count"] for f in record["failures"]) == 3
-    shown, failures = found.tables
+    shown, failures, *_ = found.tables
     assert [row.name for row in shown.rows] == [*record["kinds"], "all"]
     assert [(row.name, row.cells[0]) for row in failures.rows] == [
         ("PARSE: WORDS", 1), ("REFUSED: TIED", 1), ("WRONG: OBJECT", 1),
     ]  # fmt: skip
+
+
+def test_what_failed_is_named_by_module(source: Pipeline, tmp_path: Path) -> None:
+    lines = [
+        {"sentence": "the red mug", "targets": [MUG]},
+        {"sentence": "the red mug", "targets": [OTHER_MUG]},
+        {"sentence": "leftmost mug", "targets": [MUG]},
+        {"sentence": LEFT_MUG, "targets": [MUG]},
+        {"sentence": "left of", "targets": [MUG]},
+        {"sentence": "the book", "targets": [MUG]},
+        {"sentence": "the zebra", "targets": []},
+        {"sentence": "the bed", "targets": [MUG]},
+    ]
+    found = judged(source, tmp_path / "s.jsonl", *lines, out=tmp_path / "out")
+    assert [j.verdict for j in found.judged] == [
+        "CORRECT", "ATTRIBUTE", "CORRECT", "CORRECT", "PARSE", None, None, "OPM-TARGET",
+    ]  # fmt: skip
+    rows = [json.loads(line) for line in (tmp_path / "out" / "sentences.jsonl").read_text("utf-8").splitlines()]
+    assert rows[1]["verdict"]["repair"] == ["ATTRIBUTE"]
+    assert rows[1]["verdict"]["said"].startswith("“red” gave the answer")
+    assert "tie" in rows[5]["verdict_reason"] or "equally" in rows[5]["verdict_reason"]
+    assert rows[4]["verdict"] is rows[6]["verdict"] is None
+    record = json.loads(json.dumps(found.record(), allow_nan=False))
+    assert record["verdicts"] == {"CORRECT": 3, "PARSE": 1, "OPM-TARGET": 1, "ATTRIBUTE": 1}
+    oracles = record["oracles"]
+    assert set(oracles["shapley"]) == {"RECALL", "LIFT", "SRM", "CONF", "ATTRIBUTE"}
+    assert oracles["shapley_sum"] == pytest.approx(oracles["loss_explained"])
+    assert oracles["single"]["ATTRIBUTE"]["value"] == pytest.approx(1 / oracles["expressions"])
+    whole = sum(e["value"] for e in oracles["shapley"].values()) + oracles["value"]["none"] + oracles["residual"]
+    assert whole == pytest.approx(1)
+    assert [t.key for t in found.tables] == ["sentences", "failures", "verdicts", "oracles"]
+
+
+def test_without_attributes_there_is_no_oracle_of_them(source: Pipeline, tmp_path: Path) -> None:
+    found = judged(source, tmp_path / "s.jsonl", {"sentence": "leftmost mug", "targets": [MUG]})
+    assert found.deltas is not None
+    assert set(found.deltas.shapley) == {"RECALL", "LIFT", "SRM", "CONF"}
 
 
 FINE = {"sentence": LEFT_MUG, "targets": [MUG]}

@@ -54,7 +54,7 @@ def test_shares_sum_to_one_and_losses_to_the_whole(seed: int, rows: int) -> None
     assert sum(s.count for s in found.verdicts.values()) == found.expressions == rows
     for verdict in VERDICTS:
         parts = sum(s.count for (v, _), s in found.details.items() if v == verdict)
-        assert parts <= found.verdicts[verdict].count
+        assert parts == 0 or parts <= found.verdicts[verdict].count
     assert found.lucky.count <= found.verdicts["CORRECT"].count
     assert abs(sum(e.value for e in found.loss.values()) - 1) < 1e-9
     assert sum(found.residual_causes.values()) == round(found.residual.value * rows)
@@ -68,7 +68,7 @@ def test_slices_hold_every_expression_once(seed: int, dimension: str, most: int 
     found = slice_by({"run": records}, dimension, QUICK, most).slices
     assert sum(s.n for s in found) == records.num_rows
     for verdict in VERDICTS:
-        assert sum(s.counts[verdict] for s in found) == records.column("verdict").to_pylist().count(verdict)
+        assert sum(s.counts.get(verdict, 0) for s in found) == records.column("verdict").to_pylist().count(verdict)
     for part in found:
         assert sum(part.counts.values()) == part.n
         assert abs(sum(e.value for e in part.verdicts.values()) - 1) < 1e-9

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from run_records import CLASSES, RELATIONS, random_records
 
-from pipeline.diagnosis.substitution import ORACLES
+from pipeline.diagnosis.oracles import ORACLES
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.records import records_schema
 from pipeline.evaluation.search import compile_search, complete, completions, find_failures, find_rows

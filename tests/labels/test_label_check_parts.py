@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from scenes import camera_of, frame_of, upright
 
 from pipeline.geometry.boxes import paired_iou_2d
-from pipeline.geometry.masks import encode_run_length
+from pipeline.geometry.masks import MaskCrop, encode_run_length
 from pipeline.labels.check.expressions import says_the
 from pipeline.labels.check.objects import (
     SizeSurvey,
@@ -23,7 +23,7 @@ from pipeline.labels.check.objects import (
 )
 from pipeline.labels.check.relations import shortest_cycle
 from pipeline.labels.check.stream import Rows, violations
-from pipeline.labels.check.view import MaskRuns, read_runs, runs_object
+from pipeline.labels.check.view import read_mask
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import arrow_schema
 from pipeline.labels.schema import TABLES
@@ -37,32 +37,32 @@ from pipeline.relations.relations import T
 @given(st.integers(0, 10**6), st.integers(1, 40), st.integers(1, 40), st.floats(0, 1))
 def test_runs_of_any_mask(seed: int, height: int, width: int, share: float) -> None:
     mask = np.random.default_rng(seed).random((height, width)) < share
-    runs = read_runs(encode_run_length(mask), height, width)
-    assert isinstance(runs, MaskRuns)
-    assert runs.area == mask.sum()
+    found = read_mask(encode_run_length(mask), height, width)
+    assert isinstance(found, MaskCrop)
+    assert found.area == mask.sum()
     v, u = np.nonzero(mask)
     expected = [u.min(), v.min(), u.max() + 1, v.max() + 1] if len(v) else [0, 0, 0, 0]
-    assert runs.bbox.tolist() == expected
+    assert list(found.box) == expected
 
 
 def test_runs_of_large_blocks() -> None:
     mask = np.zeros((480, 640), np.bool_)
     mask[100:300, 50:600] = True
-    runs = read_runs(encode_run_length(mask), 480, 640)
-    assert isinstance(runs, MaskRuns)
-    assert (runs.area, runs.bbox.tolist()) == (200 * 550, [50, 100, 600, 300])
-    assert isinstance(read_runs(encode_run_length(mask), 480, 641), str)
+    found = read_mask(encode_run_length(mask), 480, 640)
+    assert isinstance(found, MaskCrop)
+    assert (found.area, list(found.box)) == (200 * 550, [50, 100, 600, 300])
+    assert isinstance(read_mask(encode_run_length(mask), 480, 641), str)
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.text(st.characters(min_codepoint=0, max_codepoint=300), max_size=40))
 def test_a_code_is_read_as_pycocotools_reads_it_or_refused(code: str) -> None:
     """Whatever is accepted decodes, without a byte written beyond the mask, to the area that was said."""
-    runs = read_runs(code, 6, 7)
-    if isinstance(runs, MaskRuns):
+    found = read_mask(code, 6, 7)
+    if isinstance(found, MaskCrop):
         from pycocotools import mask as coco
 
-        assert int(coco.decode(runs_object(code, 6, 7)).sum()) == runs.area
+        assert int(coco.decode({"size": [6, 7], "counts": code.encode("ascii")}).sum()) == found.area
 
 
 VALUES = [None, -2, -1, 0, 1, 2, 0.5, 1.5, "x", "plane", [0.0] * 3, [0.0] * 9, [1.0, None, 2.0], [1, 2], [], True]

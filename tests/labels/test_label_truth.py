@@ -17,7 +17,7 @@ from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.job import label_dataset
-from pipeline.labels.labelling import FrameLabels, in_doubt, judge_objects, label_objects, occluded_share
+from pipeline.labels.labelling import FrameLabels, judge_objects, label_objects, occluded_share, with_undecided
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import doubted, open_second_opinion
 from pipeline.labels.reading import content_hash, open_labels
@@ -213,7 +213,7 @@ def test_labels_hold_from_low_and_from_high(regime: str) -> None:
 
 
 def judge_list_of(objects: list[LiftedObject], viewer: ViewerAxes, network: OnnxScorer) -> np.ndarray:
-    rules = in_doubt(
+    rules = with_undecided(
         judge_objects(objects, viewer, LabelConfig()), np.array([o.quality.fallback for o in objects], np.bool_)
     )
     return doubted(rules, network, objects, viewer).states[..., :6]

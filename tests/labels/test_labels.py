@@ -22,8 +22,8 @@ from pipeline.answering.opening import open_pipeline
 from pipeline.datasets.demo import demo_path
 from pipeline.labels.engines import label_shard, open_labeller
 from pipeline.labels.job import label_dataset
-from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import LabelConfig, SelectConfig, SourceSpec, load_plan, make_plan, part_of, save_plan
+from pipeline.labels.merge import SelectConfig, merge_labels
+from pipeline.labels.plan import LabelConfig, SourceSpec, load_plan, make_plan, part_of, save_plan
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import PART_TABLES, open_labels, read_table
 from pipeline.labels.schema import Manifest

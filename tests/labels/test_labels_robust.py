@@ -20,13 +20,13 @@ from pipeline.datasets.demo import demo_path
 from pipeline.labels import merge
 from pipeline.labels.engines import label_shard, open_labeller
 from pipeline.labels.job import label_dataset
-from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import LabelConfig, SelectConfig, SourceSpec, files_hash, load_plan, make_plan, save_plan
+from pipeline.labels.merge import SelectConfig, merge_labels
+from pipeline.labels.plan import LabelConfig, SourceSpec, files_hash, load_plan, make_plan, save_plan
 from pipeline.labels.reading import open_labels
 from pipeline.labels.store import Store
 from pipeline.system import whole_files
 from pipeline.system.errors import InputError, MissingExtra
-from pipeline.system.whole_files import clear_abandoned, temporary_beside
+from pipeline.system.whole_files import clear_abandoned, temporary_sibling
 
 DEMO = SourceSpec("demo")
 QUICK = LabelConfig(second_opinion="none")
@@ -81,7 +81,7 @@ def test_two_writers_of_one_shard_do_not_meet(tmp_path: Path, monkeypatch: pytes
 
 
 def test_only_what_dead_writers_left_is_cleared(tmp_path: Path) -> None:
-    living = temporary_beside(tmp_path / "000001-a")
+    living = temporary_sibling(tmp_path / "000001-a")
     dead = living.with_name(living.name.replace(f".{os.getpid()}.", f".{dead_pid()}."))
     far = living.with_name(f".000002-b.elsewhere.{os.getpid()}.0123abcd.tmp")
     old = living.with_name(f".000003-c.elsewhere.{os.getpid()}.0123abcd.tmp")
@@ -107,7 +107,7 @@ def test_the_first_plan_of_a_folder_stands(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_resumed_run_leaves_a_running_one_alone(labels: Path) -> None:
     shutil.rmtree(labels / "parts" / load_plan(Store(labels)).shards[0].name)
-    other = temporary_beside(labels / "parts" / "000000-other")
+    other = temporary_sibling(labels / "parts" / "000000-other")
     other.mkdir()
     label_dataset(DEMO, labels, QUICK, limit=2, frames_a_shard=1, resume=True)
     assert other.is_dir()

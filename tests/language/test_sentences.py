@@ -22,11 +22,10 @@ def unused(text: str) -> list[str]:
     ("text", "description"),
     [
         # Sides before a noun
-        ("the bottom right drawer", "drawer [bottom right] [bottom right]"),
-        ("lower left cushion", "cushion [lower left] [lower left]"),
+        ("the bottom right drawer", "drawer [bottom right]"),
+        ("lower left cushion", "cushion [lower left]"),
         ("the lower cushion", "cushion [lower]"),
         ("the very left jar", "jar [very left]"),
-        ("the jar right behind the kettle", "jar behind kettle"),
         # What is said of a thing
         ("the kettle is red", "red kettle"),
         ("the jar is round and stands on the shelf", "round jar on shelf"),
@@ -47,7 +46,27 @@ def unused(text: str) -> list[str]:
         ("the stool by the wall has a jar on top of it", "(stool near wall) supporting jar"),
         ("the stool is by the door and does not have a jar on it", "(stool near door) not supporting jar"),
         ("the shelf without a lamp on it", "shelf not supporting lamp"),
-        ("the lamp is on the desk. it's right above the stool", "lamp on (desk above stool)"),
+        ("the lamp is on the desk. it's above the stool", "lamp on (desk above stool)"),
+        ("the shelf that the green jars are standing on", "shelf supporting green jars"),
+        ("the shelf the jar is on", "shelf supporting jar"),
+        ("the box which the jar is not in", "box not containing jar"),
+        ("what are the two jars standing on?", "thing supporting jars"),
+        ("which shelf is the jar on", "shelf supporting jar"),
+        ("the jar that is neither on the desk nor on the shelf", "(jar not on desk) not on shelf"),
+        ("the jar the kettle is behind", "jar in front of kettle"),
+        ("the one that is not on the shelf", "one not on shelf"),
+        ("the jar except the one on the shelf", "jar not on shelf"),
+        ("which of the jars is the closest to the kettle", "jars closest to kettle"),
+        # Words of colour that name a thing
+        ("the green wine bottle", "green wine bottle"),
+        ("the peach jar", "peach jar"),
+        ("the peach sofa", "peach sofa"),
+        # Sides without a preposition, frames of politeness
+        ("plant far left", "plant [far left]"),
+        ("blue cushion, right side", "blue cushion [right side]"),
+        ("would you be so kind as to pass me the jar on the shelf, would you?", "jar on shelf"),
+        ("please could i have the green jar", "green jar"),
+        ("teh jar w/ a lid on top", "jar supporting lid"),
         # What is not meant
         ("not the jar on the stool but the one on the shelf", "(jar on shelf) not on stool"),
         ("not the green jar but the white one", "white jar, not green jar"),
@@ -78,6 +97,11 @@ def test_sentences_are_read(text: str, description: str) -> None:
             "(jar on desk) left of cup",
             ["the corner of"],
         ),
+        ("the jar right behind the kettle", "jar behind kettle", ["right"]),
+        ("the jar is directly under the lamp", "jar below lamp", ["directly"]),
+        ("the jar just left of the kettle", "jar left of kettle", ["just"]),
+        ("the jar on the lowest shelf of the bookcase", "jar on bookcase", ["the lowest shelf of"]),
+        ("the jar near the leg of the table", "jar near table", ["the leg of"]),
         ("the jar over there on the shelf", "jar on shelf", ["over there"]),
         ("the stool by the shelf that nobody sits on", "stool near shelf", ["nobody sits on"]),
         ("the jar leaning against the wall on the shelf", "jar on shelf", ["against the wall"]),
@@ -88,6 +112,14 @@ def test_what_cannot_be_judged_is_left_out_and_told(text: str, description: str,
     assert query.default.description == description
     assert unused(text) == left_out
     assert all(s.note for s in query.unused)
+
+
+def test_a_misspelt_word_of_the_grammar_is_told() -> None:
+    query = parse("teh mug abov the nex shelf")
+    assert query.expression is not None
+    assert query.expression.relation == "above"
+    assert query.mended == (("teh", "the"), ("abov", "above"))
+    assert parse("the mug above the shelf").mended == ()
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,8 @@ from pipeline.geometry.frame import Frame
 from pipeline.proposals import Proposals
 from pipeline.proposals.class_names import known_names, name_groups, same_name
 from pipeline.proposals.ensemble import EnsembleDetector, _identity, fuse_boxes
-from pipeline.proposals.registry import named_model, with_model
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions
+from pipeline.system.detector_setup import named_model, with_model
 from pipeline.system.errors import InputError, UnknownClass
 
 # Three detectors' boxes (0..1), scores and classes, and what ensemble-boxes 1.0.9 of the paper's authors made of them.

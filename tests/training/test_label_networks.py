@@ -16,7 +16,7 @@ from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE, VOCABULARIES
 from pipeline.metrics.calibration_metrics import antisymmetric_log_softmax, fit_temperature, log_softmax, softmax
 from pipeline.relations import make_scorer
-from pipeline.relations.class_vectors import ClassVectors, vectors_beside
+from pipeline.relations.class_vectors import ClassVectors, vectors_path
 from pipeline.relations.contract import Contract
 from pipeline.relations.features import CLI_FEATURES, FEATURES, Appearance
 from pipeline.relations.model import OnnxScorer
@@ -65,7 +65,7 @@ def test_every_variant_answers_and_its_card_says_what_made_it(
     assert len(card["training"]["curve"]) == FAST.epochs
     parts = [set(card["split"][f"{p}_scenes"]) for p in ("train", "validation", "test")]
     assert sum(len(p) for p in parts) == len(set.union(*parts))
-    assert vectors_beside(path).is_file() == ("lang" in short)
+    assert vectors_path(path).is_file() == ("lang" in short)
     scorer = make_scorer(path)
     assert isinstance(scorer, OnnxScorer)
     source = replace(open_pipeline("demo"), scorer=scorer)
@@ -93,7 +93,7 @@ def seen(*labels: str) -> Appearance:
 
 def test_a_class_that_was_not_trained_on_needs_the_vectors(networks: dict[tuple, Path], word_vectors: Path) -> None:
     path = networks["2d+lang", "avd"]
-    known = ClassVectors.read(vectors_beside(path)).names[0]
+    known = ClassVectors.read(vectors_path(path)).names[0]
     scorer, with_file = OnnxScorer(path), OnnxScorer(path, word_vectors)
     rows = np.zeros((2, 4))
     both = [scorer.with_words(rows, [known, spelt]) for spelt in (known, known.upper().replace(" ", "_"))]
@@ -125,11 +125,11 @@ def test_other_vectors_and_other_networks_are_refused(
     with pytest.raises(InputError, match="class vectors are missing"):
         OnnxScorer(alone)
     assert OnnxScorer(alone, word_vectors).with_words(np.zeros((1, 6)), ["zebra"]).shape == (1, 11)
-    known = ClassVectors.read(vectors_beside(path))
-    vectors_beside(alone).write_bytes(ClassVectors(known.names[::-1], known.vectors).content())
+    known = ClassVectors.read(vectors_path(path))
+    vectors_path(alone).write_bytes(ClassVectors(known.names[::-1], known.vectors).content())
     with pytest.raises(InputError, match="belong to another network"):
         OnnxScorer(alone)
-    vectors_beside(alone).write_bytes(b"PK\x03\x04 nothing")
+    vectors_path(alone).write_bytes(b"PK\x03\x04 nothing")
     with pytest.raises(InputError, match="cannot be read"):
         OnnxScorer(alone)
 

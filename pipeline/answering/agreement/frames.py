@@ -97,7 +97,7 @@ def agree_frames(
 
 
 @dataclass(frozen=True)
-class Beside:
+class SecondDetections:
     """What the detector beside the source's finds in a frame, lifted.
 
     Attributes
@@ -132,7 +132,9 @@ class Beside:
         return (*otherwise, *((int(i), None) for i in found.only_a), *((None, int(j)) for j in found.only_b))
 
 
-def beside(source: Pipeline, context: PreparedFrame, objects: Sequence[SceneObject]) -> Beside | None:
+def second_detections(
+    source: Pipeline, context: PreparedFrame, objects: Sequence[SceneObject]
+) -> SecondDetections | None:
     """What the detector beside the source's finds, and how far it agrees with these objects of the source's.
 
     Raises
@@ -149,7 +151,7 @@ def beside(source: Pipeline, context: PreparedFrame, objects: Sequence[SceneObje
         layer_of_objects(others, known_names(source.second_detector)),
         synonyms=source.synonyms,
     )
-    return Beside(source.sides, others, found, figures([found], source.synonyms))
+    return SecondDetections(source.detector_names, others, found, figures([found], source.synonyms))
 
 
 def agreement_record(frame_id: str, found: FrameAgreement, synonyms: Synonyms | None = None) -> dict[str, Any]:

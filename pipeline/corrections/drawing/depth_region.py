@@ -211,18 +211,24 @@ def flooded(nodes: np.ndarray, right: np.ndarray, down: np.ndarray, seed: tuple[
     return grid[::2, ::2] == 2
 
 
+def nearest_pixel(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far the nearest pixel of a mask ((H, W) bool) is, pixels, and its index in the flat picture; (H, W) each."""
+    far, found = cv2.distanceTransformWithLabels(
+        (~mask).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    label = np.asarray(found, np.int64)
+    index = np.zeros(int(label.max()) + 1, np.int64)
+    index[label[mask]] = np.flatnonzero(mask)
+    return np.asarray(far), index[label]
+
+
 def _with_rim(surface: Surface, region: np.ndarray, tolerance: float) -> np.ndarray:
     """A region with the pixels around it that lie in its surface, but have no normal of their own."""
     if not region.any():
         return region
-    far, labels = cv2.distanceTransformWithLabels(
-        (~region).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    label = np.asarray(labels, np.int64)
-    candidates = (np.asarray(far) <= RIM) & ~region & ~surface.known & surface.measured
-    flat = np.zeros(int(label.max()) + 1, np.int64)
-    flat[label[region]] = np.flatnonzero(region)
-    nearest = flat[label[candidates]]
+    far, nearest = nearest_pixel(region)
+    candidates = (far <= RIM) & ~region & ~surface.known & surface.measured
+    nearest = nearest[candidates]
     normals, points = surface.normals.reshape(-1, 3)[nearest], surface.points.reshape(-1, 3)[nearest]
     # A round thing falls away behind its last normal; what rises there is something else.
     rises = (normals * (surface.points[candidates] - points)).sum(axis=1)

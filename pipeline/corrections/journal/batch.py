@@ -115,7 +115,7 @@ class Mask(OfObject, Shapes):
     mode: Mode = "replace"
 
     @model_validator(mode="after")
-    def _said(self) -> Mask:
+    def _one_way(self) -> Mask:
         if ("to" in self.model_fields_set) == self.shaped:
             raise ValueError("pixels are either a code (to) or one of polygon, rectangle, strokes, seeds")
         if not self.shaped and self.mode != "replace":
@@ -153,7 +153,7 @@ class NewObject(Action, Shapes):
     box: dict[str, list[float]] | None = None
 
     @model_validator(mode="after")
-    def _said(self) -> NewObject:
+    def _one_way(self) -> NewObject:
         if self.mask is not None and self.shaped:
             raise ValueError("pixels are either a mask or one of polygon, rectangle, strokes, seeds")
         return self

@@ -42,7 +42,7 @@ from pipeline.corrections.journal.sqlite_file import (
     BUSY_S,
     READING,
     can_be_written,
-    check_in_place,
+    check_same_file,
     plain_reason,
     sqlite_engine,
 )
@@ -145,7 +145,7 @@ def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
     with engine.connect() as connection, _turn(connection):
         yield connection
         if engine.dialect.name == "sqlite":
-            check_in_place(connection)
+            check_same_file(connection)
 
 
 def _turn(connection: sa.Connection) -> sa.RootTransaction:

@@ -49,7 +49,7 @@ from pipeline.corrections.journal.replay import (
 from pipeline.datasets import Dataset
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.lifting import LiftedObject, lift
-from pipeline.geometry.masks import MaskCrop, decode_run_length
+from pipeline.geometry.masks import decode_run_length, mask_box
 from pipeline.labels.labelling import label_objects, unusable
 from pipeline.labels.profiles import NONE, open_second_opinion
 from pipeline.labels.reading import Labels
@@ -333,7 +333,7 @@ class Relifter:
         if box is not None:
             lifted = lifted.moved_to(box_of(box), context.viewer)
         if source == "human" and not human_bbox and mask.any():
-            bbox = np.array(MaskCrop(0, 0, mask).box, np.float32)
+            bbox = np.array(mask_box(mask), np.float32)
         return SceneObject(row["object"], row["label"], row["score"], bbox, mask, lifted)
 
     def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:

@@ -270,10 +270,10 @@ class Pairs:
 
     def index_of(self, number: int | None) -> int | None:
         """Where an object is among the pairs; None where it, or an object at all, is none of them."""
-        return None if number is None else self._places.get(number)
+        return None if number is None else self._index_by_number.get(number)
 
     @cached_property
-    def _places(self) -> dict[int, int]:
+    def _index_by_number(self) -> dict[int, int]:
         return {number: at for at, number in enumerate(self.numbers.tolist())}
 
     def state(self, a: int, b: int | None, relation: str) -> int | None:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pipeline.diagnosis.marks import MARKS
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import run_lengths
 from pipeline.language.relation_names import PAIRWISE
@@ -252,8 +253,6 @@ def _judgement(value: Any) -> dict[str, Any]:
 
 
 def _mark(value: Any) -> str:
-    from pipeline.diagnosis.verdict import MARKS
-
     return _one_of("mark", MARKS)(value)
 
 

@@ -11,10 +11,9 @@ from pipeline.corrections.journal.events import who_and_what
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import Journal
 from pipeline.datasets import Dataset
-from pipeline.labels.makers import makers_of
-from pipeline.labels.merge import environment, write_manifest, write_merged
+from pipeline.labels.merge import environment, write_labels, write_merged
 from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels, write_table
-from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version, write_schemas
+from pipeline.labels.schema import SCHEMA_VERSION, SENTENCES_OF, TABLES, Manifest, labels_version
 from pipeline.system.errors import require
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import temporary_folder, write_synced
@@ -85,7 +84,8 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
             "schema_version": SCHEMA_VERSION,
             "version": __version__,
             "counts": {
-                **was.counts,
+                # Sentences are made of automatic labels, and are not carried over.
+                **{name: count for name, count in was.counts.items() if not name.startswith(SENTENCES_OF)},
                 "frames": tables["frames"].rows,
                 "frames_usable": sum(found.frames.column("ok").to_pylist()),
                 "objects": tables["objects"].rows,
@@ -107,7 +107,4 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
             },
         }
     )
-    manifest.makers = makers_of(manifest).record()
-    write_schemas(folder / "schemas")
-    write_manifest(Labels(folder, manifest))
-    return manifest
+    return write_labels(folder, manifest)

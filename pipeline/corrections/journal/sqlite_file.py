@@ -136,7 +136,7 @@ def plain_reason(message: str, path: Path) -> str:
     return message
 
 
-def check_in_place(connection: sa.Connection) -> None:
+def check_same_file(connection: sa.Connection) -> None:
     """Raise OperationalError where the file was removed, moved or replaced since the connection was made."""
     if connection.info.get(_FILE) != _identity(Path(str(connection.engine.url.database))):
         raise sqlite3.OperationalError(GONE)

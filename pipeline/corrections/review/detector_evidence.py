@@ -22,7 +22,8 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.reading import Labels
 from pipeline.language.naming import Synonyms, match, same_or_kind
 from pipeline.proposals.base import Detector, Proposals
-from pipeline.proposals.registry import DetectorSetup, made_by
+from pipeline.proposals.registry import made_by
+from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import column_arrays, rows_of_frame
 
@@ -168,12 +169,12 @@ def _missing(
     left = left[np.argsort(-found.scores[left], kind="stable")]
     iou = iou_2d(found.boxes[left].astype(np.float64), found.boxes[left].astype(np.float64))
     shown = np.zeros(len(left), np.bool_)
-    places = set()
+    locations = set()
     for n, k in enumerate(left.tolist()):
         key = missing_object(frame, found.boxes[k].tolist())
-        shown[n] = not (iou[n] >= SAME_BOX_IOU)[shown].any() and key not in places
+        shown[n] = not (iou[n] >= SAME_BOX_IOU)[shown].any() and key not in locations
         if shown[n]:
-            places.add(key)
+            locations.add(key)
             score = float(found.scores[k])
             reason = f"the detector {detector} sees {classes[k]!r} here (score {score:.2f}), and the labels nothing"
             yield ItemEvidence(key, UNMATCHED * score, reason, classes[k])
@@ -186,9 +187,9 @@ def second_setup(source: Pipeline, labels: Labels) -> tuple[str, DetectorSetup] 
 
     Returns
     -------
-    (its name, see `Pipeline.sides`; what it is made from)
+    (its name, see `Pipeline.detector_names`; what it is made from)
     """
     maker = labels.manifest.models.get("detector")
-    own, other = source.sides
+    own, other = source.detector_names
     known = ((other, source.second_detector, source.second_setup), (own, source.detector, source.setup))
     return next(((name, s) for name, d, s in known if d is not None and s is not None and not made_by(maker, d)), None)

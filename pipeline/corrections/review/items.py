@@ -110,10 +110,10 @@ def item_keys(queue: pa.Table) -> list[ItemKey]:
     names = ("frame", "kind", "a", "b", "relation", "expression", "place")
     absent = [None] * queue.num_rows
     known = set(queue.column_names)
-    frame, kind, a, b, relation, expression, place = (
+    frame, kind, a, b, relation, expression, location = (
         queue.column(name).to_pylist() if name in known else absent for name in names
     )
-    what = [r or e or p or "" for r, e, p in zip(relation, expression, place, strict=True)]
+    what = [r or e or p or "" for r, e, p in zip(relation, expression, location, strict=True)]
     return [
         ItemKey(f, k, NOBODY, None, w) if k == "expression" else ItemKey(f, k, i, j, w)
         for f, k, i, j, w in zip(frame, kind, a, b, what, strict=True)
@@ -391,7 +391,7 @@ def _word(
     automatic: Labelled | None,
 ) -> Judgement:
     ref, after = event.ref, event.after
-    status, state = _said_by(event, refs[ref][0].before)
+    status, state = _status_of(event, refs[ref][0].before)
     if ref.kind == "review" and isinstance(after, dict):
         state = after["value"]
     elif key.kind == "relation" and status == "accepted" and not _is_value(ref):
@@ -408,7 +408,7 @@ def _word(
     return Judgement(event.author, status, verdict, at, event.time)
 
 
-def _said_by(event: Event, automatic: Any) -> tuple[State, int | None]:
+def _status_of(event: Event, automatic: Any) -> tuple[State, int | None]:
     """The status of an event, and of a relation's value the value."""
     ref, after = event.ref, event.after
     if ref.kind == "review":

@@ -1,10 +1,8 @@
-"""Long work on corrected labels, shared by everyone who corrects them: making their review queue, and retraining.
+"""Long work on corrected labels, shared by everyone who corrects them: building their review queue, and retraining.
 
-Retraining goes from corrections to a new relation network, and what it does to
-the answers: the labels with their corrections become a folder of their own, a
-network is learnt from them and compared with the one learnt from the labels
-before, and a run is made again with the mended labels, once with its own
-relation scorer and once with the new network.
+Retraining goes from corrections to a new relation network, and what it does to the answers: the labels with their
+corrections become a folder of their own, a network is learnt from them and compared with the one learnt from the labels
+before, and a run is made again with the mended labels, once with its own relation scorer and once with the new network.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ from pipeline.corrections.review.retraining import RetrainConfig, Retraining, co
 from pipeline.corrections.review.reviewed import Reviewed, pair_agreements, reviewed_labels, states_on_labels
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_of, read_queue, worklist, write_queue
 from pipeline.datasets import Dataset
-from pipeline.diagnosis.verdict import read_marks
+from pipeline.diagnosis.marks import read_marks
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.evaluation.shared_makers import scorer_share
@@ -36,10 +34,11 @@ from pipeline.evaluation.summary import Comparison
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.registry import DetectorSetup
+from pipeline.proposals.registry import open_detector
 from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.background import SharedJob
+from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import staged_folder
 from pipeline.training.label_data import read_label_data
@@ -157,7 +156,7 @@ def _seen(
         return "", None
     dataset = labelled_dataset(automatic.manifest, job.dataset, **job.options)
     table = Synonyms.load(job.detector.synonyms)
-    detector = job.detector.open(dataset.class_names, table)
+    detector = open_detector(job.detector, dataset.class_names, table)
     name = job.called or detector.name
     found = detector_evidence(
         labels, dataset, detector, synonyms=table, progress=lambda n, of: report(("frames", n, of)), name=name

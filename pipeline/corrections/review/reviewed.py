@@ -99,7 +99,7 @@ def reviewed_labels(labels: Labels, journal: Journal, folder: Path, dataset: Dat
 
 def relation_states(cells: RelationLabels, keys: set[ItemKey]) -> dict[ItemKey, int]:
     """T, U or F of those of the items that are relations of the labels and have a state."""
-    wanted, rows, columns = _places(cells, keys)
+    wanted, rows, columns = _cell_indices(cells, keys)
     return {
         key: state
         for key, state in zip(wanted, cells.states[rows, columns].tolist(), strict=True)
@@ -107,7 +107,7 @@ def relation_states(cells: RelationLabels, keys: set[ItemKey]) -> dict[ItemKey, 
     }
 
 
-def _places(cells: RelationLabels, keys: set[ItemKey]) -> tuple[list[ItemKey], np.ndarray, np.ndarray]:
+def _cell_indices(cells: RelationLabels, keys: set[ItemKey]) -> tuple[list[ItemKey], np.ndarray, np.ndarray]:
     wanted = [k for k in keys if k.kind == "relation" and k.what in cells.relations]
     rows = cells.rows_of([(k.frame, k.a, -1 if k.b is None else k.b) for k in wanted])
     columns = np.array([cells.relations.index(k.what) for k in wanted], np.int64)
@@ -134,7 +134,7 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
         As of `states_on_labels`.
     """
     keys = item_keys(queue)
-    pairs = set(_places(read_relation_labels(labels), {k for k in keys if k.kind == "relation"})[0])
+    pairs = set(_cell_indices(read_relation_labels(labels), {k for k in keys if k.kind == "relation"})[0])
     frames = set(labels.frames.column("frame").to_pylist())
     objects, expressions = (
         set(zip(*(table.column(name).to_pylist() for name in ("frame", number)), strict=True))
@@ -147,7 +147,7 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
 def settled_relations(cells: RelationLabels, states: Mapping[ItemKey, State]) -> np.ndarray:
     """(P, R) bool: the relation labels that are settled."""
     found = np.zeros(cells.states.shape, np.bool_)
-    _, rows, columns = _places(cells, {k for k, state in states.items() if state in SETTLED})
+    _, rows, columns = _cell_indices(cells, {k for k, state in states.items() if state in SETTLED})
     found[rows, columns] = True
     return found
 
@@ -177,11 +177,14 @@ def disagreement_evidence(
 ) -> tuple[RelationEvidence, tuple[ItemEvidence, ...]]:
     """Items on which reviewers say different things, and what each says."""
     words = {
-        key: sorted((w for w in said.values() if w.status in SETTLED), key=lambda w: w.at)
-        for key, said in judgements.words.items() if judgements.differ(key)
+        key: sorted((w for w in opinions.values() if w.status in SETTLED), key=lambda w: w.at)
+        for key, opinions in judgements.words.items() if judgements.differ(key)
     }  # fmt: skip
-    differ = {k: f"{DISAGREE}: " + ", ".join(f"{w.author} says {w.verdict}" for w in said) for k, said in words.items()}
-    keys, rows, columns = _places(cells, set(differ))
+    differ = {
+        k: f"{DISAGREE}: " + ", ".join(f"{w.author} says {w.verdict}" for w in opinions)
+        for k, opinions in words.items()
+    }
+    keys, rows, columns = _cell_indices(cells, set(differ))
     reason = np.array([differ[key] for key in keys], object)
     items = tuple(ItemEvidence(k, DISAGREED, why) for k, why in differ.items() if k.kind != "relation")
     return RelationEvidence(rows, columns, np.full(len(rows), DISAGREED), reason), items
@@ -372,14 +375,14 @@ def review_progress(queue: pa.Table, judgements: Judgements, states: Mapping[Ite
         kind: progress_counts(queue.filter(column == kind), {k: s for k, s in states.items() if k.kind == kind})
         for kind in KINDS
     }
-    said = {author: Counter(judgements.states(author).values()) for author in judgements.authors}
+    opinions = {author: Counter(judgements.states(author).values()) for author in judgements.authors}
     newest = [max(words.values(), key=lambda w: w.at) for words in judgements.words.values()]
     days = Counter(w.time.date().isoformat() for w in newest if w.status != "unreviewed")
     return {
         **counts,
         "share": counts["settled"] / counts["items"] if counts["items"] else None,
         "kinds": kinds,
-        "reviewers": {author: {s: n[s] for s in STATES if s != "unreviewed"} for author, n in said.items()},
+        "reviewers": {author: {s: n[s] for s in STATES if s != "unreviewed"} for author, n in opinions.items()},
         "days": dict(sorted(days.items())),
         "disagreements": sum(judgements.differ(key) for key in judgements.words),
         "estimated_wrong": wrong_left(queue, states),

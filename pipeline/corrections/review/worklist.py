@@ -50,13 +50,13 @@ class Worklist:
     indices : dict of ItemKey to int
         The reverse.
     codes : (N,) int8
-        States as places in STATES.
+        States as indices in STATES.
     kinds : (N,) int8
         Places in KINDS.
     disputed : (N,) bool
         What reviewers judged differently when the queue was made.
     frames : dict of str to (K,) int64
-        The places of each frame's items.
+        The indices of each frame's items.
     gone : (N,) bool
         Items of which nothing is left, since what they are about was left out: not shown and not counted, until they
         come back.
@@ -87,7 +87,7 @@ class Worklist:
 
     def state(self, key: ItemKey) -> State:
         """The state of an item; InputError where the queue has no such item."""
-        return STATES[self.codes[self._place(key)]]
+        return STATES[self.codes[self._index(key)]]
 
     def is_disputed(self, key: ItemKey) -> bool:
         """Whether reviewers differ on an item, and nobody has settled it since."""
@@ -96,11 +96,11 @@ class Worklist:
 
     def is_gone(self, key: ItemKey) -> bool:
         """Whether nothing is left of an item; InputError where the queue has no such item."""
-        return bool(self.gone[self._place(key)])
+        return bool(self.gone[self._index(key)])
 
     def row(self, key: ItemKey) -> dict:
         """The item's row of the queue; InputError where it has none."""
-        return self.queue.slice(self._place(key), 1).to_pylist()[0]
+        return self.queue.slice(self._index(key), 1).to_pylist()[0]
 
     def with_states(self, states: Mapping[ItemKey, State]) -> Worklist:
         """The list after the states of items have changed. Nothing is ranked anew: one byte an item is copied.
@@ -169,7 +169,7 @@ class Worklist:
         above = np.flatnonzero(~self.gone[:index])
         return self.keys[above[-1]] if len(above) else None
 
-    def _place(self, key: ItemKey) -> int:
+    def _index(self, key: ItemKey) -> int:
         return needed(self.indices.get(key.plain), "the queue holds no such item", got=key.text())
 
 

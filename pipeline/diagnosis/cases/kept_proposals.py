@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,9 @@ from pydantic import BaseModel, Field
 from pipeline.answering.recording import detection_record, finding_of
 from pipeline.diagnosis.cases.manifest import validated
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import RunLength, decode_run_length
-from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.base import Detector, Proposals, no_proposals
-from pipeline.proposals.recorded import RecordedDetection
+from pipeline.geometry.masks import RunLength
+from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.recorded import Playback, RecordedDetection, as_arrays
 from pipeline.system.errors import InputError, UnknownClass, require
 
 
@@ -133,33 +132,9 @@ class KeptDetector:
         rows = self.kept.frames.get(frame.id)
         if rows is None:
             raise InputError(f"the case has no detections in frame {frame.id}", path=self.path)
-        return _proposals([rows[i] for i in dict.fromkeys(index)], (frame.height, frame.width))
-
-
-def _proposals(rows: Sequence[KeptDetection], shape: tuple[int, int]) -> Proposals:
-    if not rows:
-        return no_proposals(*shape)
-    names = tuple(dict.fromkeys(r.label for r in rows))
-    boxes = np.array([r.bbox for r in rows], np.float32)
-    masks = np.zeros((len(rows), *shape), np.bool_)
-    for k, row in enumerate(rows):
-        if row.mask is None:
-            masks[k] = box_mask(boxes[k], *shape)
-            continue
-        require(
-            row.mask.size == shape, f"the mask of detection {k} has another size", got=row.mask.size, expected=shape
-        )
-        masks[k] = decode_run_length(row.mask.size, row.mask.counts, f"detection {k}")
-    return Proposals(
-        boxes,
-        np.array([r.score for r in rows], np.float32),
-        np.array([names.index(r.label) for r in rows], np.int64),
-        names,
-        masks,
-        np.array([-1 if r.id is None else r.id for r in rows], np.int64),
-        np.array([r.mask is not None for r in rows]),
-        np.array([r.segmented for r in rows]),
-    )
+        found = replace(as_arrays(rows, {}), segmented=np.array([r.segmented for r in rows], np.bool_))
+        playback = Playback(frame, found, self.path)
+        return playback.proposals(np.array(list(dict.fromkeys(index)), np.int64))
 
 
 def read_proposals(path: Path) -> tuple[KeptProposals, str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat
+from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, TypeAdapter
 
 from pipeline.answering.ask import AskConfig
 from pipeline.datasets.saved_case import CASE_FORMAT, DAMAGED, MANIFEST, Four, SavedFrame, Three
@@ -35,7 +35,10 @@ class _Strict(BaseModel):
 
 
 class DetectorRecord(_Strict):
-    """What made the proposals; the fingerprint is hashed, since it may hold a path of somebody's machine."""
+    """What made the kept proposals, and no `DetectorSetup`: a case is opened without its files, elsewhere.
+
+    The fingerprint is hashed, since it may hold a path of somebody's machine.
+    """
 
     name: str
     exact: bool
@@ -178,24 +181,11 @@ class TrueObject(_Strict):
     mask_pixels: FiniteFloat | None
 
 
-class TrueExpression(_Strict):
-    """`pipeline.labels.cases.Case`; objects by their index."""
-
-    id: str
-    text: str
-    target: str
-    relation: str
-    reference: str
-    target_object: int
-    reference_object: int
-    strict: tuple[int, ...]
-    acceptable: tuple[int, ...]
-    ambiguous: bool
-    margin: FiniteFloat | None
-
-
 class TruthRecord(_Strict):
-    """Rows of letters are tables of ordered pairs: row a, column b; T, U, F, or "." where a pair was not judged."""
+    """Rows of letters are tables of ordered pairs: row a, column b; T, U, F, or "." where a pair was not judged.
+
+    `expression` is null where the truth of a sentence is worked out from the objects and their relations.
+    """
 
     frame_index: int
     scene: str
@@ -203,7 +193,7 @@ class TruthRecord(_Strict):
     alike: tuple[str, ...]
     judged: tuple[str, ...]
     states: dict[str, tuple[str, ...]]
-    expression: TrueExpression
+    expression: Case | None
     mark: Literal["BAD_LABEL", "BAD_BOX"] | None = None
     confidence: FiniteFloat | None = None
 
@@ -220,17 +210,12 @@ def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: fl
         "frame_index": truth.frame_index, "scene": truth.scene, "objects": objects,
         "alike": _bits(truth.alike), "judged": _bits(truth.judged),
         "states": {name: _letters(table, truth.judged) for name, table in truth.states.items()},
-        "expression": {
-            "id": case.id, "text": case.text, "target": case.target, "relation": case.relation,
-            "reference": case.reference, "target_object": int(case.target_object),
-            "reference_object": int(case.reference_object), "strict": case.strict.tolist(),
-            "acceptable": case.acceptable.tolist(), "ambiguous": bool(case.ambiguous), "margin": _number(case.margin),
-        },
+        "expression": None if case.meant is not None else TypeAdapter(Case).dump_python(case, mode="json"),
         "mark": mark, "confidence": confidence,
     }  # fmt: skip
 
 
-def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case, str | None, float | None]:
+def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case | None, str | None, float | None]:
     """Truth, expression, a person's mark, and the confidence of recalled objects.
 
     Raises
@@ -239,13 +224,15 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
         The record is damaged; the message names the field.
     """
     saved = validated(TruthRecord, record, path, "truth")
-    n, e = len(saved.objects), saved.expression
-    indices = [e.target_object, e.reference_object, *e.strict, *e.acceptable]
+    n, case = len(saved.objects), saved.expression
+    indices = [] if case is None else [
+        case.target_object, case.reference_object, *case.strict.tolist(), *case.acceptable.tolist(),
+    ]  # fmt: skip
     if not all(0 <= p < n for p in indices):
         among = f"objects 0 to {n - 1}"
         raise InputError("the case is damaged at truth.expression", got=indices, expected=among, path=path)
     require(
-        e.relation in saved.states and set(saved.states) <= set(PAIRWISE),
+        (case is None or case.relation in saved.states) and set(saved.states) <= set(PAIRWISE),
         "the case is damaged at truth.states",
         got=list(saved.states),
         path=path,
@@ -256,10 +243,6 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
         expected="R of nine numbers",
         path=path,
     )
-    case = Case(
-        e.id, e.text, e.target, e.relation, e.reference, e.target_object, e.reference_object,
-        np.array(e.strict, np.int64), np.array(e.acceptable, np.int64), e.ambiguous, _float(e.margin),
-    )  # fmt: skip
     judged = _table(saved.judged, n, "judged", {"0": 0, "1": 1}, path).astype(np.bool_)
     known = {**_STATES, NOT_JUDGED: -1}
     states = {name: _table(rows, n, f"states.{name}", known, path) for name, rows in saved.states.items()}
@@ -271,7 +254,8 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
     truth = FrameCases(
         frame_id, saved.frame_index, saved.scene, tuple(o.label for o in saved.objects),
         np.array([o.bbox for o in saved.objects], np.float64).reshape(-1, 4),
-        _table(saved.alike, n, "alike", {"0": 0, "1": 1}, path).astype(np.bool_), states, (case,),
+        _table(saved.alike, n, "alike", {"0": 0, "1": 1}, path).astype(np.bool_), states,
+        () if case is None else (case,),
         np.array([o.number for o in saved.objects], np.int64), judged, geometry,
         {name: np.array([_float(getattr(o, name)) for o in saved.objects], np.float64) for name in _FACTS},
         tuple(o.mask for o in saved.objects),

@@ -41,11 +41,12 @@ from pipeline.diagnosis.cases.manifest import (
 )
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import default_synonyms
-from pipeline.proposals import make_detector
+from pipeline.proposals.registry import open_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
+from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError, require
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import sha256_of, temporary_beside, write_synced, write_whole
+from pipeline.system.whole_files import sha256_of, temporary_sibling, write_synced, write_whole
 
 LARGEST_COPY = 16 * 2**20
 """Bytes of a relation network that may be copied into a case."""
@@ -158,7 +159,7 @@ def save_case(
 
 def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record: dict[str, Any]) -> None:
     """Write beside the folder, replay, and rename."""
-    partial = temporary_beside(folder)
+    partial = temporary_sibling(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         partial.mkdir()
@@ -188,7 +189,7 @@ def _proposals(source: Pipeline, context: PreparedFrame, now: Answer, case: Case
     names: list[str] = [] if now.trace is None else list(now.trace.query.labels)
     case = now.diagnosis.case if now.diagnosis is not None else case
     if case is not None:
-        names += [case.target, case.reference]
+        names += filter(None, (case.target, case.reference))
     return keep_proposals(context.frame, source.needed_detector(), source.unfiltered_detector(), names)
 
 
@@ -280,8 +281,8 @@ class OpenedCase:
             what = "a detector with a segmenter" if "+" in name else "fused detectors"
             raise InputError(f"{what} cannot be run again live", got=name, path=self.root)
         made = {
-            least: make_detector(
-                name, model=model, class_names=self.manifest.class_names, synonyms=self.source.synonyms, min_score=least
+            least: open_detector(
+                DetectorSetup(name, model, min_score=least), self.manifest.class_names, self.source.synonyms
             )
             for least in (min_score, 0.0)
         }

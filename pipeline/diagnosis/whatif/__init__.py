@@ -7,7 +7,7 @@ would win where, `state` writes a view as one string.
 """
 
 from pipeline.diagnosis.whatif.changes import what_changed
-from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask, edits_record, load_edits, read_edits
+from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, edits_record, load_edits, read_edits
 from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, rerun
 
 __all__ = [
@@ -15,7 +15,6 @@ __all__ = [
     "Edits",
     "Outcome",
     "PlacedBox",
-    "RunLengthMask",
     "edits_record",
     "load_edits",
     "read_edits",

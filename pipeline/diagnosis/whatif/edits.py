@@ -27,7 +27,7 @@ from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationE
 from pipeline.answering.ranking import RankConfig
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftConfig
-from pipeline.geometry.masks import decode_run_length, encode_run_length
+from pipeline.geometry.masks import RunLength
 from pipeline.relations.relations import Profile
 from pipeline.system.errors import InputError, require
 
@@ -45,7 +45,6 @@ Key = Annotated[str, Field(min_length=1, max_length=300)]
 Number = Annotated[float, Field(ge=-FAR, le=FAR)]
 Length = Annotated[float, Field(ge=0, le=FAR)]
 Share = Annotated[float, Field(ge=0, le=1)]
-Side = Annotated[int, Field(ge=1, le=LARGEST_SIDE)]
 Three = tuple[float, float, float]
 Axis = tuple[Number, Number, Number]
 
@@ -174,34 +173,17 @@ class PlacedBox:
         return Box3D(np.array(self.center), np.array(self.R), np.array(self.size))
 
 
-@dataclass(frozen=True)
-class RunLengthMask:
-    """A mask in COCO's compressed run-length code.
+def _of_a_picture(mask: RunLength) -> RunLength:
+    require(
+        1 <= min(mask.size) <= max(mask.size) <= LARGEST_SIDE,
+        "a mask is of no picture",
+        got=list(mask.size),
+        expected=f"sides of 1 to {LARGEST_SIDE} pixels",
+    )
+    return mask
 
-    Attributes
-    ----------
-    size : (int, int)
-        Height and width, pixels.
-    counts : str
-    """
 
-    size: tuple[Side, Side]
-    counts: Annotated[str, Field(max_length=4 * 2**20)]
-
-    @staticmethod
-    def of(mask: np.ndarray) -> RunLengthMask:
-        """The code of a mask ((H, W) bool)."""
-        return RunLengthMask((int(mask.shape[0]), int(mask.shape[1])), encode_run_length(np.ascontiguousarray(mask)))
-
-    def decoded(self, height: int, width: int, key: str) -> np.ndarray:
-        """(H, W) bool; InputError where it is not of a picture of that size."""
-        require(
-            self.size == (height, width),
-            f"the mask of {key} is of another picture size",
-            got=list(self.size),
-            expected=f"[{height}, {width}]",
-        )
-        return decode_run_length(self.size, self.counts, f"the mask of {key}")
+_Mask = Annotated[RunLength, AfterValidator(_of_a_picture)]
 
 
 @dataclass(frozen=True)
@@ -248,7 +230,7 @@ class Edits:
     Attributes
     ----------
     boxes : mapping of key to PlacedBox
-    masks : mapping of key to RunLengthMask
+    masks : mapping of key to RunLength
     hidden : frozenset of key
     confidences : mapping of (name, key) to float
         0..1; the name as it is asked in the expression.
@@ -264,7 +246,7 @@ class Edits:
 
     format: Literal["spatialviz-edits-1"] = FORMAT
     boxes: Annotated[Mapping[Key, PlacedBox], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
-    masks: Annotated[Mapping[Key, RunLengthMask], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
+    masks: Annotated[Mapping[Key, _Mask], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
     hidden: Annotated[frozenset[Key], Field(max_length=MOST_EDITS)] = frozenset()
     confidences: _Confidences = field(default_factory=dict)
     relations: _Relations = field(default_factory=dict)
@@ -294,7 +276,7 @@ class Edits:
         require(
             mask.ndim == 2 and mask.dtype == np.bool_, "a mask must be bool (H, W)", got=f"{mask.dtype} {mask.shape}"
         )
-        return replace(self, masks={**self.masks, key: RunLengthMask.of(mask)})
+        return replace(self, masks={**self.masks, key: RunLength.of(mask)})
 
     def with_hidden(self, key: str) -> Edits:
         """The object was not found."""

@@ -22,14 +22,14 @@ from pipeline.answering.asked_names import detections
 from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import Candidates, RelationLookup
-from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
+from pipeline.diagnosis.whatif.edits import Edits, PlacedBox
 from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
-from pipeline.geometry.masks import MaskCrop
+from pipeline.geometry.masks import RunLength, mask_box
 from pipeline.language.expression import parse
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
-from pipeline.proposals.base import top_k_places
+from pipeline.proposals.base import top_k_indices
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
@@ -226,7 +226,7 @@ def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
         if baseline.detector.exact:
             return shown
         bare = replace(found, masks=None, has_mask=None, segmented=None)
-        return shown[top_k_places(bare.take(shown), k, min_score=least)]
+        return shown[top_k_indices(bare.take(shown), k, min_score=least)]
 
     return baseline.kept("selected", (name, hidden, k, least), select)
 
@@ -261,22 +261,26 @@ def _last_made(baseline: Baseline, kind: str, slot: Hashable, inputs: tuple[Any,
 
 
 def _alike(a: Any, b: Any) -> bool:
-    return a is b or (isinstance(a, PlacedBox | RunLengthMask) and a == b)
+    return a is b or (isinstance(a, PlacedBox | RunLength) and a == b)
 
 
 def _repainted(
-    baseline: Baseline, context: PreparedFrame, entry: SceneObject, key: str, code: RunLengthMask
+    baseline: Baseline, context: PreparedFrame, entry: SceneObject, key: str, code: RunLength
 ) -> SceneObject:
     """The object by other pixels; one thing that several names found is lifted once, and stays one thing."""
     frame = context.frame
 
     def relift() -> tuple[np.ndarray, LiftedObject]:
-        mask = code.decoded(frame.height, frame.width, key)
+        what, shape = f"the mask of {key}", (frame.height, frame.width)
+        require(
+            code.size == shape, f"{what} is of another picture size", got=list(code.size), expected=f"{list(shape)}"
+        )
+        mask = code.decoded(shape, what)
         found = lift(frame.depth, frame.camera, [mask], context.viewer, config=context.config, edges=context.edges)
         return mask, found[0]
 
     mask, lifted = _last_made(baseline, "relifted", (context.config, key), (code,), relift)
-    bbox = np.array(MaskCrop(0, 0, mask).box, np.float32) if mask.any() else entry.bbox
+    bbox = np.array(mask_box(mask), np.float32) if mask.any() else entry.bbox
     return replace(entry, mask=mask, bbox=bbox, lifted=lifted)
 
 

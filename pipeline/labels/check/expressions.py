@@ -22,11 +22,11 @@ MARGIN_TOLERANCE = 1e-5
 
 TEXTS_KEPT = 200_000
 """So many texts that were read are remembered, so that memory is bounded."""
-Said = tuple[str, str, str]
+Triple = tuple[str, str, str]
 """Normal form of target, relation, normal form of reference."""
 
 
-def said_by(class_names: tuple[str, ...], text: str) -> Said | str:
+def triple_of(class_names: tuple[str, ...], text: str) -> Triple | str:
     """What a text says to one who knows the dataset's class names; or why it says no such thing."""
     try:
         query = parse(text, class_names=class_names)
@@ -47,13 +47,13 @@ class ExpressionRules:
     Attributes
     ----------
     read : function of a text
-        `said_by` with the class names of the labels, each text once.
+        `triple_of` with the class names of the labels, each text once.
     seed : int
         Of the ids.
     profile : str
     """
 
-    read: Callable[[str], Said | str]
+    read: Callable[[str], Triple | str]
     seed: int
     profile: str
 

@@ -14,7 +14,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from pipeline.datasets.settings import ASSUMED
-from pipeline.labels.check.expressions import TEXTS_KEPT, ExpressionRules, check_expressions, said_by
+from pipeline.labels.check.expressions import TEXTS_KEPT, ExpressionRules, check_expressions, triple_of
 from pipeline.labels.check.objects import SizeSurvey, check_duplicates, check_objects, check_sizes, rotation_fault
 from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
 from pipeline.labels.check.stream import BATCH_ROWS, Rows, TableStream, frames_of
@@ -85,7 +85,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
     background = frozenset(normal_form(str(b)) for b in manifest.config.get("background", ()))
     relations = tuple(r for r in manifest.config.get("relations", ()) if r in PAIRWISE)
     class_names, survey = _surveyed(TableStream(labels.root / "objects.parquet", "objects"))
-    expression_rules = ExpressionRules(lru_cache(TEXTS_KEPT)(partial(said_by, class_names)), manifest.seed, profile)
+    expression_rules = ExpressionRules(lru_cache(TEXTS_KEPT)(partial(triple_of, class_names)), manifest.seed, profile)
     # What rests on a table that cannot be read, or lacks columns, would be one error a row.
     lost = {name for name, stream in streams.items() if stream.problem is not None or stream.lacking}
     if lost & {"frames", "objects"}:

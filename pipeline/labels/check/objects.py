@@ -10,13 +10,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d, paired_iou_2d
+from pipeline.geometry.masks import MaskCrop
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.check.stream import Rows
-from pipeline.labels.check.view import Finding, FrameView, MaskRuns, indices_where, pairs_where, runs_object
+from pipeline.labels.check.view import Finding, FrameView, indices_where, pairs_where
 from pipeline.language.naming import normal_form, same_class
 from pipeline.system.errors import InputError
 
@@ -76,8 +78,9 @@ FEW_POINTS, MOST_MISSING = 100, 0.5
 def check_objects(view: FrameView) -> Iterator[Finding]:
     """All rules on single objects but those that compare it with its class."""
     yield from _masks(view)
-    sound = np.array([isinstance(r, MaskRuns) and r.area > 0 for r in view.runs], np.bool_)
-    mask_box = np.array([r.bbox if isinstance(r, MaskRuns) else np.zeros(4) for r in view.runs]).reshape(-1, 4)
+    found = [c if isinstance(c, MaskCrop) and c.area else None for c in view.crops]
+    sound = np.array([c is not None for c in found], np.bool_)
+    mask_box = np.array([(0, 0, 0, 0) if c is None else c.box for c in found], np.float64).reshape(-1, 4)
     yield from _bbox(view, sound, mask_box)
     objects = view.objects
     rotation = objects["R"].reshape(-1, 3, 3)
@@ -92,15 +95,15 @@ def check_objects(view: FrameView) -> Iterator[Finding]:
 
 def _masks(view: FrameView) -> Iterator[Finding]:
     stated = view.objects["mask_pixels"]
-    for k, run in enumerate(view.runs):
-        if isinstance(run, str):
-            yield view.finding("object/mask", (view.ids[k],), f"the mask of {view.named(k)} is damaged: {run}")
-        elif run is not None and run.area != stated[k]:
+    for k, mask in enumerate(view.crops):
+        if isinstance(mask, str):
+            yield view.finding("object/mask", (view.ids[k],), f"the mask of {view.named(k)} is damaged: {mask}")
+        elif mask is not None and mask.area != stated[k]:
             yield view.finding(
                 "object/mask",
                 (view.ids[k],),
-                f"the mask of {view.named(k)} has {run.area} pixels, and {stated[k]} are stated",
-                {"area": run.area, "stated": int(stated[k])},
+                f"the mask of {view.named(k)} has {mask.area} pixels, and {stated[k]} are stated",
+                {"area": mask.area, "stated": int(stated[k])},
             )
 
 
@@ -259,12 +262,12 @@ def check_duplicates(view: FrameView) -> Iterator[Finding]:
 def mask_overlaps(view: FrameView) -> np.ndarray:
     """(N, N) float64 IoU of the masks; 0 where one cannot be read."""
     found = np.zeros((len(view.ids), len(view.ids)))
-    sound = [k for k, run in enumerate(view.runs) if isinstance(run, MaskRuns) and run.area]
+    sound = [k for k, c in enumerate(view.crops) if isinstance(c, MaskCrop) and c.area]
     if len(sound) < 2:
         return found
     from pycocotools import mask as coco
 
-    codes = [runs_object(str(view.objects["mask"][k]), *view.size) for k in sound]
+    codes: Any = [{"size": view.size, "counts": str(view.objects["mask"][k]).encode("ascii")} for k in sound]
     found[np.ix_(sound, sound)] = coco.iou(codes, codes, np.zeros(len(codes), np.uint8))
     return found
 

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.geometry.masks import decode_crop, run_lengths
+from pipeline.geometry.masks import MaskCrop, decode_crop, run_lengths
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.check.stream import Rows
 from pipeline.language.naming import normal_form
@@ -168,10 +168,10 @@ class FrameView:
         return np.array([normal_form(label) not in self.background for label in self.labels], np.bool_)
 
     @cached_property
-    def runs(self) -> list[MaskRuns | str | None]:
+    def crops(self) -> list[MaskCrop | str | None]:
         """Each object's mask as its code says, or why it cannot be read; None without a mask or a frame's size."""
         return (
-            [None if code is None else read_runs(code, *self.size) for code in self.objects["mask"]]
+            [None if code is None else read_mask(code, *self.size) for code in self.objects["mask"]]
             if all(self.size)
             else [None] * len(self.ids)
         )
@@ -229,37 +229,14 @@ class FrameView:
         return self.objects["lo"], self.objects["hi"]
 
 
-@dataclass(frozen=True)
-class MaskRuns:
-    """A mask as its code says.
-
-    Attributes
-    ----------
-    area : int
-        Pixels.
-    bbox : (4,) float64
-        x0, y0, x1, y1, edges exclusive; zeros for an empty mask.
-    """
-
-    area: int
-    bbox: np.ndarray
-
-
-def read_runs(code: str, height: int, width: int) -> MaskRuns | str:
-    """Area and extents of a mask, or in words why its code is none of that size."""
+def read_mask(code: str, height: int, width: int) -> MaskCrop | str:
+    """A mask, or in words why its code is none of that size."""
     counts = run_lengths(code)
     if isinstance(counts, str):
         return counts
     if counts.sum() != height * width:
         return f"it is of {int(counts.sum())} pixels, and the frame has {height * width}"
-    crop = decode_crop((height, width), code)
-    h, w = crop.mask.shape
-    return MaskRuns(int(crop.mask.sum()), np.array([crop.x, crop.y, crop.x + w, crop.y + h], np.float64))
-
-
-def runs_object(code: str, height: int, width: int) -> Any:
-    """A code that `read_runs` accepts, as pycocotools takes it."""
-    return {"size": [height, width], "counts": code.encode("ascii")}
+    return decode_crop((height, width), code)
 
 
 Severity = Literal["error", "warning"]

@@ -60,20 +60,20 @@ class LanguageContract:
         InputError
             The properties speak of language features, and not of such as this program makes.
         """
-        said = {key.removeprefix(PREFIX): value for key, value in metadata.items() if key.startswith(PREFIX)}
-        if not said:
+        stored = {key.removeprefix(PREFIX): value for key, value in metadata.items() if key.startswith(PREFIX)}
+        if not stored:
             return None
-        if said.get("contract") != CONTRACT:
+        if stored.get("contract") != CONTRACT:
             raise InputError(
                 "the network's language features are not known",
-                got=repr(said.get("contract")),
+                got=repr(stored.get("contract")),
                 expected=repr(CONTRACT),
                 path=path,
             )
         try:
-            dimension = int(said["dimension"])
-            normalised = {"true": True, "false": False}[said["normalised"]]
-            contract = cls(said["name"], dimension, normalised, said["fingerprint"])
+            dimension = int(stored["dimension"])
+            normalised = {"true": True, "false": False}[stored["normalised"]]
+            contract = cls(stored["name"], dimension, normalised, stored["fingerprint"])
         except (KeyError, ValueError) as error:
             raise InputError(
                 "the network's language features cannot be read", got=f"{type(error).__name__}: {error}", path=path

@@ -118,14 +118,14 @@ def read_npz(path: Path, kind: str | None = None) -> VectorTable:
                     expected=f"vectors, and one of {', '.join(NAME_KEYS)}",
                     path=path,
                 )
-            said = str(_member(archive, "kind", path).item()) if kind is None and "kind" in keys else None
+            stored_kind = str(_member(archive, "kind", path).item()) if kind is None and "kind" in keys else None
             names = _texts(_member(archive, present[0], path), present[0], path)
             vectors = _member(archive, "vectors", path)
     except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
         if isinstance(error, InputError):
             raise
         raise InputError("the file of text vectors cannot be read", got=error, path=path) from error
-    return _table(path, kind or said or NAME_KEYS[present[0]], names, vectors)
+    return _table(path, kind or stored_kind or NAME_KEYS[present[0]], names, vectors)
 
 
 def _member(archive: zipfile.ZipFile, key: str, path: Path) -> np.ndarray:

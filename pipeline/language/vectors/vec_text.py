@@ -90,12 +90,12 @@ class VecFile:
         return None
 
     @cached_property
-    def _place(self) -> Path:
+    def _location(self) -> Path:
         return memory_path(self.path, self.cache)
 
     @cached_property
     def _memory(self) -> FileMemory:
-        return recall(self._place, self.dimension)
+        return recall(self._location, self.dimension)
 
     def _known(self, wanted: Iterable[str]) -> FileMemory:
         """What is known of the file, after a pass through it where these words need one."""
@@ -105,7 +105,7 @@ class VecFile:
             found, memory.fingerprint = self._scan(new)
             memory.vectors.update(found)
             memory.absent |= new - found.keys()
-            keep(self._place, memory, self.dimension)
+            keep(self._location, memory, self.dimension)
         return memory
 
     def _scan(self, wanted: Iterable[str]) -> tuple[dict[str, np.ndarray], str]:

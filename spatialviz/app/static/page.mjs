@@ -3,6 +3,8 @@
 import {byId, calls, connect, el, fields, go, locals, patch, send, sceneWindow, typing} from './core.mjs';
 import './fields.mjs';
 import './pixels.mjs';
+import './scale.mjs';
+import './shot.mjs';
 import './tags.mjs';
 
 const kept = (name, value) => {
@@ -167,10 +169,12 @@ const pressed = e => {
     if (!f.matches('a, button, summary, select')) { e.preventDefault(); act(f, e); }
     return;
   }
-  const name = named(e);
+  const name = named(e), large = byId('stage').dataset.max;
+  if (name === 'Escape' && large) locals.maximise(null, large);
   if (e.key === '/') { e.preventDefault(); byId('ask-text').focus(); byId('ask-text').select(); }
   else if (e.key === '?') { e.preventDefault(); send('help'); }
-  else if (keys.has(name)) { e.preventDefault(); send('key:' + name); }
+  // viser's own keys, which move its camera, are without Shift.
+  else if (keys.has(name)) { e.preventDefault(); e.stopPropagation(); send('key:' + name); }
 };
 window.addEventListener('keydown', pressed);
 

@@ -3,6 +3,7 @@
 A tag never covers what it names, nor another tag, nor leaves the scene; where it stands apart a line leads to it. */
 
 import {calls, el, sceneHost, sceneWindow} from './core.mjs';
+import {SVG, afterDrawing, project, times, viewMatrix} from './scene.mjs';
 
 const MOST = 30;
 const GAP = 6, RINGS = [GAP, 30, 64];
@@ -70,8 +71,8 @@ function anywhere([x0, y0, x1, y1], w, h, W, H, free) {
 
 /* Chooses where tags stand: items ({box, w, h, strong, place}) in the order in which they may choose, changed in
    place: `rect` (null: hidden) and `place`, the candidate that was taken, which is kept while it is free. */
-export function arrange(items, W, H) {
-  const put = [], strong = items.filter(item => item.strong).map(item => item.box);
+export function arrange(items, W, H, taken = []) {
+  const put = [...taken], strong = items.filter(item => item.strong).map(item => item.box);
   const kept = strong.filter(box => overlap(box, [0, 0, W, H]) < (W * H) / 2);
   for (const item of items) {
     const free = rect => rect[0] >= 0 && rect[1] >= 0 && rect[2] <= W && rect[3] <= H
@@ -100,28 +101,6 @@ export function arrange(items, W, H) {
 }
 
 /* ---- projection */
-
-/* The product of two 4 x 4 matrices that stand column by column, as three.js has them. */
-function times(a, b) {
-  const made = new Float64Array(16);
-  for (let c = 0; c < 4; c++) {
-    for (let r = 0; r < 4; r++) {
-      for (let k = 0; k < 4; k++) made[4 * c + r] += a[4 * k + r] * b[4 * c + k];
-    }
-  }
-  return made;
-}
-
-/* x, y in pixels and the distance along the view; null behind the camera. */
-function project(m, x, y, z, W, H) {
-  const w = m[3] * x + m[7] * y + m[11] * z + m[15];
-  if (w < 0.02) return null;
-  return [
-    (((m[0] * x + m[4] * y + m[8] * z + m[12]) / w + 1) / 2) * W,
-    ((1 - (m[1] * x + m[5] * y + m[9] * z + m[13]) / w) / 2) * H,
-    w,
-  ];
-}
 
 /* Where the box of a tag is drawn; whether any of it is in the scene. */
 function look(tag, view, W, H) {
@@ -152,8 +131,7 @@ function nearest(corners, x, y) {
 
 /* ---- elements */
 
-const SVG = 'http://www.w3.org/2000/svg';
-let layer = null, lines = null, tags = [], size = [0, 0], hooked = null;
+let layer = null, lines = null, tags = [], size = [0, 0];
 
 function layers() {
   if (layer?.isConnected) return;
@@ -219,21 +197,28 @@ function stand(tag) {
   }
 }
 
+/* What else stands over the scene: legends, the scale, the button to enlarge. */
+function standing() {
+  const {left, top} = layer.getBoundingClientRect();
+  return [...document.querySelectorAll('#legend figure, #scale, #scene>.large')].map(e => e.getBoundingClientRect())
+    .filter(r => r.width).map(r => [r.left - left - 2, r.top - top - 2, r.right - left + 2, r.bottom - top + 2]);
+}
+
 function place() {
-  const scene = sceneWindow()?.__viserMutable, camera = scene?.camera, [W, H] = size;
+  const view = viewMatrix(), [W, H] = size;
   if (!tags.length || !W) return;
-  if (!camera || !scene.nodeRefFromName) {
+  const nodes = sceneWindow()?.__viserMutable?.nodeRefFromName;
+  if (!view || !nodes) {
     tags.forEach(hide);
     return;
   }
-  const view = times(camera.projectionMatrix.elements, camera.matrixWorldInverse.elements);
-  const seen = tags.filter(tag => look(Object.assign(tag, {nodes: scene.nodeRefFromName}), view, W, H));
+  const seen = tags.filter(tag => look(Object.assign(tag, {nodes}), view, W, H));
   // One that is shown stays so until another is clearly nearer.
   const order = seen.map(tag => [tag.strong ? 0 : tag.far * (tag.shown ? 0.9 : 1), tag]).sort((a, b) => a[0] - b[0]);
   const chosen = new Set(order.slice(0, MOST).map(([, tag]) => tag));
   // They choose in an order that does not change while the camera turns.
   const shown = tags.filter(tag => chosen.has(tag)).sort((a, b) => b.strong - a.strong);
-  arrange(shown, W, H);
+  arrange(shown, W, H, standing());
   for (const tag of tags) {
     tag.shown = chosen.has(tag) && tag.rect !== null;
     if (tag.shown) stand(tag);
@@ -241,18 +226,4 @@ function place() {
   }
 }
 
-/* Follows each drawing of the scene; until there is one, and where it cannot be followed, each of the page. */
-function follow() {
-  const scene = sceneWindow()?.__viserMutable?.scene;
-  if (scene && scene !== hooked) {
-    hooked = scene;
-    const before = scene.onAfterRender;
-    scene.onAfterRender = function (...given) {
-      before?.apply(this, given);
-      place();
-    };
-  }
-  if (!scene) place();
-  requestAnimationFrame(follow);
-}
-follow();
+afterDrawing(place);

@@ -27,14 +27,14 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame, Row
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.masks import MaskCrop, decode_run_length, encode_run_length, fill_polygons
+from pipeline.geometry.masks import decode_run_length, encode_run_length, fill_polygons, mask_box
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.proposals.segmenter import share_inside
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
 
 LARGEST = 1 << 31
 """Bytes of a file that is read as a whole."""
-SAME_PLACE = 0.5
+SAME_BOX = 0.5
 WITHIN = 0.9
 ROUNDED = 0.02
 """Pixels by which a 2D box may differ and be the same: tools write two decimals."""
@@ -78,7 +78,7 @@ def listed(content: Any, key: str, name: str) -> list[Any]:
 
 
 def entries(rows: list[Any], what: str, key: str = "id") -> Iterator[tuple[str, Any]]:
-    """The rows of a list, each with what a message calls it: by its key, else by its place in the list."""
+    """The rows of a list, each with what a message calls it: by its key, else by its index in the list."""
     for index, row in enumerate(rows):
         yield f"{what} {row.get(key) if isinstance(row, dict) else index!r}", row
 
@@ -133,7 +133,7 @@ def read_instances(
     for image, found in by_image.items():
         frame = frames[image]
         reader = _Reader(claims, claims.states.frame(frame, state), state, categories, crowds, outline)
-        numbers = reader.told_by_place(found) if bare else {}
+        numbers = reader.matched_by_overlap(found) if bare else {}
         seen: set[int] = set()
         for index, (where, row) in enumerate(found):
             claims.compared += 1
@@ -234,8 +234,8 @@ class _Reader:
     crowds: bool
     outline: float
 
-    def told_by_place(self, found: list[tuple[str, Row]]) -> dict[int, int]:
-        """Objects by the place of annotations that lie where they lay; see the module."""
+    def matched_by_overlap(self, found: list[tuple[str, Row]]) -> dict[int, int]:
+        """Objects by the index of annotations that lie where they lay; see the module."""
         from scipy.optimize import linear_sum_assignment
 
         boxes: dict[int, list[float]] = {}
@@ -251,10 +251,10 @@ class _Reader:
         same = np.array([[n == row["label"] for row in objects.values()] for n in names])
         # Tools drop thin parts of an object: what is left lies within its box, and is called as it was.
         within = same & (share_inside(theirs, ours) >= WITHIN)
-        likely = np.where(overlap >= SAME_PLACE, 1 + overlap + 0.01 * same, np.where(within, overlap, 0))
+        likely = np.where(overlap >= SAME_BOX, 1 + overlap + 0.01 * same, np.where(within, overlap, 0))
         rows, columns = linear_sum_assignment(likely, maximize=True)
-        places, numbers = list(boxes), list(objects)
-        matched = {places[r]: numbers[c] for r, c in zip(rows, columns, strict=True) if likely[r, c] > 0}
+        indices, numbers = list(boxes), list(objects)
+        matched = {indices[r]: numbers[c] for r, c in zip(rows, columns, strict=True) if likely[r, c] > 0}
         self.claims.notes["annotations told by where they lie, for none says which object it is of"] += len(matched)
         return matched
 
@@ -305,7 +305,7 @@ class _Reader:
             if box is None or box == before:
                 return
         # The box around the pixels that the file has follows from them, and was not moved.
-        around: list[Sequence[float]] = [] if drawn is None else [list(MaskCrop(0, 0, drawn).box)]
+        around: list[Sequence[float]] = [] if drawn is None else [list(mask_box(drawn))]
         if outline and isinstance(outline, list) and was["mask"] is not None:
             around += [before, bounds_of(np.concatenate(polygons_of(outline)))]
         if not any(_near(box, other, slack) for other in around):

@@ -182,24 +182,24 @@ def _read(given: Path, format: str, claims: Claims, source: _Source, config: Imp
     require(given.exists(), "there is no such file", path=given)
     paths = [given] if given.is_file() else [p for n in names if (p := given / n).is_file()]
     require(paths, f"no file of a {format.upper()} export here", path=given)
-    beside: Any = None
+    instances: Any = None
     for path in paths:
         if format == "jsonl":
             read_lines(path, claims, source.state, reject_deleted=reject)
             continue
         content = load_coco(path)
         if isinstance(content, dict) and "annotations" in content:
-            beside = content
+            instances = content
             with _in_file(path):
                 read_instances(
                     content, path.name, claims, source.state, reject_deleted=reject, crowds=config.crowds,
                     outline=config.outline,
                 )  # fmt: skip
             continue
-        if beside is None:
-            beside = load_coco(path.with_name(COCO_FILES[0]))
+        if instances is None:
+            instances = load_coco(path.with_name(COCO_FILES[0]))
         # What is wrong with instances.json is its own import's to tell.
-        frames, objects, stated = annotated(beside, COCO_FILES[0], Claims(claims.states))
+        frames, objects, stated = annotated(instances, COCO_FILES[0], Claims(claims.states))
         state, read = source.state(stated), read_refs if isinstance(content, list) else read_relations
         with _in_file(path):
             read(content, path.name, frames, objects, state, claims)
@@ -221,15 +221,15 @@ class _Source:
     def __init__(self, states: States, given: Path, base: str | None) -> None:
         self._states = states
         self._folder = given if given.is_dir() else given.parent
-        self._said = None if base is None else states.now if base == NOW else self._of_folder(Path(base).expanduser())
+        self._given = None if base is None else states.now if base == NOW else self._of_folder(Path(base).expanduser())
         self._known: dict[Any, ExportedFrom] = {}
 
     def state(self, stated: Any) -> ExportedFrom:
         """The state that a row or a file names; InputError where none is named or it cannot be used."""
         key = stated if isinstance(stated, str) else None
         if key not in self._known:
-            told = None if stated is None or self._said is not None else ExportedFrom.parse(stated)
-            found = self._said or told or self._of_folder(self._folder)
+            told = None if stated is None or self._given is not None else ExportedFrom.parse(stated)
+            found = self._given or told or self._of_folder(self._folder)
             self._states.check(found)
             self._known[key] = found
         return self._known[key]

@@ -39,7 +39,7 @@ from pipeline.system.errors import InputError, Shown, as_input_error, needed, re
 StateOf = Callable[[Any], ExportedFrom]
 """The state that a row's `base` names; InputError where it is not to be used."""
 _TEXTS = ("text", "targets", "acceptable", "ambiguous", "status", "mark")
-_BESIDE = {"frame", "frame_index", "base", "made_by", "provenance"}
+_CONTEXT = {"frame", "frame_index", "base", "made_by", "provenance"}
 Annotations = dict[int, tuple[str, int]]
 """Frame and object of annotations, by id."""
 
@@ -224,7 +224,7 @@ def _expression(where: str, row: Row, frame: str, state: ExportedFrom, claims: C
 
 
 def _ignore(row: Row, was: Row, corrected: set[str], claims: Claims) -> None:
-    for column in (row.keys() & was.keys()) - corrected - _BESIDE:
+    for column in (row.keys() & was.keys()) - corrected - _CONTEXT:
         if not same_value(row[column], was[column]):
             claims.ignored[column] += 1
 

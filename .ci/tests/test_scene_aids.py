@@ -1,0 +1,168 @@
+"""What helps to judge lengths in the scene, without a browser: grid, tools for clicks, colours, what is kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.datasets.demo import DEMO_EXPRESSION
+from pipeline.diagnosis.whatif.decision_map import decision_map
+from pipeline.diagnosis.whatif.edits import Edits
+from pipeline.diagnosis.whatif.rerun import Baseline
+from pipeline.geometry.palette import depth_ends, palette
+from spatialviz.app.edit_scene import OTHERS, winner_colors
+from spatialviz.app.frames import FrameStore
+from spatialviz.app.layout import Page
+from spatialviz.app.legend import depth_bar, map_legend
+from spatialviz.app.messages import Call
+from spatialviz.app.pointing import Pointing
+from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_aids import SceneAids, floor_height, grid_lines
+from spatialviz.app.scene_client import SceneClient
+from spatialviz.app.state import State, shown_objects
+from spatialviz.app.view_string import view_of, with_settings
+
+
+@cache
+def opened() -> tuple[Pipeline, State]:
+    """The demo's first frame with its question answered."""
+    source = open_pipeline("demo")
+    store = FrameStore({"demo": source})
+    loaded = store.load("demo", source.dataset.frame_ids[0])
+    trace = source.ask(loaded.context, DEMO_EXPRESSION)
+    state = State("demo", loaded.context.frame.id, loaded, text=DEMO_EXPRESSION, trace=trace)
+    state = replace(state, shown=shown_objects(loaded, trace, trace.exact))
+    return source, replace(state, pair=state.at(state.ranked[0]))
+
+
+class Desk:
+    """A page without a browser: its state, the calls that it was sent, and its tools."""
+
+    def __init__(self) -> None:
+        self.state = opened()[1]
+        self.calls: list[Call] = []
+        self.level: list[tuple[int, int]] = []
+        self.page = Page(lambda message: self.calls.append(message) if isinstance(message, Call) else None)
+        self.client = SceneClient()
+        self.aids = SceneAids(self.client, self.page, SceneView(self.client, lambda *_: None))
+        self.pointing = Pointing(
+            self.page, lambda: self.state, self.take, lambda: None, {"level": lambda _, u, v: self.level.append((u, v))}
+        )
+
+    def take(self, state: State) -> None:
+        self.state = state
+
+    def called(self, name: str) -> Any:
+        return next(c.data for c in reversed(self.calls) if c.name == name)
+
+
+def test_two_clicks_measure_a_third_begins_anew_and_escape_ends() -> None:
+    desk = Desk()
+    assert not desk.pointing.on_pixel(120, 200), "without a tool a click selects"
+    desk.pointing.turn_to("measure")
+    for pixel in ((120, 200), (420, 330)):
+        assert desk.pointing.on_pixel(*pixel)
+    assert desk.state.measured is not None
+    assert desk.state.measured.distance == pytest.approx(1.5161, abs=1e-4)
+    (tag,) = desk.aids.follow(desk.state)
+    assert tag.text == "1.516 m"
+    assert len(desk.called("measure")["points"]) == 2
+    desk.pointing.on_pixel(300, 300)
+    assert desk.state.marks == ((300, 300),)
+    assert desk.state.measured is None
+    desk.pointing.turn_to("")
+    assert (desk.state.picking, desk.state.marks) == ("", ())
+
+
+def test_a_pixel_without_depth_is_told_and_not_marked() -> None:
+    desk = Desk()
+    loaded = desk.state.loaded
+    assert loaded is not None
+    v, u = (int(k[0]) for k in np.nonzero(loaded.context.frame.depth == 0))
+    desk.pointing.turn_to("measure")
+    assert desk.pointing.on_pixel(u, v)
+    assert desk.state.marks == ()
+    assert "no depth" in desk.called("toast")["text"]
+
+
+def test_one_tool_is_on_at_a_time() -> None:
+    desk = Desk()
+    desk.pointing.turn_to("measure")
+    desk.pointing.turn_to("level")
+    assert desk.pointing.on_pixel(3, 4)
+    assert desk.level == [(3, 4)]
+    desk.pointing.turn_to("level")
+    assert not desk.pointing.on_pixel(3, 4)
+
+
+def test_the_grid_has_metre_cells_on_the_floor() -> None:
+    cells, fine = grid_lines(np.array([-1.2, 0.4]), np.array([0.7, 2.9]), -1.1)
+    assert (cells[..., 2] == np.float32(-1.1)).all()
+    assert sorted({float(x) for x in cells[cells[:, 0, 0] == cells[:, 1, 0]][:, 0, 0]}) == [-2, -1, 0, 1]
+    assert len(cells) == 4 + 4
+    assert len(fine) == 3 * (3 + 3)
+    desk = Desk()
+    desk.aids.follow(replace(desk.state, flags=replace(desk.state.flags, grid=True)))
+    assert {"/grid/cells", "/grid/fine"} <= desk.client.scene.nodes.keys()
+    desk.aids.follow(desk.state)
+    assert not any(name.startswith("/grid") for name in desk.client.scene.nodes)
+    loaded = desk.state.loaded
+    assert loaded is not None
+    heights = loaded.cloud.points[:, 2]
+    assert heights.min() - 0.01 <= floor_height(loaded) <= np.percentile(heights, 25)
+
+
+def test_the_scale_is_told_for_the_middle_of_the_pair_else_of_the_cloud() -> None:
+    desk = Desk()
+    desk.aids.follow(desk.state)
+    pair = desk.state.pair
+    assert pair is not None
+    boxes = [desk.state.shown.objects[i].lifted.box for i in pair[:2]]
+    expected = np.mean([box.center for box in boxes if box is not None], axis=0)
+    assert desk.called("scale")["name"] == desk.state.shown.names[pair[0]]
+    np.testing.assert_allclose(desk.called("scale")["center"], expected, atol=1e-3)
+    desk.aids.follow(replace(desk.state, pair=None))
+    assert desk.called("scale")["name"] == "the middle"
+
+
+def test_the_depth_bar_tells_the_ends_of_the_colours() -> None:
+    _, state = opened()
+    assert depth_bar(state) is None
+    bar = depth_bar(replace(state, colors="depth"))
+    assert bar is not None
+    assert state.loaded is not None
+    low, high = depth_ends(state.loaded.context.frame.depth)
+    assert f"{low:.2f} m{(low + high) / 2:.2f} m{high:.2f} m" in bar.text
+
+
+def test_the_decision_map_has_the_colours_of_the_roles() -> None:
+    source, state = opened()
+    assert state.loaded is not None
+    baseline = Baseline(source, state.loaded.context, DEMO_EXPRESSION)
+    ranking = baseline.outcome.trace.ranking
+    assert ranking is not None
+    target = ranking.pairs[0].target
+    found = decision_map(baseline, Edits(), baseline.outcome.keys[target], 8)
+    colors = winner_colors(found, state)
+    assert colors.keys() == {int(k) for k in np.unique(found.winner) if k >= 0}
+    assert colors[target] == palette(state.dark)["target"]
+    assert all(color in OTHERS for k, color in colors.items() if k != target)
+    legend = map_legend(state, found)
+    assert legend is not None
+    assert "%" in legend.text
+
+
+def test_the_size_of_points_is_in_view_strings_and_older_ones_open() -> None:
+    source, state = opened()
+    view = view_of(replace(state, point_size=1.75), source, None, None, None)
+    assert with_settings(state, view).point_size == 1.75
+    old = view_of(state, source, None, None, None)
+    assert "point size" not in old.toggles
+    assert with_settings(state, old).point_size == 1.0
+    wild = replace(view, toggles={**view.toggles, "point size": 900.0})
+    assert with_settings(state, wild).point_size == 1.0

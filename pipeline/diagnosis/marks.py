@@ -1,0 +1,42 @@
+"""What a person said of labelled expressions: that the label, or its box, is wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pipeline.system.errors import InputError, require
+
+_KEYS = ("frame", "id", "mark")
+MARKS = ("BAD_LABEL", "BAD_BOX")
+
+
+def read_marks(path: Path) -> dict[tuple[str, str], str]:
+    """Marks by (frame, id of the expression), from JSON: a list of {"frame", "id", "mark"} and whatever else.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a mark is not one of MARKS, or an expression is marked twice.
+    """
+    try:
+        entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError("the marks cannot be read", got=str(error), path=path) from error
+    require(isinstance(entries, list), "marks must be a list", got=type(entries).__name__, path=path)
+    found: dict[tuple[str, str], str] = {}
+    for n, entry in enumerate(entries):
+        require(
+            isinstance(entry, dict) and all(isinstance(entry.get(key), str) for key in _KEYS),
+            f"mark {n} must have the texts {', '.join(_KEYS)}",
+            got=repr(entry)[:80],
+            path=path,
+        )
+        frame, expression, mark = (entry[key] for key in _KEYS)
+        require(mark in MARKS, f"mark {n} is not known", got=mark, expected=" or ".join(MARKS), path=path)
+        require(
+            (frame, expression) not in found, "an expression is marked twice", got=f"{frame} {expression}", path=path
+        )
+        found[frame, expression] = mark
+    return found

@@ -1,0 +1,254 @@
+"""One expression ranked with every subset of the oracles in place of what the modules gave: sixteen times, and where it
+speaks of attributes thirty-two times.
+
+Each oracle replaces what one module gave by the truth, and nothing else.
+
+RECALL
+    Every labelled object of an asked class that no candidate overlaps by half
+    joins the candidates, with its own pixels lifted and with the median
+    confidence of the run's right detections.
+LIFT
+    Every candidate that is an object gets that object's true geometry; the
+    relation scorer then scores it anew. Two of them that are different objects
+    no longer count as one thing because their masks are alike, only because
+    their 2D boxes are. What is no object stays as it is.
+SRM
+    The relation of two candidates that are both objects is .99, .50 or .01, as
+    the label says T, U or F. Where one is no object, or the pair was not
+    judged, it stays.
+CONF
+    A candidate that is an object of the asked class is given .99, every other one .01.
+ATTRIBUTE
+    P(attribute | x) of a candidate that is an object of the asked class is .99,
+    .50 or .01, as the truth has it; where nobody knows (`sentence_truth`) it
+    stays. With LIFT alone attributes are judged anew by the true pixels and box.
+
+Choices among things ("leftmost", "second from the left"), negations and what is
+said of the viewer have no oracle: they follow from geometry, attributes,
+relations and confidences, and are worked out anew from what these became.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pipeline.answering.evidence import HOLDS
+from pipeline.answering.pair_table import (
+    MIN_RELATION,
+    PairTable,
+    ScoredPair,
+)
+from pipeline.diagnosis.frame_evidence import FrameEvidence, matched
+from pipeline.geometry.boxes import iou_2d
+from pipeline.labels.cases import HIT
+
+ORACLES = ("RECALL", "LIFT", "SRM", "CONF")
+ALL_ORACLES = (*ORACLES, "ATTRIBUTE")
+"""Of an expression that speaks of attributes."""
+RECALL, LIFT, SRM, CONF, ATTRIBUTE = (1 << k for k in range(5))
+SUBSETS = 16
+STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
+RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateSet:
+    """What may fill one place of the expression: its candidates, then the labelled objects that RECALL adds.
+
+    Attributes
+    ----------
+    index : (K,) int64
+        In the list of the frame's evidence.
+    found : int
+        How many of them are candidates.
+    scores : (K,) float64
+    object : (K,) int64
+        The labelled object of the asked class that each is; -1 for a false positive.
+    shape_of : (K,) int64
+        The labelled object whose geometry LIFT gives it, of whatever class; -1 where it keeps its own.
+    overlap : (K, N) float64
+        With every labelled object.
+    """
+
+    index: np.ndarray
+    found: int
+    scores: np.ndarray
+    object: np.ndarray
+    shape_of: np.ndarray
+    overlap: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class OracleScores:
+    """All candidate pairs of one expression under all subsets of the oracles.
+
+    Attributes
+    ----------
+    target, reference : CandidateSet
+    table : PairTable
+        One scene a subset, of which there are S; no pair is there whose objects are one thing, or not recalled.
+    p_relation : (2, 2, T, R) float64
+        Without and with LIFT, without and with SRM; of a sentence (S, T, R) or, without a relation, (S, T).
+    covered : (T, R) bool
+        Acceptable pairs; without a relation R is 1.
+    right : (T,) bool
+        Targets of which the expression is or may be true.
+    """
+
+    target: CandidateSet
+    reference: CandidateSet
+    table: PairTable
+    p_relation: np.ndarray
+    covered: np.ndarray
+    right: np.ndarray
+
+    @property
+    def subsets(self) -> int:
+        """How many subsets there are."""
+        return len(self.table.flat)
+
+    def pair_at(self, at: int) -> ScoredPair:
+        """A pair of `plain`, with all that a sentence says of it."""
+        return self.plain.pair(at)
+
+    @cached_property
+    def plain(self) -> PairTable:
+        """The pairs without any oracle, as they were ranked."""
+        return self.table.scene(0)
+
+    @cached_property
+    def winners(self) -> np.ndarray:
+        """(S,) int64: the winning pair under each subset as i * R + j; -1 where there is no pair."""
+        return self.table.first()
+
+    @cached_property
+    def best_acceptable(self) -> tuple[int, int] | None:
+        """The acceptable pair among the candidates that stands highest, by the ranking's order, without any oracle."""
+        at = int(self.plain.first(self.covered)[0])
+        return None if at < 0 else divmod(at, self.covered.shape[1])
+
+    def pair(self, subset: int = 0) -> tuple[int, int] | None:
+        """The winner under a subset as indices in the two roles."""
+        at = int(self.winners[subset])
+        return None if at < 0 else divmod(at, self.covered.shape[1])
+
+    @cached_property
+    def accepted(self) -> np.ndarray:
+        """(S,) bool: an acceptable pair wins."""
+        flat = self.covered.ravel()
+        return np.array([w >= 0 and bool(flat[w]) for w in self.winners])
+
+    @cached_property
+    def right_target(self) -> np.ndarray:
+        """(S,) bool: the answer's target is right by set-valued accuracy; without any pair the best target answers."""
+        columns = self.covered.shape[1]
+        answers = [self.alone(s) if w < 0 else w // columns for s, w in enumerate(self.winners.tolist())]
+        return np.array([target is not None and bool(self.right[target]) for target in answers])
+
+    def alone(self, subset: int = 0) -> int | None:
+        """The target that answers where all pairs are one thing; None where a role has no candidate at all."""
+        t, r = ((len(x.index) if subset & RECALL else x.found) for x in (self.target, self.reference))
+        if self.winners[subset] >= 0 or not t or not r:
+            return None
+        return int(np.argmax(self.table.target.scores[subset, :t]))
+
+    @cached_property
+    def margins(self) -> np.ndarray:
+        """(S,) float64: how far the best acceptable pair stands above the best other one; -inf, inf where one lacks.
+
+        Their difference in S; where the probabilities of a target's pairs are summed up and the two have different
+        targets, that of the logs of these sums.
+        """
+        return margins_of(self.table, self.covered)
+
+    def decided_margin(self, subset: int) -> float:
+        """The margin by what is decided: a relation above .5 counts as the truth's .99, one below as .01.
+
+        An attribute likewise from where it holds on.
+        """
+        table = self.table.scene(subset)
+        return float(margins_of(table.with_relation(decided(table.p_relation, HOLDS)), self.covered)[0])
+
+
+def margins_of(table: PairTable, covered: np.ndarray) -> np.ndarray:
+    flat, right = table.flat, covered.ravel()
+    best = np.where(right, flat, -np.inf).max(axis=1, initial=-np.inf)
+    other = np.where(right, -np.inf, flat).max(axis=1, initial=-np.inf)
+    found = np.full(len(flat), np.nan)
+    either = np.isfinite(best) | np.isfinite(other)
+    found[either] = best[either] - other[either]
+    both = np.flatnonzero(np.isfinite(best) & np.isfinite(other))
+    if table.config.aggregate == "marginal" and len(both):
+        of_table = covered.reshape(table.shape)
+        a, b = table.first(of_table)[both], table.first(~of_table)[both]
+        i, k = a // covered.shape[1], b // covered.shape[1]
+        mass = np.log(np.maximum(table.target_posterior[both], 1e-300))
+        every = np.arange(len(both))
+        # Pairs of one target are compared by S.
+        found[both] = np.where(i == k, flat[both, a] - flat[both, b], mass[every, i] - mass[every, k])
+    return found
+
+
+def role_of(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateSet:
+    """The candidates of a name and the labelled objects ((N,) bool, those of the asked class) that are missing there.
+
+    Made once for all expressions of the frame that ask for it.
+    """
+    key, candidates = (name, asked.tobytes()), evidence.answers.candidates[name]
+    if key in evidence.roles:
+        return evidence.roles[key]
+    overlap = evidence.overlap[candidates.index]
+    own, objects = np.where(asked, overlap, 0.0), matched(overlap, asked)
+    shapes = np.where(objects >= 0, objects, evidence.match[candidates.index])
+    shapes = np.where((shapes >= 0) & evidence.objects.known[shapes], shapes, -1) if evidence.labelled else shapes
+    covered = (own >= HIT).any(axis=0) if len(own) else np.zeros(evidence.labelled, np.bool_)
+    missing = np.flatnonzero(asked & ~covered & evidence.objects.known)
+    truth = evidence.truth.boxes
+    evidence.roles[key] = CandidateSet(
+        index=np.concatenate([candidates.index, evidence.detections + missing]).astype(np.int64),
+        found=len(candidates.index),
+        scores=np.concatenate([candidates.scores, np.full(len(missing), evidence.confidence)]),
+        object=np.concatenate([objects, missing]).astype(np.int64),
+        shape_of=np.concatenate([shapes, missing]).astype(np.int64),
+        overlap=np.concatenate([overlap, iou_2d(truth[missing], truth).reshape(-1, evidence.labelled)]),
+    )
+    return evidence.roles[key]
+
+
+def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, reference: CandidateSet) -> np.ndarray:
+    """(2, 2, T, R): without and with LIFT, without and with SRM."""
+    table = evidence.probabilities(relation)
+    base = table[target.index[:, None], reference.index]
+    shaped = [
+        np.where(role.shape_of >= 0, evidence.detections + role.shape_of, role.index) for role in (target, reference)
+    ]
+    lifted = table[shaped[0][:, None], shaped[1]]
+    # Two candidates that are one object stand in no relation to each other.
+    lifted = np.where(shaped[0][:, None] == shaped[1][None, :], STATE_PROBABILITY[-1], lifted)
+    moved = (target.shape_of >= 0)[:, None] | (reference.shape_of >= 0)[None, :]
+    lifted = np.where(moved & np.isfinite(lifted), lifted, base)
+    a, b = (np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference))
+    if evidence.labelled:
+        known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])
+        states = evidence.truth.states[relation][a[:, None], b[None, :]]
+        judged = evidence.truth.judged[a[:, None], b[None, :]] & (a >= 0)[:, None] & (b >= 0)[None, :]
+        told = np.where(
+            (a[:, None] == b[None, :]) & (a >= 0)[:, None], STATE_PROBABILITY[-1], known[states.astype(int) + 1]
+        )
+        judged |= (a[:, None] == b[None, :]) & (a >= 0)[:, None]
+    else:
+        judged, told = np.zeros(base.shape, np.bool_), base
+    found = np.array([[p, np.where(judged, told, p)] for p in (base, lifted)])
+    return np.where(np.isfinite(found), found, MIN_RELATION)
+
+
+def names_of(subset: int) -> tuple[str, ...]:
+    """The oracles of a subset, which is a number with one bit for each."""
+    return tuple(name for k, name in enumerate(ALL_ORACLES) if subset >> k & 1)
+
+
+def decided(p: np.ndarray, holds: float) -> np.ndarray:
+    return np.where(p > holds, STATE_PROBABILITY[1], np.where(p < holds, STATE_PROBABILITY[-1], p))

@@ -1,0 +1,235 @@
+"""A sentence of more than two names and a relation, ranked with every subset of the oracles: its whole tree anew."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import prod
+
+import numpy as np
+
+from pipeline.answering.evidence import ATTRIBUTE_HOLDS, HOLDS, SceneEvidence
+from pipeline.answering.objects import SceneObject
+from pipeline.answering.pair_table import (
+    MIN_RELATION,
+    PairTable,
+    ScoredPair,
+    Side,
+)
+from pipeline.answering.ranking import Candidates, SolvedReading, solve
+from pipeline.diagnosis.frame_evidence import FrameEvidence
+from pipeline.diagnosis.oracles import (
+    ALL_ORACLES,
+    RIGHT_SCORE,
+    SUBSETS,
+    WRONG_SCORE,
+    CandidateSet,
+    OracleScores,
+    decided,
+    margins_of,
+    relation_of,
+    role_of,
+)
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.labels.cases import HIT, Case, Meant
+from pipeline.language.attributes import Attribute
+from pipeline.language.tree import Attachment
+from pipeline.relations.scorer import between_probabilities, superlative_probabilities
+
+
+@dataclass(frozen=True, eq=False)
+class SentenceScores(OracleScores):
+    """As `OracleScores`, with the tree that it was solved with."""
+
+    tree: SubstitutedTree
+
+    def pair_at(self, at: int) -> ScoredPair:
+        """A pair of `plain` with its links and factors."""
+        solved, columns = self.tree.solved(0), self.covered.shape[1]
+        pair = solved.pair(at // columns * prod(solved.table.shape[1:]) + at % columns)
+        return self.tree.of_frame(replace(self.plain.pair(at), links=pair.links, factors=pair.factors))
+
+    def decided_margin(self, subset: int) -> float:
+        """As for a plain expression; attributes count likewise, from where they hold on."""
+        table = self.tree.solved(subset, decide=True).table
+        return float(margins_of(table, self.covered[: table.shape[0], : prod(table.shape[1:])])[0])
+
+
+def substitute_sentence(evidence: FrameEvidence, case: Case, meant: Meant) -> SentenceScores:
+    """Rank a sentence's pairs with every subset of the oracles; `meant` is that of the case."""
+    tree, top = SubstitutedTree(evidence, meant), meant.root.pairwise
+    roles = [tree.roles[name] for name in (meant.root.label, *(() if top is None else (top.nodes[0].label,)))]
+    shape = tuple(len(role.index) for role in roles)
+    subsets = 2 * SUBSETS if meant.attributes else SUBSETS
+    log, p = np.full((subsets, *shape), -np.inf), np.full((subsets, *shape), MIN_RELATION)
+    sides = [np.zeros((2, subsets, n)) for n in shape]
+    for subset in range(subsets):
+        table = tree.solved(subset).table
+        part = (subset, *(slice(n) for n in table.shape))
+        log[part], p[part] = table.log_score, table.p_relation
+        for both, side in zip(sides, (table.target, *table.ends), strict=True):
+            both[:, subset, : len(side.index)] = side.scores, side.log
+    target, *ends = (Side(role.index, *both) for role, both in zip(roles, sides, strict=True))
+    config = evidence.answers.source.config.rank
+    hits = [(role.overlap >= HIT).astype(np.int32) for role in roles]
+    right = np.asarray(hits[0][:, case.acceptable].any(axis=1))
+    covered = right[:, None]
+    if top is not None:
+        covered = (hits[0] @ evidence.truth.acceptable_pairs(case).astype(np.int32) @ hits[1].T) > 0
+    return SentenceScores(
+        target=roles[0],
+        reference=_no_one(evidence) if top is None else roles[1],
+        table=PairTable(target, tuple(ends), p, log, evidence.mask_sizes, config),
+        p_relation=p,
+        covered=covered,
+        right=right,
+        tree=tree,
+    )
+
+
+class SubstitutedTree:
+    """All that is said in a sentence, solved with some modules replaced by the truth.
+
+    The candidates of all its names stand in one list of G entries, those of each name under its own.
+
+    Parameters
+    ----------
+    evidence : FrameEvidence
+    meant : Meant
+
+    Attributes
+    ----------
+    roles : dict of str to CandidateSet
+        By name.
+    """
+
+    def __init__(self, evidence: FrameEvidence, meant: Meant) -> None:
+        self._evidence, self._meant = evidence, meant
+        self.roles = {name: role_of(evidence, name, asked) for name, asked in meant.classes.items()}
+        stops = np.cumsum([len(role.index) for role in self.roles.values()])
+        self._entries = {
+            name: np.arange(stop - len(role.index), stop)
+            for (name, role), stop in zip(self.roles.items(), stops, strict=True)
+        }
+        parts = ("index", "scores", "object", "shape_of", "overlap")
+        joined = {part: np.concatenate([getattr(role, part) for role in self.roles.values()]) for part in parts}
+        self._all = everything = CandidateSet(found=0, **joined)
+        grid, shape = np.ix_(everything.index, everything.index), everything.shape_of
+        two = (shape[:, None] >= 0) & (shape[None] >= 0) & (shape[:, None] != shape[None])
+        same = evidence.same[grid]
+        self._same = same, np.where(two, evidence.same_box[grid], same)
+        self._relations: dict[str, np.ndarray] = {}
+        self._scenes: dict[tuple[int, bool, bool], SubstitutedEvidence] = {}
+        self._judged: tuple[dict, dict] = ({}, {})
+
+    def solved(self, subset: int, decide: bool = False) -> SolvedReading:
+        """The tree under a subset of the oracles; with `decide` relations and attributes as `decided_margin` says."""
+        recall, lift, srm, conf, attribute = (subset >> k & 1 for k in range(len(ALL_ORACLES)))
+        every = self._all
+        scores = np.where(every.object >= 0, RIGHT_SCORE, WRONG_SCORE) if conf else every.scores
+        candidates = {}
+        for name, role in self.roles.items():
+            there = self._entries[name][: None if recall else role.found]
+            candidates[name] = Candidates(there, scores[there])
+
+        def lookup(attachment: Attachment, heads: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:
+            relation = attachment.relation
+            if relation not in self._evidence.truth.states:
+                lifted = [o.lifted for o in self._scene(lift, False, False).objects]
+                if relation == "between":
+                    p = between_probabilities(lifted, heads, ends[0], ends[1])
+                else:
+                    p = superlative_probabilities(lifted, relation, heads, ends[0], self._same[lift])
+            else:
+                if relation not in self._relations:
+                    self._relations[relation] = relation_of(self._evidence, relation, every, every)
+                table = self._relations[relation][lift, srm]
+                p = table[np.ix_(ends[0], heads)].T if attachment.inverse else table[np.ix_(heads, ends[0])]
+            return decided(p, HOLDS) if decide else p
+
+        scene = self._scene(lift, bool(attribute), decide)
+        config = self._evidence.answers.source.config.rank
+        sizes = self._evidence.mask_sizes[every.index]
+        return solve(self._meant.root, candidates, lookup, self._same[lift], sizes, config, scene)
+
+    def attribute(self, name: str, attribute: Attribute) -> np.ndarray | None:
+        """(K,) float64: what true pixels and boxes say of all that may fill a name; None where nothing can judge it."""
+        return self._scene(1, False, False).attribute(attribute, self._entries[name])
+
+    def of_frame(self, pair: ScoredPair) -> ScoredPair:
+        """A pair whose links and factors number the entries of this list, with the numbers of the evidence's."""
+        index = self._all.index.tolist()
+        return replace(
+            pair,
+            factors=tuple(replace(f, object=index[f.object]) for f in pair.factors),
+            links=tuple(
+                replace(k, a=index[k.a], b=index[k.b], c=None if k.c is None else index[k.c]) for k in pair.links
+            ),
+        )
+
+    def _scene(self, lift: int, attribute: bool, decide: bool) -> SubstitutedEvidence:
+        key = (lift, attribute, decide)
+        if key not in self._scenes:
+            context = self._evidence.answers.context
+            told: dict[str, np.ndarray] = {}
+            for (name, text), known in self._meant.attributes.items() if attribute else ():
+                entries, objects = self._entries[name], self.roles[name].object
+                told.setdefault(text, np.full(len(self._all.index), np.nan))[entries] = np.where(
+                    objects >= 0, known[objects], np.nan
+                )
+            self._scenes[key] = SubstitutedEvidence(
+                self._objects(lift), context.frame, context.viewer, self._judged[lift], told, decide
+            )
+        return self._scenes[key]
+
+    def _objects(self, lift: int) -> list[SceneObject]:
+        every, evidence = self._all, self._evidence
+        shown = np.where(every.shape_of >= 0, evidence.detections + every.shape_of, every.index)
+        return [evidence.object_at(int(k)) for k in (shown if lift else every.index)]
+
+
+class SubstitutedEvidence(SceneEvidence):
+    """What noun phrases say of the candidates of a sentence, with attributes as they are told to be.
+
+    Parameters
+    ----------
+    objects, frame, viewer
+        As for `SceneEvidence`.
+    judged : dict
+        Keeps what the pixels and boxes of these objects say.
+    told : dict of str to (G,) float64
+        By attribute: what is put in its place; NaN for what stays.
+    decide : bool
+        Attributes count as .99 where they hold and .01 where not.
+    """
+
+    def __init__(
+        self,
+        objects: Sequence[SceneObject],
+        frame: Frame,
+        viewer: ViewerAxes,
+        judged: dict[tuple[str, bytes], np.ndarray | None],
+        told: dict[str, np.ndarray],
+        decide: bool,
+    ) -> None:
+        super().__init__(objects, frame, viewer)
+        self._judged, self._told, self._decides = judged, told, decide
+
+    def attribute(self, attribute: Attribute, index: np.ndarray) -> np.ndarray | None:
+        """As `SceneEvidence.attribute`; of one that nothing judges only where it is told."""
+        text = str(attribute)
+        key = text, index.tobytes()
+        if key not in self._judged:
+            self._judged[key] = super().attribute(attribute, index)
+        found = self._judged[key]
+        if text in self._told:
+            told = self._told[text][index]
+            found = np.where(np.isnan(told), HOLDS if found is None else found, told)
+        return decided(found, ATTRIBUTE_HOLDS) if self._decides and found is not None else found
+
+
+def _no_one(evidence: FrameEvidence) -> CandidateSet:
+    """In place of a reference where there is none."""
+    none = np.array([-1])
+    return CandidateSet(none, 1, np.ones(1), none, none, np.zeros((1, evidence.labelled)))

@@ -1,0 +1,88 @@
+"""How far apart two surface points are that a person names by their pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.geometry.camera import Camera, depth_at, lift_pixels
+from pipeline.geometry.viewer import ViewerAxes
+
+PARTS = ("right", "up", "forward")
+WAYS = (("right", "left"), ("up", "down"), ("forward", "back"))
+PLACES = 3
+"""Digits of a metre that are told."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The way from one surface point to another.
+
+    Attributes
+    ----------
+    pixels : tuple of (int, int)
+        Column and row of the first and of the second.
+    points : (2, 3) float64
+        Metres, camera frame.
+    parts : (3,) float64
+        From the first to the second along the viewer's right, up and forward, metres.
+    """
+
+    pixels: tuple[tuple[int, int], tuple[int, int]]
+    points: np.ndarray
+    parts: np.ndarray
+
+    @property
+    def distance(self) -> float:
+        """Straight, metres."""
+        return float(np.linalg.norm(self.parts))
+
+    @property
+    def words(self) -> tuple[str, str, str]:
+        """The parts as they are told: "0.524 m left", "0.103 m up", "1.207 m back"."""
+        right, up, forward = (
+            f"{abs(part):.{PLACES}f} m {words[int(part < 0)]}" for words, part in zip(WAYS, self.parts, strict=True)
+        )
+        return right, up, forward
+
+    def record(self) -> dict[str, object]:
+        """What `spatialviz measure --json` prints, metres."""
+        parts = {name: round(float(part), 4) for name, part in zip(PARTS, self.parts, strict=True)}
+        return {
+            "pixels": [list(pixel) for pixel in self.pixels],
+            "points": self.points.round(4).tolist(),
+            "distance": round(self.distance, 4),
+            **parts,
+        }
+
+
+def surface_point(depth: np.ndarray, camera: Camera, pixel: tuple[int, int]) -> np.ndarray:
+    """The point that a pixel (u, v) sees: (3,) float64, metres, camera frame; InputError where it has no depth."""
+    u, v = pixel
+    z = depth_at(depth, u, v)
+    return lift_pixels(np.array([z]), camera, np.array([v]), np.array([u]))[0].astype(np.float64)
+
+
+def measure(
+    depth: np.ndarray, camera: Camera, viewer: ViewerAxes, first: tuple[int, int], second: tuple[int, int]
+) -> Measurement:
+    """How far apart the surface points of two pixels are.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        Metres, 0 where missing.
+    camera : Camera
+    viewer : ViewerAxes
+        Whose right, up and forward the parts are along.
+    first, second : (int, int)
+        Column and row.
+
+    Raises
+    ------
+    InputError
+        A pixel is outside the picture, or has no depth.
+    """
+    points = np.stack([surface_point(depth, camera, pixel) for pixel in (first, second)])
+    return Measurement((first, second), points, viewer.matrix @ (points[1] - points[0]))

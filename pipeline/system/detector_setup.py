@@ -1,0 +1,80 @@
+"""The detector that is asked for, as plain values: the same for the command line, a run, labels, a case and a job.
+
+Nothing is made here: `pipeline.proposals.registry.open_detector` makes the detector. Importing it costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pipeline.system.errors import require
+
+FILES = ("model", "model_config", "segmenter_model", "srm", "vectors", "synonyms")
+"""The arguments of `open_pipeline` that name files."""
+_WORDS = ("trained", "rule")
+Fusion = Literal["wbf", "nms"]
+
+
+@dataclass(frozen=True)
+class DetectorSetup:
+    """A detector, and those that are fused with it; picklable, which a detector need not be."""
+
+    detector: str | None = None
+    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | detic | boxes | simulated. Default:
+    annotations, where the dataset has them."""
+    model: Path | None = None
+    """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
+    model_config: Path | None = None
+    """What the file of --model does not say: the TOML file of boxes (default: beside the model), the class names of
+    detic and yolo-seg."""
+    fuse: tuple[str, ...] = ()
+    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's. What a MODEL does not say
+    stands beside it."""
+    fusion: Fusion = "wbf"
+    """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
+    min_score: float | None = None
+    """Drop detections below this score, of each detector before they are fused. Default: the detector's own."""
+    synonyms: Path | None = None
+    """A JSON file with more synonyms: {"groups": [["mug", "cup"], …]}."""
+
+
+def named_model(text: str) -> tuple[str, Path | None]:
+    """A detector and its model as the command line names them together: "yolo-seg=FILE.onnx", or "simulated" alone.
+
+    Raises
+    ------
+    InputError
+        There is no name, or nothing behind the sign.
+    """
+    name, sign, model = text.partition("=")
+    require(
+        not (not name.strip() or (sign and not model.strip())),
+        "a further detector needs a name",
+        got=repr(text),
+        expected="NAME or NAME=MODEL",
+    )
+    return name.strip(), Path(model.strip()) if sign else None
+
+
+def with_model(text: str, change: Callable[[Path], Any]) -> str:
+    """The same text with its model's path changed."""
+    name, model = named_model(text)
+    return name if model is None else f"{name}={change(model)}"
+
+
+def with_files(options: Mapping[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:
+    """Arguments of `open_pipeline`, as runs and labels hold them, with every file in them changed: one, an encoder and
+    a decoder, the models that are fused."""
+    found = dict(options)
+    for name in FILES:
+        value = options.get(name)
+        if isinstance(value, list | tuple):
+            found[name] = list(map(change, value))
+        elif value is not None and str(value) not in _WORDS:
+            found[name] = change(value)
+    if options.get("fuse"):
+        found["fuse"] = [with_model(str(text), change) for text in options["fuse"]]
+    return found
