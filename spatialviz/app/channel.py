@@ -12,10 +12,14 @@ from weakref import WeakSet
 
 import websockets.exceptions
 
-from spatialviz.app.messages import Call, Incoming, Outgoing, write
+from spatialviz.app.messages import Call, Command, Incoming, Outgoing, write
 
-WAITING_BYTES = 32 * 2**20
+WAITING_BYTES = 8 * 2**20
 """A browser that lets so much wait is cut off; it comes back and is sent the page as it is then."""
+MANY, REST_SECONDS = 10, 0.25
+"""Where more jobs than that wait for one page, it rests after each: others are answered meanwhile."""
+LASTING = ("ask-typed", "edit-live", "hover")
+"""Commands of which only the last one counts, where several wait."""
 
 
 class Channel:
@@ -35,8 +39,10 @@ class Channel:
         self._outgoing: asyncio.Queue[str | None] | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._waiting = 0
+        self._latest: dict[str, Incoming] = {}
         self._lock = threading.Lock()
         self._ended = False
+        self._abort: Callable[[], None] = lambda: None
         self.left = time.monotonic()
         """When the browser went away, on the monotonic clock."""
         self._thread = threading.Thread(target=self._work, daemon=True, name=f"page-{name}")
@@ -54,7 +60,15 @@ class Channel:
 
     def receive(self, message: Incoming) -> None:
         """Handle a message of the browser after everything that waits already."""
-        self.post(lambda: self._on_message(message))
+        kind = message.text.partition(":")[0] if isinstance(message, Command) else ""
+        if kind in LASTING:
+            self._latest[kind] = message
+        self.post(lambda: None if self._latest.get(kind, message) is not message else self._on_message(message))
+
+    @property
+    def behind(self) -> int:
+        """How much waits to be handled."""
+        return self._jobs.qsize()
 
     def send(self, message: Outgoing) -> None:
         """Send a message, where a browser listens. Any thread may call it."""
@@ -65,17 +79,19 @@ class Channel:
             text = write(message)
             self._waiting += len(text)
             if self._waiting > WAITING_BYTES:
-                loop.call_soon_threadsafe(outgoing.put_nowait, None)
+                # It does not read, not even that it is cut off.
+                loop.call_soon_threadsafe(self._abort)
                 return
             loop.call_soon_threadsafe(outgoing.put_nowait, text)
 
-    def attach(self) -> asyncio.Queue[str | None]:
+    def attach(self, connection: Any) -> asyncio.Queue[str | None]:
         """A browser is there: what is said from now on waits here. A second one takes the first one's place."""
         outgoing: asyncio.Queue[str | None] = asyncio.Queue()
         with self._lock:
             if self._outgoing is not None:
                 self._outgoing.put_nowait(None)
             self._loop, self._outgoing, self._waiting = asyncio.get_running_loop(), outgoing, 0
+            self._abort = connection.transport.abort
         return outgoing
 
     async def serve(self, connection: Any, outgoing: asyncio.Queue[str | None]) -> None:
@@ -84,14 +100,17 @@ class Channel:
             while (text := await outgoing.get()) is not None:
                 await connection.send(text)
                 self._waiting -= len(text)
-            await connection.close(1013, "too slow, or opened elsewhere")
+            await connection.close(1013, "This page was opened elsewhere.")
         except websockets.exceptions.ConnectionClosed:
             pass
-        finally:
-            with self._lock:
-                if self._outgoing is outgoing:
-                    self._loop = self._outgoing = None
-                    self.left = time.monotonic()
+
+    def detach(self, outgoing: asyncio.Queue[str | None]) -> None:
+        """The browser that this waits for has gone."""
+        with self._lock:
+            if self._outgoing is outgoing:
+                self._loop = self._outgoing = None
+                self._abort = lambda: None
+                self.left = time.monotonic()
 
     def close(self) -> None:
         """Handle what waits, and then nothing."""
@@ -105,14 +124,25 @@ class Channel:
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None and not self._ended:
+            _AT_WORK.add(self)
             try:
                 job()
             except Exception as error:  # One failed click must not end the session.
                 said = {"title": "Something went wrong", "text": f"{type(error).__name__}: {error}", "bad": True}
                 self.send(Call("toast", said))
+            finally:
+                _AT_WORK.discard(self)
+            if self.behind > MANY and not self._ended:
+                time.sleep(REST_SECONDS)
 
 
+_AT_WORK: set[Channel] = set()
 _STARTED: WeakSet[Channel] = WeakSet()
+
+
+def answering() -> bool:
+    """Whether any page is being answered."""
+    return bool(_AT_WORK)
 
 
 def end_all(within: float) -> None:

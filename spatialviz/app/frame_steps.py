@@ -83,5 +83,8 @@ class FrameSteps:
             self._page.show("frames", frames_html(now, ids, self._store, ready))
             if ready < total:
                 self._post(lambda: fill(min(ready + BROWSED, total)))
+            else:
+                at = ids.index(now.frame_id)
+                self._store.prepare(now.source, (*ids[at + 1 : at + 2], *ids[max(0, at - 1) : at]))
 
         self._post(lambda: fill(min(BROWSED, total)))

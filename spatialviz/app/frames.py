@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeAlias
+from weakref import WeakValueDictionary
 
 import cv2
 import numpy as np
@@ -20,8 +26,14 @@ from pipeline.system.errors import InputError
 from spatialviz.app.cloud import Cloud, cloud_of
 from spatialviz.app.images import IMAGES, jpeg
 
-KEPT_FRAMES = 4
+KEPT_FRAMES = 8
+"""The frames used last, of 15 to 25 MB each at 640x480; those that a page shows are kept beside."""
+AHEAD = 6
+"""Frames that wait to be made ready; a newer wish takes the place of the oldest."""
+YIELD_SECONDS = 0.01
 THUMB_WIDTH = 160
+Key: TypeAlias = tuple[str, str]
+"""Source and frame."""
 
 
 @dataclass(frozen=True)
@@ -75,13 +87,34 @@ class LoadedFrame:
         return cloud_of(self.context)
 
 
-class FrameStore:
-    """Loads frames of named sources and keeps the latest few."""
+class _Making:
+    """A frame that is being made, by whoever asked first."""
 
-    def __init__(self, sources: dict[str, Pipeline]) -> None:
-        self.sources = sources
-        self._loaded: OrderedDict[tuple[str, str], LoadedFrame] = OrderedDict()
-        self._thumbs: dict[tuple[str, str], bytes | str] = {}
+    def __init__(self, opened: Pipeline) -> None:
+        self.opened = opened
+        self.frame: Future[LoadedFrame] = Future()
+        self.wanted = False
+        """A page waits for it."""
+
+
+class FrameStore:
+    """Loads frames of named sources and keeps the latest few; what is likely to be opened next it makes ready ahead.
+
+    Parameters
+    ----------
+    sources : dict of str to Pipeline
+    busy : callable
+        Whether a page is being answered: nothing is made ahead meanwhile.
+    """
+
+    def __init__(self, sources: dict[str, Pipeline], busy: Callable[[], bool] = lambda: False) -> None:
+        self.sources, self._busy = sources, busy
+        self._loaded: OrderedDict[Key, LoadedFrame] = OrderedDict()
+        self._shown: WeakValueDictionary[Key, LoadedFrame] = WeakValueDictionary()
+        self._making: dict[Key, _Making] = {}
+        self._ahead: OrderedDict[Key, Callable[[LoadedFrame], object] | None] = OrderedDict()
+        self._ahead_runs = False
+        self._thumbs: dict[Key, bytes | str] = {}
         self._lock = threading.Lock()
         self.told: dict[str, ToldUp] = {}
         """By source what was said last of its up."""
@@ -95,28 +128,90 @@ class FrameStore:
         InputError
             For a broken frame.
         """
-        key = (source, frame_id)
+        return self._load((source, frame_id), wanted=True)
+
+    def prepare(
+        self, source: str, frame_ids: Iterable[str], then: Callable[[LoadedFrame], object] | None = None
+    ) -> None:
+        """Make frames ready that may be opened next, the likeliest first, on one thread and while no page waits."""
         with self._lock:
-            if key in self._loaded:
-                self._loaded.move_to_end(key)
-                return self._loaded[key]
-        opened = self.sources[source]
-        context = prepare_frame(opened.dataset, opened.dataset.load(frame_id), opened.config.lift)
+            for frame_id in frame_ids:
+                self._ahead[source, frame_id] = self._ahead.pop((source, frame_id), None) or then
+            while len(self._ahead) > AHEAD:
+                self._ahead.popitem(last=False)
+            if self._ahead_runs or not self._ahead:
+                return
+            self._ahead_runs = True
+        threading.Thread(target=self._make_ahead, daemon=True, name="ahead").start()
+
+    def _make_ahead(self) -> None:
+        while True:
+            with self._lock:
+                self._ahead_runs = bool(self._ahead)
+                if not self._ahead_runs:
+                    return
+                key, then = self._ahead.popitem(last=False)
+            # Whoever opens it is told what is wrong with it.
+            with suppress(InputError, KeyError):
+                loaded = self._load(key, wanted=False)
+                self._give_way()
+                _ = loaded.cloud
+                if then is not None:
+                    then(loaded)
+
+    def _load(self, key: Key, wanted: bool) -> LoadedFrame:
+        with self._lock:
+            kept = self._loaded.get(key) or self._shown.get(key)
+            if kept is not None:
+                self._keep(key, kept)
+                return kept
+            making = self._making.get(key)
+            mine = making is None
+            if making is None:
+                making = self._making[key] = _Making(self.sources[key[0]])
+            making.wanted |= wanted
+        if mine:
+            try:
+                making.frame.set_result(self._made(key, making))
+            except BaseException as error:
+                making.frame.set_exception(error)
+            with self._lock:
+                # What was said of up meanwhile may have made it old.
+                if self._making.get(key) is making:
+                    del self._making[key]
+                    if making.frame.exception() is None:
+                        self._keep(key, making.frame.result())
+        return making.frame.result()
+
+    def _keep(self, key: Key, loaded: LoadedFrame) -> None:
+        self._loaded[key] = self._shown[key] = loaded
+        self._loaded.move_to_end(key)
+        while len(self._loaded) > KEPT_FRAMES:
+            self._loaded.popitem(last=False)
+
+    def _made(self, key: Key, making: _Making) -> LoadedFrame:
+        opened = making.opened
+        self._give_way(making)
+        raw = opened.dataset.load(key[1])
+        self._give_way(making)
+        context = prepare_frame(opened.dataset, raw, opened.config.lift)
+        self._give_way(making)
         objects: tuple[SceneObject, ...] = ()
         problem, second = "", None
         if opened.detector is not None:
             try:
                 objects = all_objects(context, opened.detector)
+                self._give_way(making)
                 second = second_detections(opened, context, objects)
             except InputError as error:
                 problem = str(error)
-        loaded = LoadedFrame(context, objects, problem, second, self.told.get(source))
-        with self._lock:
-            self._loaded[key] = loaded
-            while len(self._loaded) > KEPT_FRAMES:
-                self._loaded.popitem(last=False)
         self._thumbs[key] = jpeg(_small(context.frame.rgb))
-        return loaded
+        return LoadedFrame(context, objects, problem, second, self.told.get(key[0]))
+
+    def _give_way(self, making: _Making | None = None) -> None:
+        """What nobody waits for waits itself while a page is being answered."""
+        while (making is None or not making.wanted) and self._busy():
+            time.sleep(YIELD_SECONDS)
 
     def tell_up(self, source: str, told: ToldUp | None) -> None:
         """Take what is said of a source's up, for all clients; None takes back all that was said."""
@@ -130,8 +225,9 @@ class FrameStore:
                 self._untold.setdefault(source, opened.dataset)
                 dataset = with_frame_up(opened.dataset, told.frame_id, told.up)
             self.sources[source] = replace(opened, dataset=dataset)
-            for key in [key for key in self._loaded if key[0] == source]:
-                del self._loaded[key]
+            for known in (self._loaded, self._shown, self._making):
+                for key in [key for key in list(known) if key[0] == source]:
+                    known.pop(key, None)
 
     def thumb(self, source: str, frame_id: str) -> tuple[str, str]:
         """(where the page finds a small picture, ""), or ("", reason) for a broken frame."""

@@ -15,8 +15,10 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pipeline.system.errors import InputError
 
 LONGEST_ADDRESS = 4_000
-LONGEST_COMMAND = 500_000
+LONGEST_COMMAND, LONGEST_DRAWING = 20_000, 500_000
 """Characters; a stroke of the pixel editor is a few tens of thousands."""
+DRAWING = "px-"
+"""Begins the commands of the pixel editor."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Command:
     """Something a person did: "name:argument", as an element's `do` says it."""
 
     type: Literal["command"]
-    text: Annotated[str, Field(max_length=LONGEST_COMMAND)]
+    text: Annotated[str, Field(max_length=LONGEST_DRAWING)]
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,13 @@ def read(text: str | bytes) -> Incoming:
         For what is none.
     """
     try:
-        return _INCOMING.validate_json(text)
+        message = _INCOMING.validate_json(text)
     except ValidationError as error:
         found = error.errors(include_url=False, include_context=False, include_input=False)[0]
         raise InputError("not a message of the page", got=f"{found['loc']}: {found['msg']}") from None
+    if isinstance(message, Command) and len(message.text) > LONGEST_COMMAND and not message.text.startswith(DRAWING):
+        raise InputError("not a message of the page", got=f"a command of {len(message.text)} characters")
+    return message
 
 
 def write(message: Outgoing) -> str:

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import sys
-import threading
 import time
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import viser
 import websockets.exceptions
+from viser._messages import (
+    Message,
+    SceneNodeClickMessage,
+    SceneNodeDragMessage,
+    ScenePointerMessage,
+    TransformControlsDragEndMessage,
+    TransformControlsDragStartMessage,
+    TransformControlsUpdateMessage,
+    ViewerCameraMessage,
+)
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from spatialviz.app.access import Access
-from spatialviz.app.messages import read
+from spatialviz.app.messages import Hello, read
 from spatialviz.app.session import Session
 from spatialviz.app.shared import Shared
 from spatialviz.app.site import PAGE_ID
@@ -24,9 +34,57 @@ KEPT_SECONDS = 45.0
 """A page whose browser has gone is kept so long: it may come back."""
 BURST, PER_SECOND = 200.0, 40.0
 """Messages that a page may send at once, and in the long run."""
+BACKLOG, BEHIND_SECONDS = 40, 0.05
+"""A page that has so much to be handled is not read meanwhile."""
+HELLO_SECONDS = 10.0
+NEW_PER_SECOND = 0.5
+"""Pages that are opened in the long run: each costs what opening a frame costs."""
+CAMERAS, CAMERAS_PER_SECOND = 400.0, 100.0
+"""The same of a scene."""
 GARBAGE = 5
 """Messages that are none, after which a socket is closed."""
 LOGGED_SECONDS = 60.0
+LONGEST_OF_SCENE = 64_000
+OF_SCENE = (
+    ViewerCameraMessage, ScenePointerMessage, SceneNodeClickMessage, SceneNodeDragMessage,
+    TransformControlsUpdateMessage, TransformControlsDragStartMessage, TransformControlsDragEndMessage,
+)  # fmt: skip
+"""What a scene may say: nothing of viser's panels, uploads and tunnels, which are not used."""
+
+
+class Pace:
+    """How fast one socket is read: who sends faster waits, and nobody else."""
+
+    def __init__(self, burst: float = BURST, per_second: float = PER_SECOND) -> None:
+        self._burst, self._per_second = burst, per_second
+        self._allowed, self._last = burst, time.monotonic()
+
+    async def keep(self) -> None:
+        """Wait until the next message may be read."""
+        now = time.monotonic()
+        self._allowed, self._last = min(self._burst, self._allowed + self._per_second * (now - self._last)), now
+        if self._allowed < 1:
+            await asyncio.sleep((1 - self._allowed) / self._per_second)
+        self._allowed -= 1
+
+
+class SceneConnection:
+    """viser's socket of a scene: only what a camera, a click and a handle send is let through, at a page's pace."""
+
+    def __init__(self, connection: Any) -> None:
+        self._connection, self._pace = connection, Pace(CAMERAS, CAMERAS_PER_SECOND)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._connection, name)
+
+    async def recv(self) -> bytes:
+        """The next message that is let through."""
+        while True:
+            data = await self._connection.recv()
+            await self._pace.keep()
+            require(isinstance(data, bytes) and len(data) < LONGEST_OF_SCENE, "not a message of a scene")
+            if isinstance(Message.deserialize(data), OF_SCENE):
+                return data
 
 
 class Pages:
@@ -42,7 +100,9 @@ class Pages:
     def __init__(self, shared: Shared, access: Access, max_clients: int) -> None:
         self._shared, self._access, self._most = shared, access, max_clients
         self._sessions: dict[str, Session] = {}
-        self._lock = threading.Lock()
+        self._scenes: dict[str, Any] = {}
+        self._making = asyncio.Lock()
+        self._opening = Pace(max_clients, NEW_PER_SECOND)
         self._logged = -LOGGED_SECONDS
         self._unsaid = 0
 
@@ -63,44 +123,76 @@ class Pages:
             if session is not None:
                 session.detach(client)
 
+    async def scene(self, page_id: str, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Serve viser's socket of a page's scene; one that comes later takes its place."""
+        before, self._scenes[page_id] = self._scenes.get(page_id), connection
+        if before is not None:
+            await before.close(1008, "shown elsewhere")
+        # What fails in viser's own tasks is said as briefly.
+        asyncio.get_running_loop().set_exception_handler(
+            lambda _, context: self.log(repr(context.get("exception") or context["message"]))
+        )
+        try:
+            await viser_handler(SceneConnection(connection))
+        except Exception as error:
+            # What viser cannot read costs its sender the socket.
+            self.log(f"{type(error).__name__}: {error}")
+        finally:
+            if self._scenes.get(page_id) is connection:
+                del self._scenes[page_id]
+
+    def has(self, page_id: str) -> bool:
+        """Whether a page is open, or kept for one that may come back."""
+        return page_id in self._sessions
+
     async def socket(self, page_id: str, connection: Any) -> None:
         """Serve the socket of a page until its browser goes away."""
-        self._release()
-        session = self._sessions.get(page_id)
-        if session is None:
-            if len(self._sessions) >= self._most:
-                await connection.close(1013, f"{self._most} pages are open already (--max-clients)")
-                return
-            session = await asyncio.to_thread(Session, page_id, self._shared)
-            with self._lock:
-                session = self._sessions.setdefault(page_id, session)
+        try:
+            # Who never says what a page says first takes no page from others.
+            first = read(await asyncio.wait_for(connection.recv(), HELLO_SECONDS))
+            require(isinstance(first, Hello), "a page says hello first", got=first.type)
+        except (InputError, asyncio.TimeoutError, websockets.exceptions.ConnectionClosed) as error:
+            self.log(str(error) or "nothing was said")
+            await connection.close(1008, "not a page")
+            return
+        async with self._making:
+            session = self._sessions.get(page_id)
+            if session is None:
+                self._release(full=len(self._sessions) >= self._most)
+                if len(self._sessions) >= self._most:
+                    many = f"{self._most} pages are open already, and no more are allowed (--max-clients)."
+                    await connection.close(1013, f"{many} Close one; this one tries again.")
+                    return
+                await self._opening.keep()
+                session = self._sessions[page_id] = await asyncio.to_thread(Session, page_id, self._shared)
+            outgoing = session.channel.attach(connection)
         name = self._access.name(connection.request)
         if name:
             session.signed_as(name)
-        sending = asyncio.create_task(session.channel.serve(connection, session.channel.attach()))
+        session.channel.receive(first)
+        sending = asyncio.create_task(session.channel.serve(connection, outgoing))
         try:
             await self._listen_to(connection, session)
         except websockets.exceptions.ConnectionClosed:
             pass
         finally:
+            session.channel.detach(outgoing)
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
             asyncio.get_running_loop().call_later(KEPT_SECONDS + 1, self._release)
 
     async def _listen_to(self, connection: Any, session: Session) -> None:
-        allowed, last, garbage = BURST, time.monotonic(), 0
+        pace, garbage = Pace(), 0
         async for text in connection:
-            now = time.monotonic()
-            allowed, last = min(BURST, allowed + PER_SECOND * (now - last)), now
-            if allowed < 1:
-                # Who sends faster is read more slowly; nobody else waits.
-                await asyncio.sleep((1 - allowed) / PER_SECOND)
-            allowed -= 1
+            await pace.keep()
+            while session.channel.behind > BACKLOG:
+                # What is not read yet waits with who has sent it.
+                await asyncio.sleep(BEHIND_SECONDS)
             try:
                 session.channel.receive(read(text))
             except InputError as error:
                 garbage += 1
-                self._log(str(error))
+                self.log(str(error))
                 if garbage >= GARBAGE:
                     await connection.close(1008, "not the messages of a page")
                     return
@@ -110,17 +202,15 @@ class Pages:
         session = self._sessions.get(page_id)
         return None if session is None else session.page.downloads.pop(key, None)
 
-    def _release(self) -> None:
-        """Close the sessions of pages that did not come back."""
-        now = time.monotonic()
-        with self._lock:
-            gone = [
-                k for k, s in self._sessions.items() if not s.channel.connected and now - s.channel.left > KEPT_SECONDS
-            ]
-            for key in gone:
+    def _release(self, full: bool = False) -> None:
+        """Close the sessions of pages that did not come back; where all are taken, also that which left first."""
+        gone = sorted((s.channel.left, key) for key, s in self._sessions.items() if not s.channel.connected)
+        late = time.monotonic() - KEPT_SECONDS
+        for number, (left, key) in enumerate(gone):
+            if left < late or (full and not number):
                 self._sessions.pop(key).close()
 
-    def _log(self, problem: str) -> None:
+    def log(self, problem: str) -> None:
         """One line a minute, whatever is sent."""
         now, self._unsaid = time.monotonic(), self._unsaid + 1
         if now - self._logged >= LOGGED_SECONDS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -22,7 +21,7 @@ from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError
 from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
-from spatialviz.app.frames import FrameStore
+from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_view import Target
 from spatialviz.app.layout import Page
@@ -266,15 +265,11 @@ class ReviewQueue:
         frame = after.frame
         self._ahead = name, frame
 
-        def load() -> None:
-            # Whoever opens it is told what is wrong with it.
-            with suppress(InputError):
-                loaded = self._store.load(name, frame)
-                _ = loaded.cloud
-                for entry in labelled_objects(desk.saved(frame)):
-                    loaded.thumb(entry.bbox)
+        def draw(loaded: LoadedFrame) -> None:
+            for entry in labelled_objects(desk.saved(frame)):
+                loaded.thumb(entry.bbox)
 
-        threading.Thread(target=load, daemon=True, name="queue-ahead").start()
+        self._store.prepare(name, [frame], draw)
 
     def choose_kind(self, kind: str) -> None:
         """Walk through items of one kind only."""

@@ -17,7 +17,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.datasets.scene_mesh import ContextMesh
 from pipeline.geometry.boxes import EDGES, Box3D, ray_entry
 from pipeline.geometry.palette import RGB, Role, hex_color, palette
-from spatialviz.app.cloud import BAND_RATIO, Cloud
+from spatialviz.app.cloud import Cloud, Part
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.glb import unlit_glb
 from spatialviz.app.scene_client import Node, SceneClient
@@ -110,8 +110,7 @@ class SceneView:
         self._flags = SceneFlags()
         self._boxed: dict[int, Box3D] = {}
         self._cloud: Cloud | None = None
-        self._bands: list[Node] = []
-        self._sizes: list[float] = []
+        self._parts: list[Node] = []
         self._point_scale = 1.0
         self._lines: dict[str, Any] = {}
         self._faces: Any = None
@@ -130,27 +129,17 @@ class SceneView:
             on_ray(hit, self._boxes_on_ray(origin, direction))
 
     def set_frame(self, loaded: LoadedFrame, colors: np.ndarray) -> None:
-        """Show another frame; `colors` is (H, W, 3) uint8."""
+        """Show another frame, of its points the first cloud; `colors` is (H, W, 3) uint8."""
         frame, viewer = loaded.context.frame, loaded.context.viewer
         self.to_show = np.stack([viewer.right, viewer.forward, viewer.up])
         cloud = self._cloud = loaded.cloud
         self.viewpoint.set_frame(cloud.points, self.to_show, frame.camera)
-        self._sizes = (BAND_RATIO ** (cloud.levels + 0.6) / frame.camera.fx * cloud.stride * 1.15).tolist()
+        painted = cloud.painted(colors)
         with self._client.atomic():
-            for handle in self._bands:
+            for handle in self._parts:
                 handle.remove()
-            self._bands = [
-                self._client.scene.add_point_cloud(
-                    f"/cloud/{k}",
-                    cloud.points[index],
-                    colors[cloud.v[index], cloud.u[index]],
-                    point_size=size * self._point_scale,
-                    precision="float32",
-                    point_shading="flat",
-                    point_shape="square",
-                )
-                for k, (size, index) in enumerate(zip(self._sizes, cloud.bands, strict=True))
-            ]
+            # Until the rest is there, one point stands for four.
+            self._parts = [self._add(p, painted, 2 * p.size) for p in cloud.parts if p.first]
             if self._frustum is not None:
                 self._frustum.remove()
             self._frustum = self._client.scene.add_camera_frustum(
@@ -164,6 +153,30 @@ class SceneView:
                 wxyz=vtf.SO3.from_matrix(self.to_show).wxyz,
                 visible=False,
             )
+
+    def complete(self, colors: np.ndarray) -> None:
+        """Add what is not of the first cloud."""
+        cloud = self._cloud
+        if cloud is None:
+            return
+        painted = cloud.painted(colors)
+        with self._client.atomic():
+            rest = [self._add(part, painted, part.size) for part in cloud.parts[len(self._parts) :]]
+            self._parts += rest
+            self._size_points()
+
+    def _add(self, part: Part, painted: np.ndarray, size: float) -> Node:
+        return self._client.scene.add_point_cloud(
+            part.name,
+            part.offsets,
+            painted[part.at],
+            point_size=size * self._point_scale,
+            precision="float16",
+            point_shading="flat",
+            point_shape="square",
+            position=triple(part.center),
+            visible=self._flags.cloud,
+        )
 
     def show_context(self, mesh: ContextMesh | None, dark: bool) -> None:
         """Show the room around the frame, dimmed toward the background; None shows none."""
@@ -181,11 +194,11 @@ class SceneView:
     def clear(self) -> None:
         """Show nothing: the frame is broken."""
         with self._client.atomic():
-            handles = [*self._bands, *self._lines.values(), *self._axes, self._faces, self._frustum, self._context]
+            handles = [*self._parts, *self._lines.values(), *self._axes, self._faces, self._frustum, self._context]
             for handle in handles:
                 if handle is not None:
                     handle.remove()
-        self._bands, self._lines, self._axes, self._axes_at = [], {}, [], (None, [])
+        self._parts, self._lines, self._axes, self._axes_at = [], {}, [], (None, [])
         self._faces = self._frustum = self._cloud = self._context = None
         self._boxed = {}
 
@@ -193,17 +206,23 @@ class SceneView:
         """Paint the cloud with (H, W, 3) uint8 colours."""
         if self._cloud is None:
             return
+        painted = self._cloud.painted(colors)
         with self._client.atomic():
-            for handle, index in zip(self._bands, self._cloud.bands, strict=True):
-                handle.colors = colors[self._cloud.v[index], self._cloud.u[index]]
+            for handle, part in zip(self._parts, self._cloud.parts, strict=False):
+                handle.colors = painted[part.at]
 
     def scale_points(self, factor: float) -> None:
         """Draw the points of the cloud larger, or smaller; they are not sent again."""
         if factor != self._point_scale:
             self._point_scale = factor
             with self._client.atomic():
-                for handle, size in zip(self._bands, self._sizes, strict=True):
-                    handle.point_size = size * factor
+                self._size_points()
+
+    def _size_points(self) -> None:
+        parts = () if self._cloud is None else self._cloud.parts
+        whole = len(self._parts) == len(parts)
+        for handle, part in zip(self._parts, parts, strict=False):
+            handle.point_size = part.size * self._point_scale * (1 if whole else 2)
 
     def draw(
         self,
@@ -227,14 +246,14 @@ class SceneView:
         self._boxed = {i: self._box(objects, i) for i in boxed}
         role_of: dict[int, Role] = {i: roles.get(i, "other") for i in boxed}
         with self._client.atomic():
-            for handle in self._bands:
+            for handle in self._parts:
                 handle.visible = flags.cloud
             if self._frustum is not None:
                 self._frustum.visible = flags.camera
             for role in ("other", "reference", "target"):
-                members = [self._box(objects, i) for i in boxed if role_of[i] == role]
                 shown = flags.boxes or role != "other"
-                self._set_lines(f"/boxes/{role}", _edges(members), colors[role], LINE_WIDTH[role], shown)
+                members = [self._boxed[i] for i in boxed if shown and role_of[i] == role]
+                self._set_lines(f"/boxes/{role}", _edges(members), colors[role], LINE_WIDTH[role], True)
             chosen = [self._box(objects, selected)] if selected in role_of else []
             self._set_lines("/boxes/selected", _edges(chosen), (255, 255, 255) if dark else (20, 22, 26), 2.0, True)
             shown_truth = [self.shown_box(b) for b in truth]

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
 
 import viser
+from viser._messages import ShareUrlDisconnect, ShareUrlRequest
 
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
@@ -23,8 +24,9 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
+from pipeline.system.worker_pool import one_thread
 from spatialviz.app.access import Access
-from spatialviz.app.channel import end_all
+from spatialviz.app.channel import answering, end_all
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.pages import MAX_CLIENTS, Pages
@@ -89,8 +91,9 @@ def start(
             raise InputError(f"the dataset {name} has no frames", path=source.dataset.root)
     _check_address(host, port)
     return_freed_memory()
+    store = FrameStore(sources, answering)
     shared = Shared(
-        FrameStore(sources), runs or {}, others or {}, labels or {}, journals or {}, author, tuple(opened_by),
+        store, runs or {}, others or {}, labels or {}, journals or {}, author, tuple(opened_by),
         first_view, dark,
     )  # fmt: skip
     access = access or Access.of(host)
@@ -100,6 +103,9 @@ def start(
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error
+    for message in (ShareUrlRequest, ShareUrlDisconnect):
+        # viser would open a tunnel to a server of its makers for whoever asks.
+        server._websock_server.unregister_handler(message)
     server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
     server.scene.configure_environment_map(hdri=None)
     server.scene.configure_default_lights(True, cast_shadow=False)
@@ -149,8 +155,12 @@ def serve(
     _end_in_order()
     # What is computed for a page that has been closed meanwhile has nowhere to go; that is no news to a user.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
+    # Nor is what a socket says that is not what viser's client would say.
+    warnings.filterwarnings("ignore", r"\[viser\] .* does not match annotation", UserWarning)
     try:
-        server.sleep_forever()
+        # Products of a few numbers: a second thread costs more than it brings, and takes from who else is answered.
+        with one_thread():
+            server.sleep_forever()
     finally:
         for place in (journals or {}).values():
             place.jobs.end()

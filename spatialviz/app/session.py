@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -86,7 +87,7 @@ class Session:
         self._begun = False
         self._correcting = False
         self._pushed: Place | None = None
-        self._turning: threading.Timer | None = None
+        self._turning: asyncio.TimerHandle | None = None
         self._judge = Judge(runs, shared.others, shared.labels, lambda *at: self._labels.correct.corrected(*at))
         source = next(iter(store.sources))
         ids = store.sources[source].dataset.frame_ids
@@ -111,7 +112,7 @@ class Session:
         reach = (self._source, self._now, self._take)
         self._beside = BesideLayer(client, self.scene, self._now, self._take, self._draw)
         self._view = ViewSettings(page, self.scene, *reach, self._draw, self._note, client.set_dark)
-        self._cloud = FrameCloud(client, self.scene, self._view.show_context)
+        self._cloud = FrameCloud(self.scene, self._view.show_context, self.channel.post)
         self._runs = RunPanel(runs, store, page, self._now, self._set_listing, self._go, self.channel.post)
         self._what_if = WhatIf(
             client, page, self.scene, *reach, self._draw_edited, self._judged, self._note, self.channel.post
@@ -147,7 +148,13 @@ class Session:
     def close(self) -> None:
         self._closed.set()
         self._labels.close()
+        self.channel.post(self._forget)
         self.channel.close()
+
+    def _forget(self) -> None:
+        """Let go of frames and clouds at once: sessions refer to themselves, and are collected late."""
+        self._cloud.clear()
+        self.state = replace(self.state.unasked, loaded=None, shown=NOTHING)
 
     # ---- the browser ------------------------------------------------------------------
 
@@ -183,9 +190,8 @@ class Session:
         """The camera moves: where it comes to rest is said by the address."""
         if self._turning is not None:
             self._turning.cancel()
-        self._turning = threading.Timer(REST_SECONDS, lambda: self.channel.post(self._say_address))
-        self._turning.daemon = True
-        self._turning.start()
+        loop = asyncio.get_running_loop()
+        self._turning = loop.call_later(REST_SECONDS, self.channel.post, self._say_address)
 
     # ---- commands -------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import http
+import logging
 import re
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ from urllib.parse import parse_qs, quote, urlsplit
 import viser
 import websockets.asyncio.server as ws
 from websockets.datastructures import Headers
+from websockets.extensions.permessage_deflate import ServerPerMessageDeflateFactory
 from websockets.http11 import Request, Response
 
 from spatialviz.app.access import Access
@@ -36,6 +38,9 @@ SAFE = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
 }
+DEFLATED = {"level": 5, "memLevel": 5}
+CLOSE_SECONDS = 2.0
+"""Who does not take leave in that time is cut off."""
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
     "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
@@ -60,6 +65,18 @@ class Pages(Protocol):
         """Serve the socket of a page until its browser goes away."""
         ...
 
+    async def scene(self, page_id: str, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Serve viser's socket of a page's scene."""
+        ...
+
+    def has(self, page_id: str) -> bool:
+        """Whether a page is open, or kept for one that may come back."""
+        ...
+
+    def log(self, problem: str) -> None:
+        """Say what was wrong with what came, seldom."""
+        ...
+
     def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
         """Name and content of a file that a page was told to fetch, once."""
         ...
@@ -76,6 +93,10 @@ class Answers(Protocol):
         """Serve an open socket."""
         ...
 
+    def log(self, problem: str) -> None:
+        """Say what was wrong with what came, seldom."""
+        ...
+
 
 class Nobody:
     """Answers nobody: a server that only draws."""
@@ -86,6 +107,9 @@ class Nobody:
 
     async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
         """Never opened."""
+
+    def log(self, problem: str) -> None:
+        """Nobody is told."""
 
 
 class Site:
@@ -105,7 +129,7 @@ class Site:
             return refused
         parts = urlsplit(request.path)
         if request.headers.get("Upgrade", "").lower() == "websocket":
-            known = parts.path == "/app/socket" or ID.fullmatch(parts.path.removeprefix("/scene/").rstrip("/"))
+            known = parts.path == "/app/socket" or self._pages.has(_scene_of(parts.path))
             return None if known else _response(http.HTTPStatus.NOT_FOUND, b"no such socket\n")
         entered = self._access.entered(request)
         if entered is not None:
@@ -142,8 +166,28 @@ class Site:
             if ID.fullmatch(page_id):
                 await self._pages.socket(page_id, connection)
             return
-        PAGE_ID.set(parts.path.rstrip("/").rpartition("/")[2])
-        await viser_handler(connection)
+        PAGE_ID.set(_scene_of(parts.path))
+        await self._pages.scene(PAGE_ID.get(), connection, viser_handler)
+
+    def log(self, problem: str) -> None:
+        """Say what was wrong with what came, seldom."""
+        self._pages.log(problem)
+
+
+class _Told(logging.Handler):
+    """What websockets logs: whoever breaks off would fill the terminal with it."""
+
+    def __init__(self, log: Callable[[str], None]) -> None:
+        super().__init__(logging.WARNING)
+        self._log = log
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Say it shortly."""
+        self._log(f"{record.getMessage()}: {record.exc_info[1] if record.exc_info else ''}")
+
+
+def _scene_of(path: str) -> str:
+    return path.removeprefix("/scene/").rstrip("/")
 
 
 def _response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: dict[str, str] | None = None) -> Response:
@@ -163,9 +207,19 @@ def served_by(site: Answers) -> Iterator[None]:
             await site.socket(connection, handler)
 
         async def process_request(connection: Any, request: Request) -> Response | None:
+            if request.path.startswith("/app/"):
+                # Words are worth it; points, on viser's sockets, are not.
+                connection.protocol.available_extensions = [ServerPerMessageDeflateFactory(compress_settings=DEFLATED)]
             return await site.answer(request)
 
-        options |= {"process_request": process_request, "max_size": 2**20}
+        logger = logging.Logger("spatialviz.sockets")
+        logger.addHandler(_Told(site.log))
+        options |= {
+            "logger": logger,
+            "close_timeout": CLOSE_SECONDS,
+            "process_request": process_request,
+            "max_size": 2**20,
+        }
         return original(both, host, port, **options)
 
     ws.serve = serve  # pyright: ignore[reportAttributeAccessIssue]

@@ -24,21 +24,22 @@ connect(transmit);
 const open = () => {
   socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/app/socket?id=${id}`);
   socket.onopen = () => {
-    wait = 250;
-    document.body.classList.remove('lost');
     transmit({type: 'hello', address: location.search.slice(1), author: kept('author'), theme: kept('theme')});
     for (const message of waiting.splice(0)) transmit(message);
   };
   socket.onmessage = e => {
     const message = JSON.parse(e.data);
+    // A server that is full opens the socket, too, and says only why it is closed again.
+    wait = 250;
+    document.body.classList.remove('lost');
     if (message.type === 'patch') { patch(message.parts); settle(); }
     else if (message.type === 'call') calls[message.name]?.(message.data);
     else if (message.type === 'address') address(message);
     else if (message.type === 'scene') scene(message.path);
   };
-  socket.onclose = () => {
+  socket.onclose = ({code, reason}) => {
     document.body.classList.add('lost');
-    byId('lost').textContent = 'The server does not answer. Trying again …';
+    byId('lost').textContent = code === 1013 && reason ? reason : 'The server does not answer. Trying again …';
     setTimeout(open, wait);
     wait = Math.min(wait * 1.6, 5000);
   };

@@ -1,0 +1,292 @@
+"""Many pages at once, by their protocol: how soon each is answered, what is sent, and what the server keeps.
+
+python .ci/load_page.py --minutes 10 --clients 20
+"""
+
+import argparse
+import asyncio
+import json
+import os
+import subprocess
+import sys
+import time
+import urllib.request
+from collections import Counter, defaultdict
+from contextlib import suppress
+from itertools import cycle
+from pathlib import Path
+from secrets import token_hex
+
+import msgspec
+import numpy as np
+import viser
+import zstandard
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed
+from websockets.typing import Subprotocol
+
+PORT = 8233
+SERVED_WITHIN, ANSWERED_WITHIN = 60.0, 60.0
+QUIET_SECONDS = 0.5
+"""Nothing more comes after so long."""
+MOST_FRAME, MOST_FIRST, MOST_SELECTION = 2_800_000, 800_000, 4_000
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 1.0, 1.0], "fov": 0.8,
+    "near": 0.01, "far": 100.0, "image_height": 600, "image_width": 800, "look_at": [0.0, 0.0, 0.0],
+    "up_direction": [0.0, 0.0, 1.0],
+}  # fmt: skip
+
+
+class Counted(ClientConnection):
+    """A connection that counts what comes over the wire."""
+
+    taken = 0
+
+    def data_received(self, data: bytes) -> None:
+        self.taken += len(data)
+        super().data_received(data)
+
+
+class Client:
+    """A page without a browser: its own socket, and viser's of its scene."""
+
+    def __init__(self, port: int) -> None:
+        self.port, self.id = port, token_hex(16)
+        self.page: Counted | None = None
+        self.scene: Counted | None = None
+        self.first = self.last = 0.0
+        self.cloud = Counter()
+        """Bytes of points and colours by node of the scene, since the last command."""
+        self._heard = asyncio.Event()
+        self._typed = ""
+        self._tasks: list[asyncio.Task[None]] = []
+
+    @property
+    def taken(self) -> tuple[int, int]:
+        """Bytes of the page and of its scene so far."""
+        return (self.page.taken if self.page else 0), (self.scene.taken if self.scene else 0)
+
+    async def open(self, scene: bool = True) -> None:
+        """Show the page, and its scene."""
+        address = f"ws://127.0.0.1:{self.port}"
+        self.page = await connect(
+            f"{address}/app/socket?id={self.id}", max_size=None, create_connection=Counted, origin=self._origin
+        )
+        self._tasks.append(asyncio.create_task(self._hear()))
+        await self.page.send(json.dumps({"type": "hello"}))
+        await self.fence()
+        if scene:
+            self.scene = await connect(
+                f"{address}/scene/{self.id}", max_size=None, create_connection=Counted, compression=None,
+                subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], origin=self._origin,
+            )  # fmt: skip
+            await self.scene.send(msgspec.msgpack.encode(CAMERA))
+            self._tasks.append(asyncio.create_task(self._look()))
+            await self.quiet()
+
+    @property
+    def _origin(self):
+        return f"http://127.0.0.1:{self.port}"
+
+    async def close(self) -> None:
+        for connection in (self.scene, self.page):
+            if connection is not None:
+                await connection.close()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def _hear(self) -> None:
+        assert self.page is not None
+        with suppress(ConnectionClosed):
+            async for text in self.page:
+                message = json.loads(text)
+                if message["type"] == "patch":
+                    self.first = self.first or time.monotonic()
+                elif message["type"] == "call" and message["name"] == "asking":
+                    self._typed = message["data"]["typed"]
+                    self._heard.set()
+                self.last = time.monotonic()
+
+    async def _look(self) -> None:
+        assert self.scene is not None
+        with suppress(ConnectionClosed):
+            async for data in self.scene:
+                assert isinstance(data, bytes)
+                size = int.from_bytes(data[8:16], "little")
+                for message in msgspec.msgpack.decode(zstandard.decompress(data[16 : 16 + size]))["messages"]:
+                    if message["type"] == "PointCloudMessage":
+                        props = message["props"]
+                        width = 6 if props["precision"] == "float16" else 12
+                        self.cloud[message["name"]] += (width + 3) * props["points"]["shape"][0]
+                self.last = time.monotonic()
+
+    async def send(self, command: str) -> None:
+        assert self.page is not None
+        await self.page.send(json.dumps({"type": "command", "text": command}))
+
+    async def fence(self) -> bool:
+        """Wait until everything that was sent is answered: offers for what nobody types come last."""
+        nonce = token_hex(8)
+        await self.send(f"ask-typed:{nonce}")
+        try:
+            while self._typed != nonce:
+                self._heard.clear()
+                await asyncio.wait_for(self._heard.wait(), ANSWERED_WITHIN)
+        except asyncio.TimeoutError:
+            return False
+        return True
+
+    async def act(self, command: str) -> float | None:
+        """Seconds from a command to the first thing that changes in the page; None where nothing answers."""
+        self.first, start = 0.0, time.monotonic()
+        self.cloud.clear()
+        await self.send(command)
+        if not await self.fence():
+            return None
+        return (self.first or time.monotonic()) - start
+
+    async def quiet(self, most: float = 10.0) -> None:
+        """Wait until nothing more comes."""
+        end = time.monotonic() + most
+        self.last = time.monotonic()
+        while time.monotonic() < min(end, self.last + QUIET_SECONDS):
+            await asyncio.sleep(0.05)
+
+
+def steps(number: int):
+    """Kinds and commands of one page, again and again."""
+    asked = cycle(("mug left of the laptop", "book on the desk", "lamp behind the desk", "plant near the shelf"))
+    frame = number
+    while True:
+        frame += 1
+        yield "frame", f"frame:{frame % 12}"
+        yield "question", f"ask:{next(asked)}"
+        yield "selection", "next-pair:1"
+        yield "edit", f"edit:k:{3 + frame % 5}"
+        yield "selection", f"object:{frame % 7}"
+        yield "question", f"ask:{next(asked)}"
+        yield "edit", f"edit:k:{4 + frame % 5}"
+        yield "selection", f"object:{(frame + 3) % 7}"
+
+
+def resident_mb(pid: int) -> float:
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmRSS"))
+
+
+class Figures:
+    """What was measured."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, list[float]] = defaultdict(list)
+        self.page: dict[str, list[int]] = defaultdict(list)
+        self.scene: dict[str, list[int]] = defaultdict(list)
+        self.first: list[int] = []
+        self.lost = 0
+        self.memory: list[tuple[float, float]] = []
+
+    def say(self) -> None:
+        load = ", ".join(f"{v:.1f}" for v in os.getloadavg())
+        print(f"load average {load} on {os.cpu_count()} cores; {self.lost} replies lost")
+        for kind, values in self.seconds.items():
+            p50, p95, most = np.percentile(values, [50, 95, 100]) * 1000
+            sent = f"page {_kb(self.page[kind])}, scene {_kb(self.scene[kind])}"
+            print(f"{kind:10} {len(values):5} times  p50 {p50:5.0f}  p95 {p95:5.0f}  worst {most:5.0f} ms  {sent}")
+        if self.first:
+            print(f"first cloud: {_kb(self.first)}")
+        if self.memory:
+            warm = self.memory[len(self.memory) // 3 :]
+            shown = [f"{at:.0f} s {mb:.0f}" for at, mb in self.memory[:: max(1, len(self.memory) // 8)]]
+            print(f"memory, MB: {', '.join(shown)}; after warm-up {warm[0][1]:.0f}, at the end {warm[-1][1]:.0f}")
+
+
+def _kb(values: list[int]) -> str:
+    return f"{np.median(values) / 1000:.1f} (most {max(values) / 1000:.1f}) kB" if values else "-"
+
+
+async def one(client: Client, number: int, until: float, period: float, figures: Figures) -> None:
+    """What one person does."""
+    await asyncio.sleep(period * number / 20)
+    for kind, command in steps(number):
+        if time.monotonic() >= until:
+            return
+        start, (page, scene) = time.monotonic(), client.taken
+        seconds = await client.act(command)
+        if seconds is None:
+            figures.lost += 1
+        else:
+            figures.seconds[kind].append(seconds)
+        rest = period - (time.monotonic() - start)
+        await (asyncio.sleep(rest) if rest > 0 else client.quiet())
+        after = client.taken
+        figures.page[kind].append(after[0] - page)
+        figures.scene[kind].append(after[1] - scene)
+        firsts = [size for name, size in client.cloud.items() if "/first" in name]
+        if kind == "frame" and firsts:
+            figures.first.append(sum(firsts))
+
+
+async def run(port: int, pid: int, clients: int, seconds: float, period: float) -> Figures:
+    """Measure so many pages for so long."""
+    figures, pages = Figures(), [Client(port) for _ in range(clients)]
+    for page in pages:
+        await page.open()
+    start = time.monotonic()
+
+    async def watch() -> None:
+        while True:
+            figures.memory.append((time.monotonic() - start, resident_mb(pid)))
+            await asyncio.sleep(max(1.0, seconds / 60))
+
+    watching = asyncio.create_task(watch())
+    await asyncio.gather(*(one(p, k, start + seconds, period, figures) for k, p in enumerate(pages)))
+    watching.cancel()
+    figures.memory.append((time.monotonic() - start, resident_mb(pid)))
+    for page in pages:
+        await page.close()
+    return figures
+
+
+def served(port: int, *words: str) -> "subprocess.Popen[str]":
+    """A server that answers already."""
+    command = [sys.executable, "-m", "spatialviz", "view", "--port", str(port), "--no-open-browser", *words]
+    server = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    end = time.monotonic() + SERVED_WITHIN
+    while time.monotonic() < end:
+        try:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}", timeout=1):
+                return server
+        except OSError:
+            time.sleep(0.1)
+    server.kill()
+    raise SystemExit("the page was not served")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=10)
+    parser.add_argument("--clients", type=int, default=20)
+    parser.add_argument("--period", type=float, default=5, help="seconds between what one page does")
+    parser.add_argument("--port", type=int, default=PORT)
+    parser.add_argument("--check", action="store_true", help="fail where more is sent, kept or lost than may be")
+    given = parser.parse_args()
+    server = served(given.port)
+    try:
+        figures = asyncio.run(run(given.port, server.pid, given.clients, given.minutes * 60, given.period))
+    finally:
+        server.terminate()
+        server.wait(30)
+    figures.say()
+    if given.check:
+        assert not figures.lost, figures.lost
+        most = {k: max(p + s for p, s in zip(figures.page[k], figures.scene[k], strict=True)) for k in figures.page}
+        assert most["selection"] < MOST_SELECTION, most
+        assert most["frame"] < MOST_FRAME, most
+        assert figures.first
+        assert max(figures.first) < MOST_FIRST, figures.first
+        assert figures.memory[-1][1] < 1500, figures.memory[-1]
+
+
+if __name__ == "__main__":
+    main()
