@@ -23,11 +23,11 @@ from pipeline.language.naming import DETERMINERS, Synonyms, default_synonyms
 from pipeline.language.relation_names import MIRRORED, PHRASE
 from pipeline.language.tokens import Vocabulary, check_text, label_of, tokenize, vocabulary
 from pipeline.language.tree import Attachment, Node, Query, Reading, Role, Span, described
-from pipeline.system.chat.client import ChatClient, ServerError
-from pipeline.system.errors import InputError, require
+from pipeline.system.chat.client import ChatClient
+from pipeline.system.errors import InputError, ServerError, require
 
-MOST_CHARACTERS = 20_000
-"""No tree of a sentence is longer."""
+MOST_CHARACTERS, MOST_THINGS = 20_000, 100
+"""No tree of a sentence is longer, and nobody counts further."""
 
 _TASK = """Read what a sentence asks for in a picture of a room, as a tree: the thing that is asked for, how it looks
 (attributes), which of several such things it is (choices), and its relations to other things, which may have relations
@@ -95,7 +95,8 @@ class LlmReader:
             The sentence cannot be read at all, or the second reply is no tree of it either; the message says why.
         """
         known = vocabulary(tuple(class_names), synonyms or default_synonyms())
-        names = [t.name for t in tokenize(check_text(text), known) if t.name is not None]
+        with_unused(check_text(text), known, ())  # What no tree can say is refused, and nobody is asked.
+        names = [t.name for t in tokenize(text, known) if t.name is not None]
         prompt = _TASK + ", ".join(f"{name} ({phrase})" for name, phrase in PHRASE.items())
         prompt += f"\nNames that belong together: {', '.join(names)}" if names else ""
         prompt += f"\nSentence: {text}"
@@ -151,8 +152,8 @@ class _Found:
         label = self._name(node.label)
         label = " ".join([*(words[0].lower() for words in said.values()), name]) if label == name else label
         choices = tuple(replace(c, text=self._own(c.text, c.order)) for c in node.choices)
-        require(all(c.rank is None or c.rank >= 1 for c in choices), "a choice counts from 1", got=choices)
-        require(node.count is None or node.count >= 1, "a number of things is 1 or more", got=node.count)
+        numbers = [n for n in (node.count, *(c.rank for c in choices)) if n is not None]
+        require(all(1 <= n <= MOST_THINGS for n in numbers), "a number", got=numbers, expected=f"1 to {MOST_THINGS}")
         self.said.append(("reference" if mention else "target", mention, [node.label, label, node.head, name]))
         self.said.extend(("attribute", mention, words) for words in said.values())
         self.said.extend(("choice", mention, [c.text]) for c in choices)

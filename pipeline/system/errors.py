@@ -164,3 +164,19 @@ def listed(names: Sequence[str], limit: int = 12) -> str:
     names = sorted(set(names))
     more = len(names) - limit
     return ", ".join(names[:limit]) + (f" and {more} more" if more > 0 else "")
+
+
+class ServerError(InputError):
+    """A server that gives no answer, after all tries.
+
+    Attributes
+    ----------
+    status : int or None
+        HTTP status; None where there was no reply.
+    everywhere : bool
+        Whether every other question would fail in the same way.
+    """
+
+    def __init__(self, what: str, *, status: int | None, everywhere: bool, **more: Any) -> None:
+        super().__init__(what, **more)
+        self.status, self.everywhere = status, everywhere

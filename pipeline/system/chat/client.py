@@ -28,7 +28,7 @@ from pipeline.system.chat.protocol import (
     request_body,
 )
 from pipeline.system.chat.transport import Failure, checked_base, map_ordered, send
-from pipeline.system.errors import InputError, listed, require
+from pipeline.system.errors import InputError, ServerError, listed, require
 from pipeline.system.paths import cache_folder
 
 KEY_VARIABLE = "SPATIALVIZ_VLM_KEY"
@@ -39,22 +39,6 @@ one client, and a run can be repeated. A server that asks for more than the long
 
 _MODELS_TIMEOUT_S = 10.0
 _REFUSALS_OF_A_MODEL = (400, 404, 422)
-
-
-class ServerError(InputError):
-    """A server that gives no answer, after all tries.
-
-    Attributes
-    ----------
-    status : int or None
-        HTTP status; None where there was no reply.
-    everywhere : bool
-        Whether every other question would fail in the same way.
-    """
-
-    def __init__(self, what: str, *, status: int | None, everywhere: bool, **more: Any) -> None:
-        super().__init__(what, **more)
-        self.status, self.everywhere = status, everywhere
 
 
 class _Stopped(Exception):
