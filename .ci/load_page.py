@@ -13,7 +13,7 @@ import time
 import urllib.request
 from collections import Counter, defaultdict
 from contextlib import suppress
-from itertools import cycle
+from itertools import cycle, islice
 from pathlib import Path
 from secrets import token_hex
 
@@ -94,7 +94,8 @@ class Client:
                 await connection.close()
         for task in self._tasks:
             task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        for end in await asyncio.gather(*self._tasks, return_exceptions=True):
+            assert end is None or isinstance(end, asyncio.CancelledError), end
 
     async def _hear(self) -> None:
         assert self.page is not None
@@ -114,11 +115,11 @@ class Client:
             async for data in self.scene:
                 assert isinstance(data, bytes)
                 size = int.from_bytes(data[8:16], "little")
-                for message in msgspec.msgpack.decode(zstandard.decompress(data[16 : 16 + size]))["messages"]:
-                    if message["type"] == "PointCloudMessage":
-                        props = message["props"]
-                        width = 6 if props["precision"] == "float16" else 12
-                        self.cloud[message["name"]] += (width + 3) * props["points"]["shape"][0]
+                window = msgspec.msgpack.decode(zstandard.decompress(data[16 : 16 + size]))
+                for message in window["messages"]:
+                    for name, value in message.get("props", {}).items():
+                        if message["type"] == "PointCloudMessage" and name in ("points", "colors"):
+                            self.cloud[message["name"]] += window["binaryBufferLengths"][value["__binary_index"]]
                 self.last = time.monotonic()
 
     async def send(self, command: str) -> None:
@@ -208,7 +209,8 @@ def _kb(values: list[int]) -> str:
 async def one(client: Client, number: int, until: float, period: float, figures: Figures) -> None:
     """What one person does."""
     await asyncio.sleep(period * number / 20)
-    for kind, command in steps(number):
+    # Not all of them change the frame at once.
+    for kind, command in islice(steps(number), number % 8, None):
         if time.monotonic() >= until:
             return
         start, (page, scene) = time.monotonic(), client.taken

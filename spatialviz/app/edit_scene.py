@@ -158,7 +158,7 @@ class EditScene:
         background = 34.0 if state.dark else 244.0
         colors = by_winner[found.winner[rows, columns]] * strength + background * (1 - strength)
         corners = found.corners @ self._scene.to_show.T
-        corners[..., 2] = _above(state.loaded.cloud.points, corners) + MAP_LIFT
+        corners[..., 2] = over_floor(state.loaded.cloud.points, corners[0, 0], corners[-1, -1]) + MAP_LIFT
         steps = ((0, 0), (0, 1), (1, 1), (1, 0))
         vertices = np.stack([corners[rows + r, columns + c] for r, c in steps], axis=1).reshape(-1, 3)
         first = 4 * np.arange(len(rows))[:, None]
@@ -204,13 +204,13 @@ def _dead_zone(region: Region) -> np.ndarray:
     return np.array([[edge - reach, edge + reach] for edge in edges])
 
 
-def _above(points: np.ndarray, corners: np.ndarray) -> float:
-    """The height ((N, 3) points of the cloud, shown frame) over which nearly none of the floor's own points lie.
+def over_floor(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+    """The height over which nearly none of the floor's points ((N, 3), shown frame) lie, between two of its corners.
 
-    Depth is noisy: a map in the floor itself would show as specks between its points.
+    Depth is noisy: what lies in the floor itself shows as specks between its points.
     """
-    low, high, floor = corners[0, 0, :2], corners[-1, -1, :2], corners[0, 0, 2]
-    near = (np.abs(points[:, 2] - floor) < FLOOR_NOISE) & ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
+    floor, across = low[2], points[:, :2]
+    near = (np.abs(points[:, 2] - floor) < FLOOR_NOISE) & ((across > low[:2]) & (across < high[:2])).all(axis=1)
     return float(np.percentile(points[near, 2], 98)) if near.any() else float(floor)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.measure import surface_point
+from spatialviz.app.edit_scene import over_floor
 from spatialviz.app.frames import Cloud, LoadedFrame
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView, Tag, triple
@@ -73,10 +74,11 @@ class SceneAids:
         self._grid, self._gridded = [], wanted
         if loaded is None or wanted is None:
             return
-        low, high = np.percentile(loaded.cloud.points[:, :2], [1, 99], axis=0)
-        height = floor_height(loaded) + GRID_LIFT
+        low, high = np.percentile(loaded.cloud.points, [1, 99], axis=0)
+        low[2] = high[2] = floor_height(loaded)
+        height = over_floor(loaded.cloud.points, low, high) + GRID_LIFT
         for name, color, width, lines in zip(
-            ("cells", "fine"), GRID_COLORS[dark], (1.6, 0.8), grid_lines(low, high, height), strict=True
+            ("cells", "fine"), GRID_COLORS[dark], (1.6, 0.8), grid_lines(low[:2], high[:2], height), strict=True
         ):
             self._grid.append(
                 self._client.scene.add_line_segments(
