@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import Any
@@ -12,17 +11,17 @@ import numpy as np
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
 from pipeline.diagnosis.whatif.placement import Placement, place_in_region
 from pipeline.diagnosis.whatif.region import Region, region_of
-from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.palette import RGB, Role, palette
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE, RELATIONS
 from pipeline.relations.relations import Profile, letter
 from pipeline.system.errors import InputError
-from spatialviz.app.glb import unlit_glb
+from spatialviz.app.context import Context, Part
+from spatialviz.app.frame_cloud import set_changed, unlit_glb
 from spatialviz.app.markup import Element, dot, h
-from spatialviz.app.scene import SceneView
-from spatialviz.app.scene_client import SceneClient
+from spatialviz.app.scene import edges
 from spatialviz.app.state import State
 
 HOLDS: RGB = (38, 166, 154)
@@ -48,21 +47,17 @@ def winner_colors(found: DecisionMap, state: State) -> dict[int, RGB]:
     return {k: next(others) if role is None else colors[role] for k, role in roles.items()}
 
 
-class EditScene:
+class EditScene(Part):
     """Draws into one client's scene, beside what `SceneView` draws."""
 
-    def __init__(self, client: SceneClient, scene: SceneView) -> None:
-        self._client, self._scene = client, scene
-        self._lines: dict[str, Any] = {}
-        self._region: list[Any] = []
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
         self._of: tuple[object, ...] | None = None
-        self._map: list[Any] = []
         self._mapped: tuple[Any, ...] | None = None
-        self._middle: Any = None
 
     def draw(self, state: State, found: DecisionMap | None, keep_map: bool) -> None:
         """Bring all of it up to a state; `keep_map` leaves the map as it is."""
-        with self._client.atomic():
+        with self.ctx.client.atomic():
             self._draw_boxes(state)
             self._draw_region(state)
             if not keep_map:
@@ -78,61 +73,56 @@ class EditScene:
             touched = {*state.edits.boxes, *state.edits.masks, *(key for _, key in state.edits.confidences)}
             for key, entry in zip(edited.after.keys, edited.after.trace.objects, strict=True):
                 if key in touched and entry.lifted.box is not None:
-                    now.append(entry.lifted.box)
+                    now.append(self.ctx.scene.shown_box(entry.lifted.box))
             for key in (*state.edits.boxes, *state.edits.masks, *state.edits.hidden):
                 box = before[key].lifted.box if key in before else None
                 if box is not None:
-                    were.append(box)
+                    were.append(self.ctx.scene.shown_box(box))
         color = palette(state.dark)["edited"]
-        grown = [Box3D(b.center, b.R, b.size + OUTLINE_GROWTH) for b in now]
-        self._set("/edit/now", self._edges(grown), color, 2.6)
-        self._set("/edit/before", self._edges(were), color, 1.0)
+        self.ctx.client.lines("/edit/now", edges(now, OUTLINE_GROWTH), color, 2.6)
+        self.ctx.client.lines("/edit/before", edges(were), color, 1.0)
 
     def _draw_region(self, state: State) -> None:
         asked = asked_pair(state) if state.flags.region and state.loaded is not None else None
         marks = None if asked is None else (state.source, state.frame_id, state.dark, *asked.marks)
         if marks != self._of:
-            for handle in self._region:
-                handle.remove()
-            self._region, self._of = [], marks
+            self.ctx.client.clear("/region/")
+            self._of = marks
             region = None if asked is None else asked.region
             if region is not None:
                 self._add_region(region, state.dark)
         known = asked is not None and bool(np.isfinite(asked.target.lo).all())
-        if self._middle is None and known:
-            self._middle = self._client.scene.add_icosphere("/region/target", 0.014, cast_shadow=False)
-        if self._middle is None:
-            return
-        if self._middle.visible != known:
-            self._middle.visible = known
-        if asked is None or not known:
-            return
-        self._middle.position = self._scene.to_show @ (asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2)
-        self._middle.color = {**REGION_COLORS, "F": FAILS}[letter(asked.placement.state)]
+        target = self.ctx.client.scene.nodes.get("/region/target")
+        if target is None and known:
+            target = self.ctx.client.scene.add_icosphere("/region/target", 0.014, cast_shadow=False)
+        if target is not None:
+            set_changed(target, visible=known)
+        if target is not None and asked is not None and known:
+            middle = asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2
+            target.position = self.ctx.scene.to_show @ middle
+            target.color = {**REGION_COLORS, "F": FAILS}[letter(asked.placement.state)]
 
     def _add_region(self, region: Region, dark: bool) -> None:
-        scene, R = self._client.scene, self._scene.to_show.T
+        scene, lines, R = self.ctx.client.scene, self.ctx.client.lines, self.ctx.scene.to_show.T
         for patch in region.patches:
             corners = (patch.triangles @ R).reshape(-1, 3).astype(np.float32)
-            self._region.append(
-                scene.add_mesh_simple(
-                    f"/region/{patch.label}",
-                    corners,
-                    np.arange(len(corners)).reshape(-1, 3),
-                    color=REGION_COLORS[patch.label],
-                    opacity=OPACITY[patch.label],
-                    side="double",
-                    cast_shadow=False,
-                    receive_shadow=False,
-                )
+            scene.add_mesh_simple(
+                f"/region/{patch.label}",
+                corners,
+                np.arange(len(corners)).reshape(-1, 3),
+                color=REGION_COLORS[patch.label],
+                opacity=OPACITY[patch.label],
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
             )
             if len(patch.lines):
-                lines, color = (patch.lines @ R).astype(np.float32), REGION_COLORS[patch.label]
-                self._region.append(self._segments(f"/region/{patch.label}-rim", lines, color, 1.6))
+                rim, color = (patch.lines @ R).astype(np.float32), REGION_COLORS[patch.label]
+                lines(f"/region/{patch.label}-rim", rim, color, 1.6)
         if region.dead_zone > 0:
-            edges = (_dead_zone(region) @ R).astype(np.float32)
+            strip = (_dead_zone(region) @ R).astype(np.float32)
             color = (245, 247, 250) if dark else (24, 26, 30)
-            self._region.append(self._segments("/region/dead-zone", edges, color, 1.2))
+            lines("/region/dead-zone", strip, color, 1.2)
 
     def _draw_map(self, found: DecisionMap | None, state: State) -> None:
         shown = None if found is None else (found, state.dark, tuple(winner_colors(found, state).items()))
@@ -143,9 +133,8 @@ class EditScene:
             and self._mapped[1:] == shown[1:]
         ):
             return
-        for node in self._map:
-            node.remove()
-        self._map, self._mapped = [], shown
+        self.ctx.client.clear("/map/")
+        self._mapped = shown
         if found is None or state.loaded is None:
             return
         rows, columns = np.nonzero(found.winner >= 0)
@@ -157,7 +146,7 @@ class EditScene:
         strength = (0.4 + 0.6 * np.clip(found.margin[rows, columns], 0, 1))[:, None]
         background = 34.0 if state.dark else 244.0
         colors = by_winner[found.winner[rows, columns]] * strength + background * (1 - strength)
-        corners = found.corners @ self._scene.to_show.T
+        corners = found.corners @ self.ctx.scene.to_show.T
         corners[..., 2] = over_floor(state.loaded.cloud.points, corners[0, 0], corners[-1, -1]) + MAP_LIFT
         steps = ((0, 0), (0, 1), (1, 1), (1, 0))
         vertices = np.stack([corners[rows + r, columns + c] for r, c in steps], axis=1).reshape(-1, 3)
@@ -166,30 +155,8 @@ class EditScene:
         cells = np.repeat(np.round(colors).astype(np.uint8), 4, axis=0)
         data = unlit_glb(vertices.astype(np.float32), faces, cells, MAP_OPACITY)
         rims = (_rims(found.winner, corners) + np.array([0, 0, MAP_LIFT / 4])).astype(np.float32)
-        self._map = [
-            self._client.scene.add_glb("/map/areas", data, cast_shadow=False, receive_shadow=False),
-            self._segments("/map/rims", rims, (245, 247, 250) if state.dark else (24, 26, 30), 1.6),
-        ]
-
-    def _edges(self, boxes: Sequence[Box3D]) -> np.ndarray:
-        if not boxes:
-            return np.zeros((0, 2, 3), np.float32)
-        return np.concatenate([self._scene.shown_box(b).corners[EDGES] for b in boxes]).astype(np.float32)
-
-    def _segments(self, name: str, points: np.ndarray, color: RGB, width: float) -> Any:
-        return self._client.scene.add_line_segments(name, points, color, thickness=width, thickness_units="screen")
-
-    def _set(self, name: str, points: np.ndarray, color: RGB, width: float) -> None:
-        """Lines of a name, made once and then moved."""
-        handle = self._lines.get(name)
-        if handle is None:
-            if len(points):
-                self._lines[name] = self._segments(name, points, color, width)
-            return
-        if len(points):
-            handle.points = points
-            handle.colors = np.array(color, np.uint8)
-        handle.visible = bool(len(points))
+        self.ctx.client.scene.add_glb("/map/areas", data, cast_shadow=False, receive_shadow=False)
+        self.ctx.client.lines("/map/rims", rims, (245, 247, 250) if state.dark else (24, 26, 30), 1.6)
 
 
 def _dead_zone(region: Region) -> np.ndarray:

@@ -8,9 +8,9 @@ from pipeline.datasets import Dataset, has_moves, moves
 from spatialviz.app import sentences_html
 from spatialviz.app.answer import answer_html
 from spatialviz.app.beside import agreement_html
+from spatialviz.app.context import Shared
 from spatialviz.app.layout import Page
 from spatialviz.app.picture import depth_bar, image_html, log_html, objects_html
-from spatialviz.app.shared import Shared
 from spatialviz.app.stage_objects import object_html
 from spatialviz.app.stages import stages_html
 from spatialviz.app.state import State

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Literal
+from threading import Lock
+from typing import Any
 
 import numpy as np
 import viser.transforms as vtf
 
 from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
-from spatialviz.app.scene_client import SceneClient
+from spatialviz.app.context import Context
+from spatialviz.app.frame_cloud import set_changed
+from spatialviz.app.state import EditMode
 
-EditMode = Literal["off", "move", "turn", "resize"]
 MODES: tuple[EditMode, ...] = ("off", "move", "turn", "resize")
 FACES = tuple((axis, side) for axis in range(3) for side in (-1, 1))
 
@@ -26,16 +28,18 @@ class BoxGizmo:
 
     Parameters
     ----------
-    client : SceneClient
+    ctx : Context
     dragged : callable
-        Gets the box as it is now, and whether the handle was let go. It is called on viser's own loop, in order, and
-        must return at once.
+        Gets the box as it is now (camera frame), and whether the handle was let go, on the page's own thread. Only the
+        latest box counts where the page is still busy with one before.
     root : str
         Scene node under which they stand.
     """
 
-    def __init__(self, client: SceneClient, dragged: Callable[[Box3D, bool], None], root: str = "/edit") -> None:
-        self._client, self._dragged, self._root = client, dragged, root
+    def __init__(self, ctx: Context, dragged: Callable[[Box3D, bool], None], root: str = "/edit") -> None:
+        self._ctx, self._client, self._dragged, self._root = ctx, ctx.client, dragged, root
+        self._latest: tuple[Box3D, bool] | None = None
+        self._lock = Lock()
         self._main: Any = None
         self._faces: list[Any] = []
         self._box: Box3D | None = None
@@ -65,10 +69,10 @@ class BoxGizmo:
 
     def _place(self, box: Box3D, mode: EditMode) -> None:
         main, span = self._main, float(box.size.max())
-        _set(main, visible=mode != "resize")
+        set_changed(main, visible=mode != "resize")
         if mode != "resize" and main is not self._held:
             turning = mode == "turn"
-            _set(
+            set_changed(
                 main,
                 disable_axes=turning,
                 disable_sliders=turning,
@@ -79,13 +83,13 @@ class BoxGizmo:
             main.position = box.center
             main.wxyz = vtf.SO3.from_z_radians(_yaw(box)).wxyz if turning else np.array([1.0, 0.0, 0.0, 0.0])
         for handle, (axis, side) in zip(self._faces, FACES, strict=True):
-            _set(handle, visible=mode == "resize")
+            set_changed(handle, visible=mode == "resize")
             if mode != "resize" or handle is self._held:
                 continue
             normal, along = box.R[:, axis] * side, box.R[:, (axis + 1) % 3]
             handle.position = box.center + normal * box.size[axis] / 2
             handle.wxyz = vtf.SO3.from_matrix(np.stack([normal, along, np.cross(normal, along)], axis=1)).wxyz
-            _set(handle, scale=float(np.clip(0.5 * span, 0.07, 0.24)))
+            set_changed(handle, scale=float(np.clip(0.5 * span, 0.07, 0.24)))
 
     def _make(self) -> None:
         scene = self._client.scene
@@ -121,7 +125,16 @@ class BoxGizmo:
             if ended:
                 self._start, self._held, self._pulled = None, None, False
             if pulled:
-                self._dragged(box, ended)
+                with self._lock:
+                    before, self._latest = self._latest, (box, ended or (self._latest or (box, False))[1])
+                if before is None:
+                    self._ctx.post(self._follow)
+
+    def _follow(self) -> None:
+        with self._lock:
+            latest, self._latest = self._latest, None
+        if latest is not None:
+            self._dragged(self._ctx.scene.camera_box(latest[0]), latest[1])
 
     def _moved(self, start: tuple[Box3D, np.ndarray], handle: Any) -> Box3D:
         box, was = start
@@ -147,10 +160,3 @@ def _matrix(handle: Any) -> np.ndarray:
 
 def _yaw(box: Box3D) -> float:
     return float(np.arctan2(box.R[1, 0], box.R[0, 0]))
-
-
-def _set(handle: Any, **values: Any) -> None:
-    """Set what differs; viser sends every assignment."""
-    for name, value in values.items():
-        if getattr(handle, name) != value:
-            setattr(handle, name, value)

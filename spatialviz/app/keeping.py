@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,10 @@ from pipeline.diagnosis.asking import answer
 from pipeline.diagnosis.cases.saving import save_case
 from pipeline.diagnosis.whatif import edits_record
 from pipeline.diagnosis.whatif.state import ViewState, encode
-from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.shared_makers import shares_of_answer
 from pipeline.system.errors import InputError
+from spatialviz.app.context import Context, Part, command
 from spatialviz.app.judging import Judge
-from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.markup import h
 from spatialviz.app.state import State
 from spatialviz.report import Subject, failure_page
@@ -34,54 +33,17 @@ def folder_name(text: str) -> str:
     return re.sub(r"(?:[^A-Za-z0-9._-]|-)+", "-", text).strip("-._")[:LONGEST_NAME].rstrip("-._")
 
 
-class Keeping:
-    """Saves what one client looks at.
+class Keeping(Part):
+    """Saves what one client looks at."""
 
-    Parameters
-    ----------
-    page : Page
-    dialog : Dialog
-    sources : mapping of str to Source
-    runs : mapping of str to Run
-        By name of the source.
-    judge : Judge
-    opened_by : sequence of str
-        The words of the command line that opened the page, for the commands that open it again.
-    state : callable
-        Gives the client's state.
-    view : callable
-        Gives it as the view of a state string.
-    note : callable
-        Writes a line of the log.
-    """
+    def __init__(self, ctx: Context, judge: Judge, view: Callable[[], ViewState]) -> None:
+        super().__init__(ctx)
+        self._judge, self._view = judge, view
 
-    def __init__(
-        self,
-        page: Page,
-        dialog: Dialog,
-        sources: Mapping[str, Pipeline],
-        runs: Mapping[str, Run],
-        judge: Judge,
-        opened_by: Sequence[str],
-        *,
-        state: Callable[[], State],
-        view: Callable[[], ViewState],
-        note: Callable[[str], None],
-    ) -> None:
-        self._page, self._dialog, self._sources, self._runs, self._judge = page, dialog, sources, runs, judge
-        self._opened_by, self._state, self._view, self._note = tuple(opened_by), state, view, note
-
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "keep-case": lambda _: self.ask_name(),
-            "save-case": self.save,
-            "report": lambda _: self.report(),
-        }
-
+    @command("keep-case")
     def ask_name(self) -> None:
         """Ask where the case is to be saved."""
-        state = self._state()
+        state = self.state
         if state.trace is None:
             self._fail(InputError("there is no answer to save", cause="ask something first"))
             return
@@ -95,12 +57,13 @@ class Keeping:
             h.code("spatialviz replay"),
             " runs it again and says whether the answer is still the same.",
         )
-        self._dialog.show(
+        self.ctx.dialog.show(
             "Save this answer as a case",
             (h.div(h.span(f"{CASES}/", cls="dim"), field, cls="case"), h.div(hint, cls="dim small")),
             h.button("Save", local="send:save-case:"),
         )
 
+    @command("save-case")
     def save(self, name: str) -> None:
         """Save the answer as a case in a new folder."""
         clean = folder_name(name)
@@ -111,7 +74,7 @@ class Keeping:
             if folder.exists():
                 raise InputError("there is a case of this name already", expected="another name", path=folder)
             source, context, state, given = self._given()
-            run = self._runs.get(state.source)
+            run = self.ctx.shared.runs.get(state.source)
             view = self._view()
             origin = {} if run is None else {"run": str(run.folder), "expression": view.expression_id}
             save_case(folder, source, context, state.text, run=origin, **given)
@@ -119,8 +82,8 @@ class Keeping:
             self._fail(error)
             return
         replay = shlex.join(["spatialviz", "replay", str(folder)])
-        self._note(f"case saved: {replay}")
-        self._dialog.show(
+        self.ctx.note(f"case saved: {replay}")
+        self.ctx.dialog.show(
             "Saved",
             (
                 h.div("The case is in ", h.code(str(folder.resolve())), ". Run it again with"),
@@ -130,11 +93,12 @@ class Keeping:
             h.button("Copy the command", local="copy"),
         )
 
+    @command("report")
     def report(self) -> None:
         """Send the answer as one page that holds all it needs."""
         from spatialviz.report.scene import scene_html
 
-        self._page.toast("Report", "The page is being made.")
+        self.ctx.page.toast("Report", "The page is being made.")
         try:
             source, context, state, given = self._given()
             answered = answer(source, context, state.text, **given)
@@ -143,15 +107,15 @@ class Keeping:
             self._fail(error)
             return
         name = f"{folder_name(f'{state.text}-{state.frame_id}') or 'answer'}.html"
-        self._page.download(name, report.encode("utf-8", "replace"))
-        self._note(f"report made: {name}")
+        self.ctx.page.download(name, report.encode("utf-8", "replace"))
+        self.ctx.note(f"report made: {name}")
 
     def _given(self) -> tuple[Pipeline, PreparedFrame, State, dict[str, Any]]:
         """What is asked of which frame, and what is known of the truth."""
-        state = self._state()
+        state = self.state
         if state.trace is None or state.loaded is None:
             raise InputError("there is no answer to keep", cause="ask something first")
-        source, context = self._sources[state.source], state.loaded.context
+        source, context = self.ctx.shared.store.sources[state.source], state.loaded.context
         truth = self._judge.truth(state.source, source, context)
         known = self._judge.known(state.source, context, truth, self._view().expression_id)
         edits = state.edits
@@ -163,13 +127,19 @@ class Keeping:
             string = encode(view)
         except InputError:
             string = None
-        commands = () if string is None else (shlex.join(["spatialviz", *self._opened_by, "--state", string]),)
+        commands = (
+            () if string is None else (shlex.join(["spatialviz", *self.ctx.shared.opened_by, "--state", string]),)
+        )
         facts = () if view.run is None else (("run", view.run), ("expression", view.expression_id or answered.text))
-        name = self._state().source
-        run = self._runs.get(name)
-        shares = shares_of_answer(self._sources[name], self._judge.labels(name)) if run is None else run.shares
+        name = self.state.source
+        run = self.ctx.shared.runs.get(name)
+        shares = (
+            shares_of_answer(self.ctx.shared.store.sources[name], self._judge.labels(name))
+            if run is None
+            else run.shares
+        )
         return Subject(view.dataset, view.frame, commands, string, facts, shares)
 
     def _fail(self, error: InputError) -> None:
-        self._note(str(error))
-        self._dialog.refuse(str(error))
+        self.ctx.note(str(error))
+        self.ctx.dialog.refuse(str(error))

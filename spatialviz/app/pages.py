@@ -25,8 +25,8 @@ from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from spatialviz.app.access import Access
 from spatialviz.app.channel import Hello, read
+from spatialviz.app.context import Shared
 from spatialviz.app.session import Session
-from spatialviz.app.shared import Shared
 from spatialviz.app.site import PAGE_ID
 
 MAX_CLIENTS = 24

@@ -23,13 +23,11 @@ from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError
+from spatialviz.app.context import Context, Part, command
 from spatialviz.app.correct import Correct
 from spatialviz.app.images import jpeg_url
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.layout import Page
 from spatialviz.app.pixels_html import PART_COLORS, PixelScene, around, mask_url, outlines, told_of
-from spatialviz.app.scene import SceneView
-from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.selection import Selection
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
@@ -39,37 +37,12 @@ LONGEST = 400_000
 """Characters of a message."""
 
 
-class Pixels:
-    """Draws the pixels of one object after the other.
+class Pixels(Part):
+    """Draws the pixels of one object after the other."""
 
-    Parameters
-    ----------
-    client : SceneClient
-    page : Page
-    scene : SceneView
-    correct : Correct
-        Saves.
-    selection : Selection
-    state, take, draw, note : callable
-        As of `Correct`.
-    """
-
-    def __init__(
-        self,
-        client: SceneClient,
-        page: Page,
-        scene: SceneView,
-        correct: Correct,
-        selection: Selection,
-        *,
-        state: Callable[[], State],
-        take: Callable[[State], None],
-        draw: Callable[[], None],
-        note: Callable[[str], None],
-    ) -> None:
-        self._page, self._correct, self._selection = page, correct, selection
-        self._state, self._take, self._draw, self._note = state, take, draw, note
-        self._scene = PixelScene(client, scene)
+    def __init__(self, ctx: Context, correct: Correct, selection: Selection) -> None:
+        super().__init__(ctx)
+        self._correct, self._selection, self._scene = correct, selection, PixelScene(ctx)
         self._drafts: dict[tuple[str, str], Draft] = {}
         self._open: tuple[str, str] | None = None
         self._canvas: tuple[tuple[str, str], Canvas] | None = None
@@ -82,45 +55,28 @@ class Pixels:
         self._disputed: tuple[tuple[str, str], Conflict] | None = None
         correct.on_saved(self._decided)
 
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "px-tool": self.choose,
-            "px-new": self.new,
-            "px-select": self.select,
-            "px-draw": self.drawn,
-            "px-hand": self.hand,
-            "px-undo": lambda _: self._stepped("undo"),
-            "px-redo": lambda _: self._stepped("redo"),
-            "px-apart": lambda _: self._changed(lambda draft, canvas: with_depth_split(draft, canvas)),
-            "px-apply": self.apply,
-            "px-cancel": lambda _: self.close(),
-            "px-view": self.look,
-            "px-picture": self.paint,
-            "px-merge": lambda _: self.merge(),
-        }
-
     # ---- which object, which tool -----------------------------------------------------
 
     @property
     def _key(self) -> tuple[str, str]:
-        return self._state().source, self._state().frame_id
+        return self.state.source, self.state.frame_id
 
     @property
     def _draft(self) -> Draft | None:
         return self._drafts.get(self._key) if self._open == self._key else None
 
     def _selected(self) -> int | None:
-        state = self._state()
+        state = self.state
         return None if state.labels is None or state.selected is None else state.labels.numbers[state.selected]
 
     def _labels(self) -> LabelView | None:
         """What labels are shown; says so where there are none."""
-        view = self._state().labels
+        view = self.state.labels
         if view is None:
-            self._note("not done: show the labels first")
+            self.ctx.note("not done: show the labels first")
         return view
 
+    @command("px-tool")
     def choose(self, tool: str) -> None:
         """Take a tool; where nothing is open yet, begin on the selected object."""
         view = self._labels()
@@ -132,6 +88,7 @@ class Pixels:
             self._begin(view, self._selected(), resume=True)
         self.follow()
 
+    @command("px-new")
     def new(self, where: str) -> None:
         """Begin a new object: drawn, by clicks in the scene ("scene"), or in a rectangle of the picture (fractions)."""
         view = self._labels()
@@ -161,6 +118,7 @@ class Pixels:
         if number is None and self._tool == "cut":
             self._tool = "brush"
 
+    @command("px-select")
     def select(self, fractions: str) -> None:
         """Draw on the object at a place of the picture."""
         draft = self._draft
@@ -170,6 +128,11 @@ class Pixels:
             return
         self._selection.select_at(fractions)
 
+    @command("px-apart")
+    def _split(self) -> None:
+        self._changed(with_depth_split)
+
+    @command("px-cancel")
     def close(self) -> None:
         """Drop the draft."""
         self._drafts.pop(self._key, None)
@@ -178,6 +141,7 @@ class Pixels:
 
     # ---- drawing ----------------------------------------------------------------------
 
+    @command("px-draw")
     def drawn(self, said: str) -> None:
         """A movement of the hand: "7:{...}"; 7 is told back, so that the page knows what is done."""
         number, _, text = said.partition(":")
@@ -195,6 +159,7 @@ class Pixels:
 
         self._changed(lambda draft, canvas: with_gesture(draft, gesture(draft), canvas))
 
+    @command("px-hand")
     def hand(self, said: str) -> None:
         """How clicks in the scene count: "true:0.015", adding or removing, and how alike a surface must be."""
         adds, _, tolerance = said.partition(":")
@@ -237,9 +202,10 @@ class Pixels:
             desk = self._correct.desk
             if desk is None or desk.corrector.relifter is None:
                 raise InputError("the pictures are not at hand")
-            self._canvas = self._key, Canvas(desk.corrector.relifter.context(self._state().frame_id))
+            self._canvas = self._key, Canvas(desk.corrector.relifter.context(self.state.frame_id))
         return self._canvas[1]
 
+    @command("px-undo=undo", "px-redo=redo")
     def _stepped(self, which: str) -> None:
         draft = self._draft
         if draft is None:
@@ -251,13 +217,14 @@ class Pixels:
             self.follow()
         else:
             self._correct.taken_back(which)
-            view = self._state().labels
+            view = self.state.labels
             if view is not None:
                 self._tell(view.said, view.bad)
             self.follow()
 
     # ---- saving -----------------------------------------------------------------------
 
+    @command("px-apply")
     def apply(self, said: str) -> None:
         """Save the draft as one action: {"stay", "label"}; with "stay" the editor remains open."""
         view, draft = self._labels(), self._draft
@@ -278,12 +245,12 @@ class Pixels:
         self._label, self._saving = label, True
         if not stay:
             # Closed at once: drawing the whole page takes longer than saving.
-            self._page.call("pixels", {"on": False})
+            self.ctx.page.call("pixels", {"on": False})
         try:
             outcome = self._correct.save(lambda _: made)
         finally:
             self._saving = False
-        after = self._state().labels
+        after = self.state.labels
         if isinstance(outcome, Conflict):
             self._disputed = self._key, outcome
         if outcome is None or isinstance(outcome, Conflict) or after is None:
@@ -292,14 +259,14 @@ class Pixels:
             return
         number, self._label, self._disputed = made[0].ref.numbers[0], "", None
         self._drafts.pop(self._key, None)
-        state = self._state()
-        self._take(replace(state, selected=after.place(number)))
+        state = self.state
+        self.state = replace(state, selected=after.place(number))
         self._tell(after.said, after.bad)
         if stay:
             self._begin(after, None if draft.number is None else number)
         else:
             self._open = None
-        self._draw()
+        self.ctx.draw()
 
     def _decided(self, events: tuple[Event, ...]) -> None:
         """Drop the draft that was in dispute, once it was saved after all."""
@@ -310,25 +277,26 @@ class Pixels:
             self._disputed = None
             self.close()
 
+    @command("px-merge")
     def merge(self) -> None:
         """Make the selected object a part of the one that was selected before it."""
         view = self._labels()
         if view is None:
             return
-        pair = self._state().pair
+        pair = self.state.pair
         if pair is None or pair[0] == pair[1]:
-            self._page.toast("Not done", "Select two objects, one after the other.")
+            self.ctx.page.toast("Not done", "Select two objects, one after the other.")
             return
         numbers = view.numbers[pair[1]], view.numbers[pair[0]]
         if self._correct.save(lambda frame: merge_objects(frame, numbers)) is None:
             return
-        after = self._state().labels
+        after = self.state.labels
         if after is not None:
-            self._take(replace(self._state(), selected=after.place(numbers[0])))
-            self._draw()
+            self.ctx.show(selected=after.place(numbers[0]))
 
     # ---- what is shown ----------------------------------------------------------------
 
+    @command("px-view")
     def look(self, view: str) -> None:
         """Draw on the "picture", or by clicks in the "scene"."""
         if view in ("picture", "scene"):
@@ -336,6 +304,7 @@ class Pixels:
             self._tell("")
             self.follow()
 
+    @command("px-picture")
     def paint(self, kind: str) -> None:
         """Show the picture's "rgb" or its "depth"."""
         if kind in ("rgb", "depth"):
@@ -349,19 +318,19 @@ class Pixels:
         """Bring the editor up to the state and the draft."""
         if self._saving:
             return
-        state = self._state()
+        state = self.state
         view = state.labels
         if self._open is not None and (view is None or self._open != self._key):
             self._open = None
         draft = self._draft
         if draft is None or view is None or state.loaded is None:
             self._scene.clear()
-            self._page.call("pixels", {"on": False})
+            self.ctx.page.call("pixels", {"on": False})
             return
         selected = self._selected()
         if draft.number is not None and draft.number not in view.frame.objects:
             self._drafts.pop(self._key)
-            self._note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
+            self.ctx.note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
             self._open = None
             self.follow()
             return
@@ -383,7 +352,7 @@ class Pixels:
         else:
             self._scene.clear()
             picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
-            self._page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
+            self.ctx.page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
         fresh = draft.number is None
         row = None if draft.number is None else view.frame.objects[draft.number]
         data: dict[str, Any] = {
@@ -412,7 +381,7 @@ class Pixels:
             "bad": self._bad,
             "info": told_of(draft, lifted, parts),
         }
-        self._page.call("pixels", data)
+        self.ctx.page.call("pixels", data)
 
 
 def _rectangle(corners: list[str], draft: Draft) -> Gesture:

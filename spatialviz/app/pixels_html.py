@@ -16,10 +16,9 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import decode_crop
 from pipeline.geometry.palette import ON_DARK, RGB, instance_colors, palette
+from spatialviz.app.context import Part
 from spatialviz.app.images import png_url
 from spatialviz.app.markup import BAD, IDLE, Element, h, note
-from spatialviz.app.scene import SceneView
-from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import State
 
 TOOLS = {
@@ -113,22 +112,16 @@ POINT = 0.004
 MOST_POINTS = 60_000
 
 
-class PixelScene:
+class PixelScene(Part):
     """Draws into one client's scene, beside what `SceneView` draws."""
-
-    def __init__(self, client: SceneClient, scene: SceneView) -> None:
-        self._client, self._scene = client, scene
-        self._handles: list[Any] = []
 
     def clear(self) -> None:
         """Show nothing."""
-        for handle in self._handles:
-            handle.remove()
-        self._handles = []
+        self.ctx.client.clear("/draft/")
 
     def draw(self, frame: Frame, mask: np.ndarray, box: Box3D | None, dark: bool) -> None:
         """Show a mask's points, towards the viewer of the cloud they lie in, and a box (camera frame)."""
-        with self._client.atomic():
+        with self.ctx.client.atomic():
             self.clear()
             color = palette(dark)["edited"]
             v, u = np.nonzero(mask & (frame.depth > 0))
@@ -136,17 +129,11 @@ class PixelScene:
             v, u = v[::step], u[::step]
             if len(v):
                 points = lift_pixels(frame.depth[v, u] * np.float32(0.995), frame.camera, v, u)
-                shown = (points @ self._scene.to_show.T.astype(np.float32)).astype(np.float32)
-                self._handles.append(
-                    self._client.scene.add_point_cloud(
+                shown = (points @ self.ctx.scene.to_show.T.astype(np.float32)).astype(np.float32)
+                self.ctx.client.scene.add_point_cloud(
                         "/draft/points", shown, color, point_size=POINT, precision="float32", point_shading="flat",
                         point_shape="square",
-                    )
-                )  # fmt: skip
+                    )  # fmt: skip
             if box is not None:
-                lines = self._scene.shown_box(box).corners[EDGES].astype(np.float32)
-                self._handles.append(
-                    self._client.scene.add_line_segments(
-                        "/draft/box", lines, color, thickness=2.6, thickness_units="screen"
-                    )
-                )
+                lines = self.ctx.scene.shown_box(box).corners[EDGES].astype(np.float32)
+                self.ctx.client.lines("/draft/box", lines, color, 2.6)

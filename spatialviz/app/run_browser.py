@@ -69,6 +69,11 @@ class Listing:
         return max(1, -(-len(self.keys) // PAGE))
 
     @property
+    def open_row(self) -> dict[str, Any]:
+        """That of the open one, where its page is shown."""
+        return next((r for r in self.rows if (r["frame"], r["id"]) == self.at), {})
+
+    @property
     def place(self) -> int | None:
         """The open one among those that match."""
         return self.keys.index(self.at) if self.at in self.keys else None

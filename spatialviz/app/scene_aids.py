@@ -6,11 +6,11 @@ import numpy as np
 
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.measure import surface_point
+from spatialviz.app.context import Context, Part
 from spatialviz.app.edit_scene import over_floor
 from spatialviz.app.frames import Cloud, LoadedFrame
-from spatialviz.app.layout import Page
-from spatialviz.app.scene import SceneView, Tag, triple
-from spatialviz.app.scene_client import Node, SceneClient
+from spatialviz.app.scene import Tag
+from spatialviz.app.scene_client import triple
 from spatialviz.app.state import State
 
 CELL, FINE = 1.0, 0.25
@@ -23,42 +23,46 @@ INK = {True: "#f5f7fa", False: "#181a1e"}
 TAG = "/tags/measured"
 
 
-class SceneAids:
+class SceneAids(Part):
     """Draws them into one client's scene and page."""
 
-    def __init__(self, client: SceneClient, page: Page, scene: SceneView) -> None:
-        self._client, self._page, self._scene = client, page, scene
-        self._grid: list[Node] = []
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
         self._gridded: tuple[Cloud, bool] | None = None
-        self._anchor: Node | None = None
 
-    def follow(self, state: State) -> list[Tag]:
-        """Bring them up to a state; returns the names that are to be shown."""
+    def follow(self) -> list[Tag]:
+        """Bring them up to the state; returns the names that are to be shown."""
+        state = self.state
         loaded = state.loaded
-        self._scene.scale_points(state.point_size)
         self._draw_grid(loaded if state.flags.grid else None, state.dark)
         if loaded is None:
-            self._page.call("scale", None)
-            self._page.call("measure", None)
+            self.ctx.page.call("scale", None)
+            self.ctx.page.call("measure", None)
             return []
-        self._page.call("scale", self._looked_at(state, loaded))
+        self.ctx.page.call("scale", self._looked_at(state, loaded))
         frame = loaded.context.frame
-        ends = [self._scene.to_show @ surface_point(frame.depth, frame.camera, mark) for mark in state.marks]
-        self._page.call("measure", {"on": state.picking == "measure", "points": [_rounded(end) for end in ends]})
+        ends = [self.ctx.scene.to_show @ surface_point(frame.depth, frame.camera, mark) for mark in state.marks]
+        self.ctx.page.call("measure", {"on": state.picking == "measure", "points": [_rounded(end) for end in ends]})
         found = state.measured
         if found is None:
             return []
-        if self._anchor is None:
-            self._anchor = self._client.scene.add_frame(TAG, show_axes=False)
-        self._anchor.position = triple((ends[0] + ends[1]) / 2)
         half = np.abs(ends[1] - ends[0]) / 2
         parts = ", ".join(word.replace(" m ", " ") for word in found.words)
-        return [Tag(TAG, f"{found.distance:.3f} m", parts, INK[state.dark], True, extent=triple(half))]
+        return [
+            Tag(
+                self.ctx.client.anchor(TAG, (ends[0] + ends[1]) / 2),
+                f"{found.distance:.3f} m",
+                parts,
+                INK[state.dark],
+                True,
+                extent=triple(half),
+            )
+        ]
 
     def _looked_at(self, state: State, loaded: LoadedFrame) -> dict[str, object]:
         """The point whose depth the scale is of: the middle of the chosen pair, else of the cloud."""
         ends = [] if state.pair is None else [state.shown.objects[i].lifted.box for i in state.pair[:2]]
-        centers = [self._scene.to_show @ box.center for box in ends if box is not None]
+        centers = [self.ctx.scene.to_show @ box.center for box in ends if box is not None]
         if centers and state.pair is not None:
             return {"center": _rounded(np.mean(centers, axis=0)), "name": state.shown.names[state.pair[0]]}
         points = loaded.cloud.points
@@ -69,9 +73,8 @@ class SceneAids:
         wanted = None if loaded is None or not len(loaded.cloud.points) else (loaded.cloud, dark)
         if wanted == self._gridded:
             return
-        for node in self._grid:
-            node.remove()
-        self._grid, self._gridded = [], wanted
+        self.ctx.client.clear("/grid/")
+        self._gridded = wanted
         if loaded is None or wanted is None:
             return
         low, high = np.percentile(loaded.cloud.points, [1, 99], axis=0)
@@ -80,11 +83,7 @@ class SceneAids:
         for name, color, width, lines in zip(
             ("cells", "fine"), GRID_COLORS[dark], (1.6, 0.8), grid_lines(low[:2], high[:2], height), strict=True
         ):
-            self._grid.append(
-                self._client.scene.add_line_segments(
-                    f"/grid/{name}", lines, color, thickness=width, thickness_units="screen"
-                )
-            )
+            self.ctx.client.lines(f"/grid/{name}", lines, color, width)
 
 
 def floor_height(loaded: LoadedFrame) -> float:

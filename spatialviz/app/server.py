@@ -28,9 +28,9 @@ from pipeline.system.errors import InputError
 from pipeline.system.worker_pool import one_thread
 from spatialviz.app.access import Access
 from spatialviz.app.channel import answering, end_all
+from spatialviz.app.context import Shared
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.pages import MAX_CLIENTS, Pages
-from spatialviz.app.shared import Shared
 from spatialviz.app.site import Site, served_by
 
 ENDS_WITHIN = 10.0

@@ -13,17 +13,16 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Edits, Outcome
-from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.palette import Role
 from spatialviz.app.frames import LoadedFrame
-from spatialviz.app.gizmo import EditMode
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.place import Place, Task
 from spatialviz.app.run_browser import Listing
-from spatialviz.app.scene import Ghost, SceneFlags
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
+EditMode = Literal["off", "move", "turn", "resize"]
 Layers = Literal["both", "a", "b"]
 CameraMode = Literal["pair", "sensor", "orbit", "top"]
 Tool = Literal["", "level", "measure"]
@@ -76,6 +75,42 @@ class OtherAnswer:
         if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
             return None
         return self.trace.ranking.pairs[0]
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """A box beside the answer's: of the label, or of another run's answer.
+
+    Attributes
+    ----------
+    key, text : str
+    box : Box3D
+        Camera frame.
+    role : str
+        "truth" for the label's, "edited" for the other run's.
+    """
+
+    key: str
+    text: str
+    box: Box3D
+    role: Role
+
+
+@dataclass(frozen=True)
+class SceneFlags:
+    """What is shown."""
+
+    cloud: bool = True
+    boxes: bool = False
+    labels: bool = False
+    pairs: bool = True
+    truth: bool = False
+    axes: bool = False
+    context: bool = False
+    camera: bool = False
+    ghosts: bool = True
+    region: bool = False
+    grid: bool = False
 
 
 @dataclass(frozen=True)
@@ -168,6 +203,13 @@ class State:
     def task(self) -> Task:
         """What the page is for now."""
         return "label" if self.labels is not None else "evaluate" if self.evaluating else "explain"
+
+    def expression_id(self, text: str) -> str | None:
+        """The id of the run's expression that is open, where it is the one that is asked."""
+        listing = self.listing
+        if listing is None or listing.at is None or listing.at[0] != self.frame_id:
+            return None
+        return listing.at[1] if listing.open_row.get("text") == text else None
 
     @property
     def unasked(self) -> State:

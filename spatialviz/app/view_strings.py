@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -15,87 +15,36 @@ from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.whatif import Edits
 from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState, decode, encode
-from pipeline.evaluation.run_folder import Run
 from pipeline.system.errors import InputError
-from spatialviz.app.layout import Dialog
+from spatialviz.app.context import Context, Part, command
 from spatialviz.app.markup import h
 from spatialviz.app.place import Place
 from spatialviz.app.run_panel import RunPanel
-from spatialviz.app.scene import SceneFlags
-from spatialviz.app.state import State
+from spatialviz.app.state import SceneFlags, State
 from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
-from spatialviz.app.viewpoint import Viewpoint
 
 
-class ViewStrings:
-    """Writes the view of one client as a string, and takes one back.
+class ViewStrings(Part):
+    """Writes the view of one client as a string, and takes one back."""
 
-    Parameters
-    ----------
-    dialog : Dialog
-    sources : mapping of str to Source
-    runs : mapping of str to Run
-        By name of the source.
-    panel : RunPanel
-    viewpoint : Viewpoint
-    state : callable
-        Gives the client's state.
-    take : callable
-        Takes a new one.
-    go : callable
-        Looks at a place.
-    ask : callable
-        Asks an expression again.
-    show_context : callable
-        Brings the room around the frame up to the state.
-    draw : callable
-    note : callable
-        Writes a line of the log.
-    """
-
-    def __init__(
-        self,
-        dialog: Dialog,
-        sources: Mapping[str, Pipeline],
-        runs: Mapping[str, Run],
-        panel: RunPanel,
-        viewpoint: Viewpoint,
-        *,
-        state: Callable[[], State],
-        take: Callable[[State], None],
-        go: Callable[[Place], None],
-        ask: Callable[[str], None],
-        show_context: Callable[[], None],
-        draw: Callable[[], None],
-        note: Callable[[str], None],
-    ) -> None:
-        self._dialog, self._sources, self._runs = dialog, sources, runs
-        self._panel, self._viewpoint = panel, viewpoint
-        self._state, self._take, self._go, self._ask = state, take, go, ask
-        self._show_context, self._draw, self._note = show_context, draw, note
+    def __init__(self, ctx: Context, panel: RunPanel) -> None:
+        super().__init__(ctx)
+        self._panel = panel
         self._waiting: ViewState | None = None
-
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "copy-state": lambda _: self.copy(),
-            "paste-state": lambda _: self.paste(),
-            "restore": self.restore,
-            "restore-with": self._confirm,
-        }
 
     def now(self) -> ViewState:
         """What is looked at."""
-        state = self._state()
-        run = self._runs.get(state.source)
+        state = self.state
+        run = self.ctx.shared.runs.get(state.source)
         return view_of(
             state,
-            self._sources[state.source],
-            self._viewpoint.turned_to(),
+            self.ctx.shared.store.sources[state.source],
+            self.ctx.scene.viewpoint.turned_to(),
             None if run is None else str(run.folder.resolve()),
-            self._panel.expression(state.frame_id, state.text),
+            state.expression_id(state.text),
         )
 
+    @command("copy-state")
     def copy(self) -> None:
         """Put the view into the clipboard, and show it to be copied by hand."""
         try:
@@ -108,7 +57,7 @@ class ViewStrings:
             h.code("spatialviz view --state STRING"),
             ".",
         )
-        self._dialog.show(
+        self.ctx.dialog.show(
             "This view as a string",
             (
                 h.textarea(string, cls="state", rows=5, readonly=True, spellcheck="false", aria_label="The string"),
@@ -117,12 +66,13 @@ class ViewStrings:
             ),
             h.button("Copy again", local="copy"),
         )
-        self._dialog.copy()
-        self._note("view copied as a string")
+        self.ctx.dialog.copy()
+        self.ctx.note("view copied as a string")
 
+    @command("paste-state")
     def paste(self) -> None:
         """Ask for a string."""
-        self._dialog.show(
+        self.ctx.dialog.show(
             "Open a view from its string",
             h.textarea(
                 cls="state", rows=5, autofocus=True, spellcheck="false", placeholder="sv1:…", aria_label="The string"
@@ -130,6 +80,7 @@ class ViewStrings:
             h.button("Open", local="send:restore:"),
         )
 
+    @command("restore")
     def restore(self, string: str) -> None:
         """Show the view of a string; say so where that is not possible."""
         try:
@@ -148,14 +99,14 @@ class ViewStrings:
 
     def _show(self, view: ViewState, confirmed: bool) -> None:
         """Show a view; InputError where it is of a dataset or a frame that is not here."""
-        if view.dataset not in self._sources:
-            opened = ", ".join(self._sources)
+        if view.dataset not in self.ctx.shared.store.sources:
+            opened = ", ".join(self.ctx.shared.store.sources)
             raise InputError("the view is of a dataset that is not open here", got=view.dataset, expected=opened)
-        if view.frame not in self._sources[view.dataset].dataset.frame_ids:
+        if view.frame not in self.ctx.shared.store.sources[view.dataset].dataset.frame_ids:
             raise InputError(f"{view.dataset} has no such frame", got=view.frame)
         if view.edits.scorer not in SHIPPED_SCORERS and not confirmed:
             self._waiting = view
-            self._dialog.show(
+            self.ctx.dialog.show(
                 "This view wants to load a file",
                 (
                     h.div("It scores relations with this network. Load only what you trust."),
@@ -165,9 +116,10 @@ class ViewStrings:
                 h.button("Without it", do="restore-with:no"),
             )
             return
-        self._dialog.close()
+        self.ctx.dialog.close()
         self._look(view)
 
+    @command("restore-with")
     def _confirm(self, answer: str) -> None:
         """What to do with the scorer of the view that waits."""
         view, self._waiting = self._waiting, None
@@ -175,43 +127,41 @@ class ViewStrings:
             self.open(view if answer == "file" else replace(view, edits=view.edits.with_scorer(None)), confirmed=True)
 
     def _look(self, view: ViewState) -> None:
-        if view.dataset != self._state().source:
-            self._go(Place(view.dataset))
-        run = self._runs.get(view.dataset)
+        if view.dataset != self.state.source:
+            self.ctx.go(Place(view.dataset))
+        run = self.ctx.shared.runs.get(view.dataset)
         if view.run is not None and (run is None or run.folder.resolve().name != Path(view.run).name):
-            self._note(f"the view is of the run {view.run}, which is not open here")
+            self.ctx.note(f"the view is of the run {view.run}, which is not open here")
         elif view.expression_id is not None:
             self._panel.reveal(view.frame, view.expression_id)
-        before = self._state()
-        self._take(with_settings(before, view))
-        self._go(Place(view.dataset, view.frame, view.expression))
-        if self._state().flags.context != before.flags.context:
-            self._show_context()
-        if view.edits != self._state().edits:
+        before = self.state
+        self.state = with_settings(before, view)
+        self.ctx.go(Place(view.dataset, view.frame, view.expression))
+        if view.edits != self.state.edits:
             self._edit(view)
-        self._take(with_objects(self._state(), self._sources[view.dataset], view))
-        self._draw()
-        if self._state().loaded is not None:
+        self.state = with_objects(self.state, self.ctx.shared.store.sources[view.dataset], view)
+        self.ctx.draw()
+        if self.state.loaded is not None:
             if view.camera is None:
-                self._viewpoint.place(self._state().camera)
+                self.ctx.scene.viewpoint.place(self.state.camera)
             else:
                 fov = view.toggles.get(FOV)
-                self._viewpoint.turn_to(view.camera, float(fov) if isinstance(fov, (int, float)) else None)
-        self._note("view opened from its string")
+                self.ctx.scene.viewpoint.turn_to(view.camera, float(fov) if isinstance(fov, (int, float)) else None)
+        self.ctx.note("view opened from its string")
 
     def _edit(self, view: ViewState) -> None:
         """Ask again with the edits of a view; without any where they cannot be applied."""
-        self._take(replace(self._state(), edits=view.edits))
+        self.state = replace(self.state, edits=view.edits)
         try:
-            self._ask(view.expression)
+            self.ctx.ask(view.expression)
         except InputError:
-            self._take(replace(self._state(), edits=Edits(), edited=None))
-            self._ask(view.expression)
+            self.state = replace(self.state, edits=Edits(), edited=None)
+            self.ctx.ask(view.expression)
             raise
 
     def _fail(self, error: InputError) -> None:
-        self._note(str(error))
-        self._dialog.refuse(str(error))
+        self.ctx.note(str(error))
+        self.ctx.dialog.refuse(str(error))
 
 
 BEGINS = re.compile(r"\s*sv[0-9]{1,6}:")
