@@ -18,11 +18,11 @@ from pipeline.geometry.palette import depth_ends, palette
 from spatialviz.app.channel import Call
 from spatialviz.app.context import Context, Shared
 from spatialviz.app.edit_scene import OTHERS, map_legend, winner_colors
+from spatialviz.app.frame_cloud import SceneAids, floor_height, grid_lines
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.layout import Page
 from spatialviz.app.picture import depth_bar
 from spatialviz.app.scene import Tag
-from spatialviz.app.scene_aids import SceneAids, floor_height, grid_lines
 from spatialviz.app.selection import Pointing
 from spatialviz.app.state import State, shown_objects
 from spatialviz.app.view_strings import view_of, with_settings

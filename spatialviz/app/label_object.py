@@ -24,7 +24,7 @@ from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.correct import Correct
 from spatialviz.app.edit_panel import STATUS_WORDS, numbers_said, object_html, rejected_html, saved_html
-from spatialviz.app.gizmo import BoxGizmo
+from spatialviz.app.edit_scene import BoxGizmo
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.markup import h, panel
 from spatialviz.app.review_html import pair_html

@@ -13,8 +13,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import depth_colors, depth_ends, hex_color, palette
 from spatialviz.app.beside import name_tag, second_overlay
 from spatialviz.app.frame_cloud import frame_colors
-from spatialviz.app.frames import FrameStore
-from spatialviz.app.images import jpeg_url, png_url
+from spatialviz.app.frames import FrameStore, jpeg_url, png_url
 from spatialviz.app.markup import Child, Element, chosen, h, heading, named, note, panel
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State

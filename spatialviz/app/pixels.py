@@ -25,7 +25,7 @@ from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.correct import Correct
-from spatialviz.app.images import jpeg_url
+from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.pixels_html import PART_COLORS, PixelScene, around, mask_url, outlines, told_of
 from spatialviz.app.selection import Selection

@@ -17,7 +17,7 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import decode_crop
 from pipeline.geometry.palette import ON_DARK, RGB, instance_colors, palette
 from spatialviz.app.context import Part
-from spatialviz.app.images import png_url
+from spatialviz.app.frames import png_url
 from spatialviz.app.markup import BAD, IDLE, Element, h, note
 from spatialviz.app.state import State
 

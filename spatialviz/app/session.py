@@ -23,23 +23,21 @@ from spatialviz.app.beside import BesideLayer
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Shared, command, commands_of
 from spatialviz.app.filling import fill_answer, fill_page
-from spatialviz.app.frame_cloud import FrameCloud
+from spatialviz.app.frame_cloud import FrameCloud, SceneAids
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
-from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import Keys, meant
 from spatialviz.app.label_view import Target
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
 from spatialviz.app.run_panel import RunPanel, RunTab
-from spatialviz.app.scene_aids import SceneAids
 from spatialviz.app.selection import LevelSurface, Pointing, Selection
 from spatialviz.app.stages import opened
 from spatialviz.app.state import NOTHING, shown_objects
 from spatialviz.app.toolbar import offers
 from spatialviz.app.view_settings import FrameSteps, ViewSettings
-from spatialviz.app.view_strings import BEGINS, ViewStrings
+from spatialviz.app.view_strings import BEGINS, Keeping, ViewStrings
 from spatialviz.app.what_if import WhatIf
 
 LOG_LENGTH = 200

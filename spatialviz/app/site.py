@@ -25,7 +25,7 @@ from websockets.extensions.permessage_deflate import ServerPerMessageDeflateFact
 from websockets.http11 import Request, Response
 
 from spatialviz.app.access import Access
-from spatialviz.app.images import IMAGES
+from spatialviz.app.frames import IMAGES
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
 """Whose scene a socket of viser's shows, while its connection is handled."""

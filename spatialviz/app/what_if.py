@@ -20,8 +20,7 @@ from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.edit_messages import edited_by
 from spatialviz.app.edit_panel import cost_html, edit_html
-from spatialviz.app.edit_scene import EditScene, map_legend
-from spatialviz.app.gizmo import MODES, BoxGizmo
+from spatialviz.app.edit_scene import MODES, BoxGizmo, EditScene, map_legend
 from spatialviz.app.state import Edited, Shown, State, shown_objects
 
 UNDOS = 200
