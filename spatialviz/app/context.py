@@ -16,6 +16,7 @@ from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
+from pipeline.system.errors import InputError
 from spatialviz.app.channel import Channel, Incoming
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.layout import Dialog, Page
@@ -91,9 +92,12 @@ class Context:
         Times and lines of what happened.
     closed : threading.Event
         Set when the page has gone.
+    leave : list of callable
+        Called then, such as to listen no more to what runs on for others.
     """
 
     def __init__(self, page_id: str, shared: Shared) -> None:
+        self.leave: list[Callable[[], None]] = []
         self.shared, self.log, self.closed = shared, list[tuple[str, str]](), threading.Event()
         source, opened = next(iter(shared.store.sources.items()))
         first = opened.dataset.frame_ids[0]
@@ -119,6 +123,11 @@ class Context:
         """Write a line of the log."""
         self.log = [*self.log, (datetime.now().strftime("%H:%M:%S"), text)][-LOG_LENGTH:]
 
+    def fail(self, error: InputError) -> None:
+        """Say why something cannot be done."""
+        self.note(str(error))
+        self.dialog.refuse(str(error))
+
     def show(self, **changes: Any) -> None:
         """Change what is looked at, and draw it."""
         self.state = replace(self.state, **changes)
@@ -126,39 +135,30 @@ class Context:
 
     def receive(self, message: Incoming) -> None:
         """Do what the browser says."""
-        raise NotImplementedError
 
     def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
         """A click in the scene: the pixel that was hit, and the boxes on the way, the smallest first."""
-        raise NotImplementedError
 
     def handle(self, message: str) -> None:
         """Carry out a command such as "pair:3"; unknown ones are ignored."""
-        raise NotImplementedError
 
     def draw(self, live: bool = False) -> None:
         """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""
-        raise NotImplementedError
 
     def say_address(self) -> None:
         """Have the address say what is looked at."""
-        raise NotImplementedError
 
     def go(self, place: Place) -> None:
         """Look at a place; what it does not say stays as it is."""
-        raise NotImplementedError
 
     def open_frame(self, frame_id: str) -> None:
         """Show another frame."""
-        raise NotImplementedError
 
     def reopen(self) -> None:
         """Open the frame anew, with its question."""
-        raise NotImplementedError
 
     def ask(self, text: str) -> None:
         """Ask the frame that is shown."""
-        raise NotImplementedError
 
 
 class Part:

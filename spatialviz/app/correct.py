@@ -147,12 +147,6 @@ class Correct(Part):
         selected = standing[0] if standing else None
         self.state = _looking_at(replace(state.unasked, labels=None), view, chosen, selected)
 
-    def leave_item(self) -> None:
-        """Close the item of the review queue; its pair stays chosen."""
-        state = self.state
-        if state.labels is not None:
-            self.ctx.show(labels=replace(state.labels, item=None))
-
     def renew(self) -> None:
         """Look at the labels again after they changed; what is selected and chosen stays by its number."""
         state, desk = self.state, self.desk
@@ -211,11 +205,6 @@ class Correct(Part):
         """Have something called with the events of everything that this client saves or takes back."""
         self._listeners.append(listener)
 
-    @property
-    def waits(self) -> bool:
-        """Whether something could not be saved yet."""
-        return self.desk is not None and bool(self.desk.waiting)
-
     def settle(
         self, ends: tuple[int, int], relation: str | None, state: int, *, last_word: bool = False, sure: bool = False
     ) -> bool:
@@ -267,10 +256,6 @@ class Correct(Part):
             return None
         self.came_to(outcome, "saved", draw)
         return outcome
-
-    def redraw(self) -> None:
-        """Draw the page."""
-        self.ctx.draw()
 
     def came_to(self, outcome: Outcome | None, verb: str, draw: bool = True) -> None:
         """Show what came of an action, and what followed from it."""

@@ -41,6 +41,8 @@ class FrameCloud(Part):
         loaded, viewpoint = state.loaded, scene.viewpoint
         anew, self.place_anew = self.place_anew or viewpoint.untouched, False
         was, self._loaded = self._loaded, loaded
+        about = state.about
+        other = viewpoint.look_about(about)
         if loaded is None:
             scene.cloud, self._parts, self._painted = None, [], ()
             self.ctx.client.clear("/cloud/")
@@ -57,6 +59,8 @@ class FrameCloud(Part):
                 if anew:
                     viewpoint.place(state.camera)
                 self.ctx.post(lambda: self._complete(loaded))
+        if other and about is not None and state.camera == "pair" and viewpoint.untouched:
+            viewpoint.place("pair")
         self.dress()
         self._show_room(state)
 

@@ -25,7 +25,7 @@ class Labelling:
     def __init__(self, ctx: Context, selection: Selection) -> None:
         self.correct = correct = Correct(ctx)
         self.pixels = Pixels(ctx, correct, selection)
-        self._object = LabelObject(ctx, correct)
+        self.object = LabelObject(ctx, correct)
         self._queue = ReviewQueue(ctx, correct)
         self._retrain = RetrainPanel(ctx, user_data_path("spatialviz") / "retrained")
         conflicts = Conflicts(ctx, correct)
@@ -33,7 +33,7 @@ class Labelling:
         self.parts = (
             correct,
             self.pixels,
-            self._object,
+            self.object,
             self._queue,
             self._retrain,
             Sentences(ctx, correct),
@@ -48,15 +48,6 @@ class Labelling:
         self._queue.follow()
         self._retrain.draw()
         self.pixels.follow()
-
-    def follow_object(self, live: bool) -> None:
-        """Bring the handles and the Edit tab up to the state; `live` follows a drag."""
-        self._object.follow(live)
-
-    def close(self) -> None:
-        """End what is running."""
-        self._retrain.close()
-        self._queue.close()
 
 
 PERIOD_SECONDS = 2.0

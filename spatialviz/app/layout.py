@@ -132,10 +132,6 @@ class Dialog:
         self.title, self._parts = title, (h.div(content, cls="content"), h.div(row, close, cls="buttons"))
         self._draw()
 
-    def copy(self) -> None:
-        """Put the text of its field into the clipboard."""
-        self._page.call("copy")
-
     def refuse(self, problem: str) -> None:
         """Say why something cannot be done: in the open dialog, else in the corner of the page."""
         if self.title:

@@ -97,8 +97,7 @@ class Pixels(Part):
         draft = self._drafts.get(self._key)
         if draft is not None and draft.changed:
             self._open = self._key
-            self._tell("apply or cancel this one first", True)
-            self.follow()
+            self._say("apply or cancel this one first", True)
             return
         self._tool, self._view = ("depth", "scene") if where == "scene" else ("rectangle", "picture")
         self._tell("")
@@ -123,8 +122,7 @@ class Pixels(Part):
         """Draw on the object at a place of the picture."""
         draft = self._draft
         if draft is not None and draft.changed:
-            self._tell("apply or cancel this one first", True)
-            self.follow()
+            self._say("apply or cancel this one first", True)
             return
         self._selection.select_at(fractions)
 
@@ -174,8 +172,7 @@ class Pixels(Part):
         if self._draft is None or self._view != "scene":
             return False
         if pixel is None:
-            self._tell("no point of the cloud is there", True)
-            self.follow()
+            self._say("no point of the cloud is there", True)
             return True
         at = [[pixel[0] + 0.5, pixel[1] + 0.5]]
 
@@ -239,8 +236,7 @@ class Pixels(Part):
             made = edits_of_draft(draft, view.frame, label)
         except InputError as error:
             self._drafts[self._key] = rebased(draft, view.frame)
-            self._tell(str(error), True)
-            self.follow()
+            self._say(str(error), True)
             return
         self._label, self._saving = label, True
         if not stay:
@@ -254,8 +250,7 @@ class Pixels(Part):
         if isinstance(outcome, Conflict):
             self._disputed = self._key, outcome
         if outcome is None or isinstance(outcome, Conflict) or after is None:
-            self._tell("not saved" if after is None else after.said, True)
-            self.follow()
+            self._say("not saved" if after is None else after.said, True)
             return
         number, self._label, self._disputed = made[0].ref.numbers[0], "", None
         self._drafts.pop(self._key, None)
@@ -301,8 +296,7 @@ class Pixels(Part):
         """Draw on the "picture", or by clicks in the "scene"."""
         if view in ("picture", "scene"):
             self._view = view
-            self._tell("")
-            self.follow()
+            self._say("")
 
     @command("px-picture")
     def paint(self, kind: str) -> None:
@@ -310,6 +304,10 @@ class Pixels(Part):
         if kind in ("rgb", "depth"):
             self._kind = kind
             self.follow()
+
+    def _say(self, said: str, bad: bool = False) -> None:
+        self._tell(said, bad)
+        self.follow()
 
     def _tell(self, said: str, bad: bool = False) -> None:
         self._said, self._bad = said, bad

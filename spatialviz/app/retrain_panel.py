@@ -24,15 +24,10 @@ class RetrainPanel(Part):
         super().__init__(ctx)
         self._folder, journals = folder, ctx.shared.journals
         self._last = {name: place.jobs.training.seen for name, place in journals.items()}
-        self._leave = [
+        ctx.leave += [
             place.jobs.training.listen(lambda name=name: ctx.post(lambda: self._follow(name)))
             for name, place in journals.items()
         ]
-
-    def close(self) -> None:
-        """Listen no more; what runs goes on, for those who stay or come back."""
-        for leave in self._leave:
-            leave()
 
     @property
     def _training(self) -> TrainingProgress:

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from pipeline.corrections.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.corrections.review.detector_evidence import second_setup
 from pipeline.corrections.review.items import BLOCK, ItemKey
@@ -44,17 +43,12 @@ class ReviewQueue(Part):
         self._kind = "all"
         self._ahead: tuple[str, str] | None = None
         self._doubted: tuple[str, str] | None = None
-        correct.on_saved(self._saved)
+        correct.on_saved(lambda _: self._caught_up())
         correct.on_doubt = self._doubt
-        self._leave = [
+        ctx.leave += [
             place.jobs.queue.listen(lambda name=name: ctx.post(lambda: self._made(name)))
             for name, place in ctx.shared.journals.items()
         ]
-
-    def close(self) -> None:
-        """Listen no more; what is being made goes on, for those who stay or come back."""
-        for leave in self._leave:
-            leave()
 
     @property
     def _work(self) -> Worklist | None:
@@ -152,9 +146,6 @@ class ReviewQueue(Part):
                 self._works[name] = work
         return work
 
-    def _saved(self, _: tuple[Event, ...]) -> None:
-        self._caught_up()
-
     # ---- walking ----------------------------------------------------------------------
 
     @command("next-item")
@@ -165,7 +156,7 @@ class ReviewQueue(Part):
             return
         if step < 0:
             found = self._item
-            while (found := work.previous(found)) is not None and not self._fits(found):
+            while (found := work.previous(found)) is not None and self._kind not in ("all", found.kind):
                 pass
         else:
             found = self._next(work, self._item)
@@ -174,9 +165,6 @@ class ReviewQueue(Part):
 
     def _next(self, work: Worklist, after: ItemKey | None) -> ItemKey | None:
         return work.next_item(after, kind=None if self._kind == "all" else self._kind)
-
-    def _fits(self, key: ItemKey) -> bool:
-        return self._kind in ("all", key.kind)
 
     @command("item")
     def open(self, place: int) -> None:
@@ -266,7 +254,7 @@ class ReviewQueue(Part):
             self.ctx.dialog.close()
         own = item is not None and (item.what, item.a, item.b) == (relation, *ends)
         if not (own and item is not None and self._go_on(item)):
-            self._correct.redraw()
+            self.ctx.draw()
 
     def _doubt(self, card: PairCard, line: RelationLine, state: int) -> None:
         """Ask before a judgement is saved that geometry contradicts."""
@@ -287,7 +275,7 @@ class ReviewQueue(Part):
         """Look at the item no longer; the keys act on what is selected again."""
         view = self.state.labels
         if view is not None and view.item is not None:
-            self._correct.leave_item()
+            self.ctx.show(labels=replace(view, item=None))
 
     @command("accept-item=accepted", "reject-item=rejected", "unsure-item=unsure")
     def say(self, status: str) -> None:
@@ -311,11 +299,11 @@ class ReviewQueue(Part):
             return set_status(frame, cell, status, author=desk.author)
 
         if self._correct.save(made, draw=False) and (item is None or not self._go_on(item)):
-            self._correct.redraw()
+            self.ctx.draw()
 
     def _go_on(self, item: ItemKey) -> bool:
-        work = self._work
-        after = None if work is None or self._correct.waits else self._next(work, item)
+        work, desk = self._work, self._correct.desk
+        after = None if work is None or desk is None or desk.waiting else self._next(work, item)
         if after is None or after.plain == item.plain:
             return False
         self.look_at(after)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from dataclasses import asdict, replace
 
-import numpy as np
 import viser
 
 from pipeline.answering.ask import Trace
@@ -84,7 +83,8 @@ class Session(Context):
 
     def close(self) -> None:
         self.closed.set()
-        self._labels.close()
+        for leave in self.leave:
+            leave()
         self.post(self._forget)
         self.channel.close()
 
@@ -265,7 +265,7 @@ class Session(Context):
         if frame_id == self.state.frame_id and not first:
             return
         self._begun = True
-        self._show_working("finding the objects")
+        self.page.call("working", "finding the objects")
         stays = self._labels.correct.stays and asking is None
         # A frame that the labels lack is shown with its answer, and why is said.
         correcting = stays and (desk := self._labels.correct.desk) is not None and frame_id in desk
@@ -328,7 +328,7 @@ class Session(Context):
         loaded = self.state.loaded
         if loaded is None:
             return
-        self._show_working("answering")
+        self.page.call("working", "answering")
         self.state = replace(self.state.unasked, text=text, selected=self.state.selected)
         self.page.call("question", text)
         self._asked = tuple(dict.fromkeys((text, *self._asked)))[:RECENT]
@@ -402,10 +402,6 @@ class Session(Context):
 
     # ---- drawing --------------------------------------------------------------------
 
-    def _show_working(self, what: str) -> None:
-        """Say at once what is being done; the drawing that follows takes it away."""
-        self.page.call("working", what)
-
     def draw(self, live: bool = False) -> None:
         """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""
         if live:
@@ -434,24 +430,9 @@ class Session(Context):
         self._runs.follow()
         self._figures.follow()
         self._labels.follow()
-        about = self._about()
-        other = self.scene.viewpoint.look_about(about)
         self._cloud.follow()
-        if other and about is not None and state.camera == "pair" and self.scene.viewpoint.untouched:
-            self.scene.viewpoint.place("pair")
         self._draw_scene()
         self.say_address()
-
-    def _about(self) -> np.ndarray | None:
-        """Corners of the chosen pair's boxes, and of those that the labels have in their place."""
-        state = self.state
-        if state.pair is None or state.loaded is None:
-            return None
-        boxes = [state.shown.objects[i].lifted.box for i in state.roles] + [ghost.box for ghost in state.ghosts]
-        viewer = state.loaded.context.viewer
-        to_show = np.stack([viewer.right, viewer.forward, viewer.up])
-        corners = [box.corners @ to_show.T for box in boxes if box is not None]
-        return np.concatenate(corners) if corners else None
 
     def _draw_scene(self, live: bool = False) -> None:
         """Boxes, pair lines and names, and what belongs to the edits; `live` follows a drag."""
@@ -459,4 +440,4 @@ class Session(Context):
         tags = [*self.scene.draw(self.state), *self._beside.follow(live), *self._aids.follow()]
         self.page.call("tags", [asdict(tag) for tag in tags])
         self._what_if.follow(live)
-        self._labels.follow_object(live)
+        self._labels.object.follow(live)

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
+import numpy as np
+
 from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
@@ -319,6 +321,17 @@ class State:
                     text = f"{self.other.name}: {entry.label}"
                     found.append(Ghost(f"other-{name}", text, entry.lifted.box, "edited"))
         return found
+
+    @property
+    def about(self) -> np.ndarray | None:
+        """(N, 3) corners of the chosen pair's boxes, and of those that the labels have in their place; shown frame."""
+        if self.pair is None or self.loaded is None:
+            return None
+        boxes = [self.shown.objects[i].lifted.box for i in self.roles] + [ghost.box for ghost in self.ghosts]
+        viewer = self.loaded.context.viewer
+        to_show = np.stack([viewer.right, viewer.forward, viewer.up])
+        corners = [box.corners @ to_show.T for box in boxes if box is not None]
+        return np.concatenate(corners) if corners else None
 
     @property
     def measured(self) -> Measurement | None:

@@ -57,7 +57,7 @@ class ViewStrings(Part):
         try:
             string = encode(self.now())
         except InputError as error:
-            self._fail(error)
+            self.ctx.fail(error)
             return
         hint = (
             "Paste it into the Ask field of a page, or open it with ",
@@ -73,7 +73,7 @@ class ViewStrings(Part):
             ),
             h.button("Copy again", local="copy"),
         )
-        self.ctx.dialog.copy()
+        self.ctx.page.call("copy")
         self.ctx.note("view copied as a string")
 
     @command("paste-state")
@@ -93,7 +93,7 @@ class ViewStrings(Part):
         try:
             view = decode(string)
         except InputError as error:
-            self._fail(error)
+            self.ctx.fail(error)
         else:
             self.open(view)
 
@@ -102,7 +102,7 @@ class ViewStrings(Part):
         try:
             self._show(view, confirmed)
         except InputError as error:
-            self._fail(error)
+            self.ctx.fail(error)
 
     def _show(self, view: ViewState, confirmed: bool) -> None:
         """Show a view; InputError where it is of a dataset or a frame that is not here."""
@@ -165,10 +165,6 @@ class ViewStrings(Part):
             self.state = replace(self.state, edits=Edits(), edited=None)
             self.ctx.ask(view.expression)
             raise
-
-    def _fail(self, error: InputError) -> None:
-        self.ctx.note(str(error))
-        self.ctx.dialog.refuse(str(error))
 
 
 BEGINS = re.compile(r"\s*sv[0-9]{1,6}:")
@@ -305,7 +301,7 @@ class Keeping(Part):
         """Ask where the case is to be saved."""
         state = self.state
         if state.trace is None:
-            self._fail(InputError("there is no answer to save", cause="ask something first"))
+            self.ctx.fail(InputError("there is no answer to save", cause="ask something first"))
             return
         name = folder_name(f"{state.text}-{state.frame_id}")
         field = h.input(
@@ -339,7 +335,7 @@ class Keeping(Part):
             origin = {} if run is None else {"run": str(run.folder), "expression": view.expression_id}
             save_case(folder, source, context, state.text, run=origin, **given)
         except InputError as error:
-            self._fail(error)
+            self.ctx.fail(error)
             return
         replay = shlex.join(["spatialviz", "replay", str(folder)])
         self.ctx.note(f"case saved: {replay}")
@@ -364,7 +360,7 @@ class Keeping(Part):
             answered = answer(source, context, state.text, **given)
             report = failure_page(answered, source, context, self._subject(answered), scene_html(answered, context))
         except InputError as error:
-            self._fail(error)
+            self.ctx.fail(error)
             return
         name = f"{folder_name(f'{state.text}-{state.frame_id}') or 'answer'}.html"
         self.ctx.page.download(name, report.encode("utf-8", "replace"))
@@ -399,7 +395,3 @@ class Keeping(Part):
             else run.shares
         )
         return Subject(view.dataset, view.frame, commands, string, facts, shares)
-
-    def _fail(self, error: InputError) -> None:
-        self.ctx.note(str(error))
-        self.ctx.dialog.refuse(str(error))
