@@ -219,8 +219,8 @@ async def one(client: Client, number: int, until: float, period: float, figures:
             figures.lost += 1
         else:
             figures.seconds[kind].append(seconds)
-        rest = period - (time.monotonic() - start)
-        await (asyncio.sleep(rest) if rest > 0 else client.quiet())
+        await client.quiet()
+        await asyncio.sleep(max(0.0, period - (time.monotonic() - start)))
         after = client.taken
         figures.page[kind].append(after[0] - page)
         figures.scene[kind].append(after[1] - scene)
