@@ -495,9 +495,9 @@ class Session:
         self._say_address()
 
     def _about(self) -> np.ndarray | None:
-        """Corners of the chosen pair's boxes, and of those that the labels have in their place."""
+        """Corners of the chosen pair's boxes, and of those that the labels have in their place; None without any."""
         state = self.state
-        if state.pair is None or state.loaded is None:
+        if state.loaded is None:
             return None
         boxes = [state.shown.objects[i].lifted.box for i in state.roles] + [ghost.box for ghost in state.ghosts]
         viewer = state.loaded.context.viewer
