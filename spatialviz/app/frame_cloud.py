@@ -41,8 +41,7 @@ class FrameCloud(Part):
         loaded, viewpoint = state.loaded, scene.viewpoint
         anew, self.place_anew = self.place_anew or viewpoint.untouched, False
         was, self._loaded = self._loaded, loaded
-        about = state.about
-        other = viewpoint.look_about(about)
+        other = viewpoint.look_about(state.about)
         if loaded is None:
             scene.cloud, self._parts, self._painted = None, [], ()
             self.ctx.client.clear("/cloud/")
@@ -59,7 +58,8 @@ class FrameCloud(Part):
                 if anew:
                     viewpoint.place(state.camera)
                 self.ctx.post(lambda: self._complete(loaded))
-        if other and about is not None and state.camera == "pair" and viewpoint.untouched:
+        # Of a question that could not be asked there is nothing else to look at.
+        if other and not state.error and state.camera == "pair" and viewpoint.untouched and loaded is not None:
             viewpoint.place("pair")
         self.dress()
         self._show_room(state)

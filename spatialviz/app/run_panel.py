@@ -13,7 +13,6 @@ from spatialviz.app.run_html import (
     CUTS,
     confusion_html,
     listing_html,
-    no_run_html,
     offers_html,
     search_html,
     shares_html,
@@ -178,7 +177,6 @@ class RunTab(Part):
         for region in ("run-summary", "run-slices", "run-confusion"):
             page.show(region)
         if figures is None:
-            page.show("run-summary", no_run_html())
             return
 
         def draw(part: Callable[[], None]) -> None:

@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 import viser
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.asked_names import unused_words
 from pipeline.answering.json_records import holds
 from pipeline.answering.ranking import RankConfig
 from pipeline.answering.suggestions import suggest_expressions
@@ -315,7 +316,8 @@ class Session(Context):
             trace = self.source.ask(loaded.context, text)
         except InputError:
             return False
-        return holds(trace)
+        # What names nothing of this dataset is no first question of it.
+        return holds(trace) and not unused_words(trace.query)
 
     # ---- questions ------------------------------------------------------------------
 

@@ -228,8 +228,8 @@ class State:
 
     @property
     def boxes_shown(self) -> bool:
-        """Whether the boxes of all objects are shown: where they are wanted, and where there is no pair to look at."""
-        return self.flags.boxes or not self.roles
+        """Whether all boxes are shown: where they are wanted, and where there is no pair, not even a labelled one."""
+        return self.flags.boxes or not (self.roles or self.ghosts)
 
     @property
     def own_layer(self) -> bool:
@@ -324,8 +324,8 @@ class State:
 
     @property
     def about(self) -> np.ndarray | None:
-        """(N, 3) corners of the chosen pair's boxes, and of those that the labels have in their place; shown frame."""
-        if self.pair is None or self.loaded is None:
+        """(N, 3) corners of the chosen pair's boxes, and of those of the labels in their place; shown frame."""
+        if self.loaded is None:
             return None
         boxes = [self.shown.objects[i].lifted.box for i in self.roles] + [ghost.box for ghost in self.ghosts]
         viewer = self.loaded.context.viewer

@@ -10,7 +10,7 @@ from pipeline.geometry.camera import UpSource
 from pipeline.geometry.palette import DROPPED
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.beside import layers_html
-from spatialviz.app.keys import MOVE_KEYS
+from spatialviz.app.keys import KEYS, MOVE_KEYS
 from spatialviz.app.layout import listed
 from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, note, panel, segments, words
 from spatialviz.app.state import State
@@ -38,13 +38,14 @@ FLAGS = {
     "camera": "camera",
     "grid": "metre grid",
 }
+HINTS = {message: f"{label} ({key})" for key, label, message in KEYS["Looking"]}
 LEAST_POINT, LARGEST_POINT = 0.4, 4.0
 """How small and how large points are drawn, as a factor."""
 PICTURES = tuple(
     h.button(label, cls="toggle", local=local, title=title)
     for label, local, title in (
-        ("Picture of the scene", "shot:scene", "the scene as it stands, with its names, as a PNG"),
-        ("of the page", "shot:page", "the whole page, as a PNG; the browser asks first"),
+        ("Save scene", "shot:scene", "the scene as it stands, with its names, as a PNG"),
+        ("Save page", "shot:page", "the whole page, as a PNG; the browser asks first"),
     )
 )
 
@@ -54,7 +55,9 @@ def scene_tools_html(state: State) -> Element:
     flags = asdict(state.flags)
     exact = state.loaded is not None and any(a.box is not None for a in state.loaded.context.frame.annotations)
     toggles = (
-        h.button(label, cls="toggle", do=f"flag:{key}", aria_pressed=str(flags[key]).lower())
+        h.button(
+            label, cls="toggle", do=f"flag:{key}", aria_pressed=str(flags[key]).lower(), title=HINTS.get(f"flag:{key}")
+        )
         for key, label in FLAGS.items()
         if key != "truth" or exact
     )
@@ -71,8 +74,8 @@ def scene_tools_html(state: State) -> Element:
             title="metres between two surfaces that you click, here or in the picture (Shift+D; Escape ends)",
         ),
         _point_size(state),
-        h.div(PICTURES, cls="toggles", role="group", aria_label="pictures to keep"),
         h.div(toggles, cls="toggles", role="group", aria_label="shown in the scene"),
+        h.div(PICTURES, cls="toggles", role="group", aria_label="pictures to keep"),
         h.div(legend, cls="legend") if state.colors == "evidence" else None,
         cls="tools",
     )
@@ -186,7 +189,8 @@ def refusal_html(state: State) -> Element | None:
         return None
     names = sorted({o.label for o in state.shown.objects})
     there = h.p("In this frame: ", ", ".join(names)) if names else None
-    return h.div(note(state.error, BAD), there, cls="refusal", role="alert")
+    close = h.button("×", cls="close", local="dismiss", aria_label="close", title="close")
+    return h.div(note(state.error, BAD), close, there, cls="refusal", role="alert")
 
 
 OFFERED = 8
