@@ -32,7 +32,7 @@ class Correct(Part):
         self.on_conflict: Callable[[], None] = lambda: None
         self.on_doubt: Callable[[PairCard, RelationLine, int], None] = lambda card, line, state: None
         self._wanted: Target | None = None
-        self._listeners: list[Callable[[tuple[Event, ...]], None]] = []
+        self._listeners: list[Callable[[tuple[Event, ...]], object]] = []
         self._said: tuple[str, bool] = "", False
 
     # ---- what is shown ----------------------------------------------------------------
@@ -201,7 +201,7 @@ class Correct(Part):
 
     # ---- edits ------------------------------------------------------------------------
 
-    def on_saved(self, listener: Callable[[tuple[Event, ...]], None]) -> None:
+    def on_saved(self, listener: Callable[[tuple[Event, ...]], object]) -> None:
         """Have something called with the events of everything that this client saves or takes back."""
         self._listeners.append(listener)
 

@@ -186,6 +186,7 @@ class RunTab(Part):
         draw(self._draw_slices)
         draw(lambda: page.show("run-confusion", confusion_html(figures)))
 
+    @command("cut")
     def cut(self, dimension: str) -> None:
         """Cut the run by another dimension."""
         if dimension in CUTS:
