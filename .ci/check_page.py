@@ -4,37 +4,20 @@ import asyncio
 import json
 import subprocess
 import sys
-import time
-import urllib.request
 from pathlib import Path
 
 import websockets
-from playwright.sync_api import sync_playwright
+from browser import Server, Tab, chromium, new_tab
 
 from pipeline.answering.json_records import probability
 
-PORT = 8231
-ADDRESS = f"http://127.0.0.1:{PORT}"
 SERVED_WITHIN = 10.0
-CHROMIUM = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+ROW = '#stages tr[data-do^="pair:"]'
 
 
-def wait_until_served(start: float) -> float:
-    while time.monotonic() - start < SERVED_WITHIN:
-        try:
-            with urllib.request.urlopen(ADDRESS, timeout=1) as answer:
-                assert answer.status == 200
-                return time.monotonic() - start
-        except OSError:
-            time.sleep(0.05)
-    raise SystemExit("the page was not served")
-
-
-async def status_for(origin: str) -> int:
+async def status_for(port: int, origin: str) -> int:
     try:
-        async with websockets.connect(
-            f"ws://127.0.0.1:{PORT}", origin=origin, subprotocols=["viser-v1.1.1"], max_size=None
-        ):
+        async with websockets.connect(f"ws://127.0.0.1:{port}/app/socket?id={'0' * 32}", origin=origin):
             return 101
     except websockets.exceptions.InvalidStatus as refused:
         return refused.response.status_code
@@ -47,119 +30,98 @@ def memory_mb(pid: int) -> float:
     return 0.0
 
 
-FRAME_OF = """() => [...document.querySelectorAll('input')]
-    .map(i => i.value).find(v => /^[0-9]+\\/[0-9]+$/.test(v)) || ''"""
-
-
-def frame_of(page) -> str:
-    return page.evaluate(FRAME_OF)
-
-
-def same_as_the_command_line(page, text: str) -> None:
+def same_as_the_command_line(tab: Tab) -> None:
     """The first page shows a failure of the demo's run; what it says is what the command line says."""
-    page.locator(".sv .vline").wait_for(timeout=30_000)
+    chip = tab.see("#verdict")
     run = Path(__file__).parents[1] / "assets" / "demo_run"
     asked = subprocess.run(
-        [sys.executable, "-m", "spatialviz", "ask", "demo", frame_of(page), text, "--detector", "simulated", "--model",
-         run / "simulated.toml", "--min-score", "0.015", "--k", "5", "--labels", run / "labels", "--json"],
+        [sys.executable, "-m", "spatialviz", "ask", "demo", tab.frame, tab.question, "--detector", "simulated",
+         "--model", run / "simulated.toml", "--min-score", "0.015", "--k", "5", "--labels", run / "labels", "--json"],
         capture_output=True, check=False, text=True,
     )  # fmt: skip
     said = json.loads(asked.stdout)
     assert asked.returncode == (0 if said["answer"]["holds"] else 1), asked
     assert said["verdict"]["verdict"] != "CORRECT", said["verdict"]
-    shown = page.locator(".sv .vline .vd").first.inner_text()
-    assert shown.startswith(said["verdict"]["verdict"]), (shown, said["verdict"])
-    assert page.locator(".sv .vline").get_attribute("title") == said["verdict"]["said"]
-    heads = page.locator(".sv .heads b").all_inner_texts()
+    assert chip.inner_text().startswith(said["verdict"]["verdict"]), (chip.inner_text(), said["verdict"])
+    sentence = tab.see("#side .sentence").inner_text()
+    assert sentence.endswith(said["verdict"]["said"]), (sentence, said["verdict"])
+    heads = tab.page.locator("#answer .heads b").all_inner_texts()
     wanted = [probability(said["answer"][k]) for k in ("relation_probability", "product")]
     assert heads == wanted, (heads, said["answer"])
 
 
-def up_is_what_is_clicked(page) -> None:
+def up_is_what_is_clicked(tab: Tab) -> None:
     """A click names a level surface; what was declared comes back."""
-    chip = page.locator(".sv .upchip")
+    chip = tab.see("#answer .upchip")
     assert chip.inner_text() == "up declared", chip.inner_text()
     chip.click()
-    page.locator(".sv .note", has_text="level surface").wait_for(timeout=30_000)
-    page.evaluate("sv('image:0.10000,0.95000')")
-    page.locator(".sv .upchip", has_text="given").wait_for(timeout=60_000)
-    page.locator(".sv .uptold").get_by_text("take back").click()
-    page.locator(".sv .upchip", has_text="declared").wait_for(timeout=60_000)
+    tab.see("#answer .note", "level surface")
+    picture = tab.see("#image [data-point]")
+    box = picture.bounding_box()
+    assert box is not None
+    picture.click(position={"x": 0.1 * box["width"], "y": 0.95 * box["height"]})
+    tab.see("#answer .upchip", "given")
+    tab.see("#answer .uptold [data-do=level-back]").click()
+    tab.see("#answer .upchip", "declared")
 
 
-def ends_quietly(server: subprocess.Popen) -> None:
-    """Stopped while a client still searches, the server says nothing but its own lines."""
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
-        page = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.goto(ADDRESS)
-        search = page.locator("input.find").first
-        search.wait_for(timeout=60_000)
-        search.fill("said:left margin<1 sort:margin")
-        search.press("Enter")
-        server.terminate()
-        said = server.communicate(timeout=20)[0].decode()
-        browser.close()
-    assert all(line.startswith("spatialviz:") for line in said.splitlines()), said
-
-
-def drive() -> dict:
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
-        page = browser.new_page(viewport={"width": 1440, "height": 900})
-        problems: list[str] = []
-        page.on("pageerror", lambda error: problems.append(str(error)))
-        page.goto(ADDRESS)
-        page.get_by_text("Ranked pairs").wait_for(timeout=60_000)
-        field = page.locator("form input").first
-        same_as_the_command_line(page, field.input_value())
-        field.fill("laptop right of the mug")
-        field.press("Enter")
-        page.locator(".sv .big", has_text="right of").wait_for(timeout=30_000)
-        rows = page.locator(".sv tr.r").count()
-        page.locator(".sv .bar", has_text="left of").first.click()
-        page.locator(".sv .big", has_text="left of").wait_for(timeout=30_000)
-        up_is_what_is_clicked(page)
-        field.fill("<img src=x onerror=alert(1)> left of the mug")
-        field.press("Enter")
-        page.locator(".sv .note").first.wait_for(timeout=30_000)
-        other = browser.new_page(viewport={"width": 1440, "height": 900})
-        other.add_init_script(f"window.frameOf = {FRAME_OF}")
-        other.goto(ADDRESS)
-        other.get_by_text("Ranked pairs").wait_for(timeout=60_000)
-        before = frame_of(page)
-        other.keyboard.press("n")
-        other.wait_for_function("before => window.frameOf() !== before", arg=before, timeout=30_000)
-        assert frame_of(page) == before, "one client's frame moved another's"
-        moved = frame_of(other)
-        kept = "moved => (sessionStorage.getItem('sv') || '').includes(moved)"
-        other.wait_for_function(kept, arg=moved, timeout=30_000)
-        other.reload()
-        other.wait_for_function("moved => window.frameOf() === moved", arg=moved, timeout=30_000)
-        browser.close()
-        assert not problems, problems
+def drive(address: str) -> dict:
+    with chromium() as browser:
+        tab = new_tab(browser).open(address)
+        same_as_the_command_line(tab)
+        tab.drawn()
+        tab.ask("laptop right of the mug")
+        tab.see("#answer .names", "right of")
+        tab.click("stage:PRM")
+        tab.see(ROW)
+        rows = tab.page.locator(ROW).count()
+        tab.click("stage:SRM")
+        tab.see('#stages [data-do^="relation:"]', "left of").click()
+        tab.see("#answer .names", "left of")
+        up_is_what_is_clicked(tab)
+        hostile = "<img src=x onerror=alert(1)> left of the mug"
+        tab.ask(hostile)
+        tab.see("#side", "cannot be read; got '<'")
+        assert tab.question == hostile, tab.question
+        tab.poll("hostile => document.getElementById('log').textContent.includes(hostile)", hostile)
+        assert not tab.page.locator("[onerror]").count()
+        other = new_tab(browser).open(address)
+        before = tab.frame
+        assert other.frame == before
+        other.press("n")
+        other.poll("before => document.querySelector('#where .frame-id').value !== before", before)
+        moved = other.frame
+        assert tab.frame == before, "one client's frame moved another's"
+        other.poll("moved => location.search.includes(moved)", moved)
+        other.page.reload()
+        other.words()
+        assert other.frame == moved, (other.frame, moved)
+        assert not tab.problems + other.problems, tab.problems + other.problems
         return {"rows": rows}
 
 
+def ends_quietly(server: Server) -> None:
+    """Stopped while a client still searches, the server says nothing but its own lines."""
+    with chromium() as browser:
+        tab = new_tab(browser).open(server.address)
+        tab.click("task:evaluate")
+        search = tab.see("#search input")
+        search.fill("said:left margin<1 sort:margin")
+        search.press("Enter")
+        said = server.end()
+    assert all(line.startswith("spatialviz:") for line in said), said
+
+
 def main() -> None:
-    start = time.monotonic()
-    server = subprocess.Popen(
-        [sys.executable, "-m", "spatialviz", "view", "--port", str(PORT), "--no-open-browser"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-    )
-    try:
-        served = wait_until_served(start)
-        evil = asyncio.run(status_for("http://evil.example"))
-        own = asyncio.run(status_for(ADDRESS))
+    with Server() as server:
+        served = server.served(SERVED_WITHIN)
+        evil = asyncio.run(status_for(server.port, "http://evil.example"))
+        own = asyncio.run(status_for(server.port, server.address))
         assert evil == 403, f"a foreign page may connect: {evil}"
         assert own == 101, f"the own page may not connect: {own}"
-        report = drive() | {"served_s": round(served, 2), "memory_mb": round(memory_mb(server.pid))}
+        report = drive(server.address) | {"memory_mb": round(memory_mb(server.process.pid))}
         ends_quietly(server)
-        print(json.dumps(report))
-    finally:
-        server.terminate()
-        server.wait(timeout=20)
+    print(json.dumps(report | {"served_s": round(served, 2)}))
 
 
 if __name__ == "__main__":

@@ -311,7 +311,20 @@ class LabelledOptions(ProposalOptions):
 
 
 @dataclass(frozen=True)
-class SourceOptions(ProposalOptions):
+class ReaderOptions:
+    """What reads expressions."""
+
+    reader: Literal["grammar", "llm"] = "grammar"
+    """grammar | llm: a language model behind an OpenAI-compatible server is asked for the same tree, once for each
+    expression. Key: SPATIALVIZ_VLM_KEY."""
+    reader_url: str | None = None
+    """With --reader llm: the server, such as http://localhost:8000/v1 (vLLM, Ollama, llama.cpp)."""
+    reader_model: str | None = None
+    """The model's name on that server."""
+
+
+@dataclass(frozen=True)
+class SourceOptions(ReaderOptions, ProposalOptions):
     """What is opened, and with which models."""
 
     srm: str = "trained"
@@ -338,7 +351,8 @@ class SourceOptions(ProposalOptions):
                 raise InputError("--force-calibration needs --score-calibration", expected="a file to be used")
             calibration = calibration.for_any()
         config = AskConfig(k=self.k, lift=LiftConfig(box=self.box), score_calibration=calibration)
-        return {**super().arguments(frame), "srm": self.srm, "vectors": self.vectors, "config": config}
+        reading = {f.name: value for f in fields(ReaderOptions) if (value := getattr(self, f.name)) != f.default}
+        return {**super().arguments(frame), **reading, "srm": self.srm, "vectors": self.vectors, "config": config}
 
     def words(self) -> list[str]:
         """Those that are not as they are by default, as words of a command line."""

@@ -66,6 +66,7 @@ def run_eval(command: Eval) -> None:
         raise InputError("--system vlm needs a server and a model", expected="--vlm-url URL --vlm-model NAME")
     elif command.vlm_url is not None or command.vlm_model is not None:
         raise InputError("a server and its model go together", expected="--vlm-url URL --vlm-model NAME")
+    require(command.source.reader == "grammar", "--reader llm goes with --sentences, not with labels")
     tables = _tables(command)
     grounding = tables != "relations"
     options = command.source.arguments()

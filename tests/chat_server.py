@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from waiting import LONG_S
 
-from pipeline.evaluation.vlm.client import ChatClient
+from pipeline.system.chat.client import ChatClient
 
 MODELS = ("llava-1.5-7b", "qwen-vl")
 Make = Callable[..., ChatClient]
@@ -208,6 +208,7 @@ def problems_of(body: dict[str, Any], headers: dict[str, str]) -> list[str]:
     if not isinstance(body.get("model"), str) or body.get("stream") not in (False, None):
         found.append("model or stream")
     known = {"model", "messages", "max_tokens", "temperature", "seed", "stream", "logprobs", "top_logprobs"}
+    known.add("response_format")
     if set(body) - known:
         found.append(f"unknown keys {sorted(set(body) - known)}")
     if body.get("top_logprobs") is not None and body.get("logprobs") is not True:
@@ -216,7 +217,8 @@ def problems_of(body: dict[str, Any], headers: dict[str, str]) -> list[str]:
     if not isinstance(messages, list) or len(messages) != 1 or messages[0].get("role") != "user":
         return [*found, "messages"]
     kinds = [sorted(part) for part in messages[0]["content"]]
-    if sorted(kinds) != [["image_url", "type"], ["text", "type"]]:
+    picture = [] if "response_format" in body else [["image_url", "type"]]
+    if sorted(kinds) != [*picture, ["text", "type"]]:
         found.append(f"content {kinds}")
     return found
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from pipeline.corrections.journal.effective import Corrector
     from pipeline.corrections.journal.journal import Journal
     from pipeline.datasets import Dataset
-    from pipeline.evaluation.vlm.client import ChatClient
     from pipeline.labels.reading import Labels
+    from pipeline.system.chat.client import ChatClient
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -129,7 +129,7 @@ def client_of(server: ChatServer, clock: Clock, tmp_path: Path, monkeypatch: pyt
     """Makes clients of that server, with a cache of their own."""
     from chat_server import MODELS
 
-    from pipeline.evaluation.vlm.client import KEY_VARIABLE, ChatClient
+    from pipeline.system.chat.client import KEY_VARIABLE, ChatClient
 
     monkeypatch.delenv(KEY_VARIABLE, raising=False)
 

@@ -98,6 +98,7 @@ HEAVY = frozenset(
         "embreex",
         "open3d",
         "ray",
+        "ssl",
         "fsspec",
         "OpenEXR",
         "pg8000",

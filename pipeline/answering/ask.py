@@ -17,7 +17,7 @@ from pipeline.answering.ranking import Candidates, RankConfig, Ranking, Relation
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.language.expression import parse
+from pipeline.language.expression import Reader, parse
 from pipeline.language.lexicon import wording
 from pipeline.language.naming import Synonyms
 from pipeline.language.tree import Attachment, Node, Query
@@ -156,6 +156,7 @@ def ask(
     config: AskConfig | None = None,
     class_names: Sequence[str] = (),
     synonyms: Synonyms | None = None,
+    reader: Reader = parse,
 ) -> Trace:
     """Answer an expression such as "mug left of the laptop".
 
@@ -169,6 +170,8 @@ def ask(
         The geometric rule where none is given.
     class_names : sequence of str
         Names the parser should keep whole ("front door").
+    reader : Reader, optional
+        What reads the expression; the grammar where none is given.
 
     Raises
     ------
@@ -179,7 +182,7 @@ def ask(
     scorer = scorer or RuleScorer()
     timings: dict[str, float] = {}
     with timed(timings, "parse"):
-        query = parse(
+        query = reader(
             text,
             class_names=tuple(class_names) or (detector.vocabulary or ()),
             relations=config.relations,

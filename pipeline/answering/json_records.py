@@ -74,7 +74,7 @@ def expression_record(query: Query) -> Record:
 
     With "inverse" the relation holds from the reference to the target: "table holding a lamp" is lamp on table.
     "unused" lists the words that say something and could not be used, each with the reason; "mended" the misspelt words
-    of the grammar with what each was read as.
+    of the grammar with what each was read as; "reader" what read it, where it was not the grammar.
     """
     e = query.expression
     record: Record = {
@@ -87,6 +87,7 @@ def expression_record(query: Query) -> Record:
         inverse=None if e is None else e.inverse or None,
         second_reference=None if e is None else e.second_reference,
         mapped_from=None if e is None else e.mapped_from,
+        reader=None if query.reader == "grammar" else query.reader,
         readings=[r.description for r in query.readings] if len(query.readings) > 1 else None,
         tree=noun_record(query.default.root),
         unused=[{"text": text, "why": why} for text, why in unused_words(query)] or None,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, appearance_of, prepare_frame
@@ -16,8 +16,10 @@ from pipeline.datasets.base import Frames
 from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.expression import Reader, parse
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.tree import Query
 from pipeline.proposals import Detector, Segmented, Segmenter, make_segmenter
 from pipeline.proposals.registry import SegmenterFiles, open_detector
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
@@ -47,6 +49,8 @@ class Pipeline:
         Another detector, to compare with; it answers nothing.
     setup, second_setup : DetectorSetup or None
         What the two detectors are made from, without the segmenter.
+    reader : Reader
+        What reads expressions: the grammar, unless another was asked for.
     """
 
     dataset: Dataset
@@ -58,6 +62,7 @@ class Pipeline:
     second_detector: Detector | None = None
     setup: DetectorSetup | None = None
     second_setup: DetectorSetup | None = None
+    reader: Reader = parse
 
     def __repr__(self) -> str:
         name = self.dataset.root.resolve().name
@@ -116,17 +121,26 @@ class Pipeline:
         appearance = appearance_of(objects, context.frame)
         return self.scorer.score([o.lifted for o in objects], context.viewer, appearance, relations)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names that are kept whole in an expression: the dataset's, else those that the detector knows."""
+        return tuple(self.dataset.class_names) or tuple(self.needed_detector().vocabulary or ())
+
+    def read(self, text: str) -> Query:
+        """An expression as it is read here; InputError where it cannot be."""
+        return self.reader(text, class_names=self.names, relations=self.config.relations, synonyms=self.synonyms)
+
     def ask(self, frame: Frame | PreparedFrame, text: str) -> Trace:
         """Answer an expression on a frame with these models; raises as `pipeline.answering.ask.ask`."""
-        detector = self.needed_detector()
         return ask(
             frame,
             text,
-            detector,
+            self.needed_detector(),
             scorer=self.scorer,
             config=self.config,
-            class_names=self.dataset.class_names or (detector.vocabulary or ()),
+            class_names=self.names,
             synonyms=self.synonyms,
+            reader=self.reader,
         )
 
 
@@ -150,6 +164,9 @@ def open_pipeline(
     fuse: Sequence[str] = (),
     fusion: Fusion = "wbf",
     also: str | None = None,
+    reader: Literal["grammar", "llm"] | Reader = "grammar",
+    reader_url: str | None = None,
+    reader_model: str | None = None,
 ) -> Pipeline:
     """Open a dataset and the models for it; the path "demo" is the built-in one, and a dataset may be open already.
 
@@ -164,6 +181,8 @@ def open_pipeline(
     `fuse` names further detectors ("NAME" or "NAME=MODEL") whose detections are fused with the detector's, by weighted
     boxes ("wbf") or non-maximum suppression ("nms") as `fusion` says; `also` names one to compare with. The minimum
     score and the segmenter are for all of them.
+    `reader` is what reads expressions: "grammar", "llm" (the model `reader_model` of the OpenAI-compatible server
+    `reader_url`, its key in SPATIALVIZ_VLM_KEY), or a function of one's own.
 
     Raises
     ------
@@ -188,6 +207,8 @@ def open_pipeline(
         ("--also", also, detector is not None, "--detector", "what is it compared with?"),
         ("--model-config", model_config, detector is not None, "--detector", "what is it for?"),
         ("--segmenter-model", segmenter_model, segmenter is not None, "--segmenter", "what is it for?"),
+        ("--reader-url", reader_url, reader == "llm", "--reader llm", "what is it for?"),
+        ("--reader-model", reader_model, reader == "llm", "--reader llm", "what is it for?"),
     ):
         if given is not None and not needed:
             path_of = given if isinstance(given, Path) and what == "--detector" else None
@@ -215,7 +236,23 @@ def open_pipeline(
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
     scorer = make_scorer(srm, vectors) if isinstance(srm, str | Path) else srm
-    return Pipeline(dataset, found, scorer, config, table, lambda: make(0.0), second, setup, second_setup)
+    read = make_reader(reader, reader_url, reader_model)
+    return Pipeline(dataset, found, scorer, config, table, lambda: make(0.0), second, setup, second_setup, read)
+
+
+def make_reader(reader: str | Reader, url: str | None, model: str | None) -> Reader:
+    """What reads expressions, by its name or as it is; InputError where the server or its model is missing."""
+    if not isinstance(reader, str):
+        return reader
+    if reader == "grammar":
+        return parse
+    require(reader == "llm", "no such reader of expressions", got=repr(reader), expected="grammar or llm")
+    if url is None or model is None:
+        example = "--reader-url http://localhost:8000/v1 --reader-model NAME"
+        raise InputError("--reader llm needs a server and a model", expected=example)
+    from pipeline.language.llm_reader import LlmReader
+
+    return LlmReader(url, model)
 
 
 def _refuse(options: Mapping[str, object], what: str) -> None:

@@ -30,7 +30,7 @@ from pipeline.language.tree import Query
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, ServerError, require
 
 
 def known_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
@@ -172,10 +172,12 @@ def answer(
     rank: RankConfig | None = None
     try:
         trace = source.ask(context, text)
+    except ServerError:
+        raise  # Nothing is told about the expression.
     except InputError as error:
         found = None
         if truth is not None and case is not None:
-            query, unread = read_query(case, source.dataset.class_names)
+            query, unread = read_query(case, source.dataset.class_names, source.reader)
             answers = FrameAnswers(source, context, (case.target, case.reference), (case.relation,))
             found = judge_answers(answers, truth, case, query, mark=mark, problem=unread or error)
         return Answer(text, problem=str(error), diagnosis=found)

@@ -32,7 +32,6 @@ from pipeline.evaluation.relation_report import (
 )
 from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.shared_makers import Share, scorer_share
-from pipeline.evaluation.vlm.client import ChatClient
 from pipeline.evaluation.vlm.questions import RelationConfig, score_pairs
 from pipeline.geometry.frame import Annotation
 from pipeline.labels.makers import makers_of
@@ -43,6 +42,7 @@ from pipeline.metrics.splits import DROPPED
 from pipeline.metrics.tables import Table
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa, pq
+from pipeline.system.chat.client import ChatClient
 from pipeline.system.errors import require
 
 VLM_FILE = "relation_records_vlm.parquet"

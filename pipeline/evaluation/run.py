@@ -27,7 +27,6 @@ from pipeline.evaluation.records import (
 )
 from pipeline.evaluation.relation_cases import RelationSpec, frames_in, spread
 from pipeline.evaluation.relation_records import RelationPass
-from pipeline.evaluation.vlm.client import ChatClient
 from pipeline.evaluation.vlm.questions import GroundingConfig, ground_many
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
@@ -36,6 +35,7 @@ from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.language.tree import Query
 from pipeline.proposals.base import Detector, detect_expression, reads_annotations
 from pipeline.system.arrow import pa
+from pipeline.system.chat.client import ChatClient
 from pipeline.system.errors import InputError, require
 from pipeline.system.worker_pool import results_of
 

@@ -30,7 +30,7 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, FrameCases
 from pipeline.language.unreadable import why_unread, why_unused
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, ServerError, require
 from pipeline.system.reading import checked
 
 UNSORTED = "unsorted"
@@ -293,6 +293,8 @@ def _judged(source: Pipeline, context: PreparedFrame, sentence: Sentence, path: 
     right = _right_boxes(context, sentence, path)
     try:
         trace = source.ask(context, sentence.text)
+    except ServerError:
+        raise
     except InputError as error:
         return _refused(sentence, str(error), "PARSE", why_unread(error))
     best = best_pair(trace)

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, ConfigDict, Field, FiniteFloat, PlainSerial
 
 from pipeline.geometry.frame import Frame
 from pipeline.labels.reading import Labels
-from pipeline.language.expression import parse
+from pipeline.language.expression import Reader, parse
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Node, Query
@@ -316,10 +316,12 @@ HIT = 0.5
 """A box is found where its overlap (IoU) is at least this."""
 
 
-def read_query(case: Case, class_names: Sequence[str]) -> tuple[Query | None, InputError | None]:
+def read_query(
+    case: Case, class_names: Sequence[str], reader: Reader = parse
+) -> tuple[Query | None, InputError | None]:
     """The parsed expression, or why it cannot be read."""
     try:
-        return parse(case.text, class_names=tuple(class_names)), None
+        return reader(case.text, class_names=tuple(class_names)), None
     except InputError as error:
         return None, error
 

@@ -176,7 +176,7 @@ class ChainReader(NounReader):
                 start = also.start
         self.chain.spans.append(Span(start, self.tokens[end - 1].end, "unused", 0, why))
 
-    def _note_dropped(self) -> None:
+    def note_dropped(self) -> None:
         """Note words that no part has taken and that are not the grammar's own: nothing is dropped in silence."""
         taken = sorted((s.start, s.end) for s in self.chain.spans)
         for at, token in enumerate(self.tokens):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 from pipeline.language import lexicon
 from pipeline.language.chain import Chain, Clause
@@ -18,6 +19,21 @@ MAX_RELATIONS = 4
 """Of more parts than this only two readings are kept: there would be 42, 132, ... of them."""
 MOST_RELATIONS = 16
 MOST_READINGS = 14
+
+
+class Reader(Protocol):
+    """What reads a sentence: `parse`, or a language model (`pipeline.language.llm_reader`)."""
+
+    def __call__(
+        self,
+        text: str,
+        *,
+        class_names: Sequence[str] = (),
+        relations: Collection[str] | None = None,
+        synonyms: Synonyms | None = None,
+    ) -> Query:
+        """As `parse`."""
+        ...
 
 
 def parse(
@@ -65,7 +81,7 @@ def parse(
     )
     readings: list[Reading] = []
     for clauses in _ways(chain.clauses, relations):
-        attachments = [_attachment(clause, relations) for clause in clauses]
+        attachments = [offered(clause, relations) if clause.relation else None for clause in clauses]
         for parents in _parents(clauses):
             root = _tree(0, replace(chain, clauses=clauses), attachments, parents)
             words = described(root)
@@ -74,10 +90,8 @@ def parse(
     return Query(text, tuple(readings), tuple(sorted(chain.spans, key=lambda s: s.start)))
 
 
-def _attachment(clause: Clause, relations: Collection[str] | None) -> Attachment | None:
-    """A clause in canonical terms and in those on offer, its references still to be filled in; None for a choice."""
-    if not clause.relation:
-        return None
+def offered(clause: Clause, relations: Collection[str] | None) -> Attachment:
+    """A relation in canonical terms and in those on offer, its references still to be filled in; else Unsupported."""
     relation, inverse, mapped_from, lacking = clause.relation, clause.swapped, None, "on"
     coarser = RELATIONS[relation].coarser
     if relations is not None and relation not in relations and coarser is not None and coarser in relations:
@@ -87,11 +101,11 @@ def _attachment(clause: Clause, relations: Collection[str] | None) -> Attachment
     if inverse and relation in MIRRORED:
         relation, inverse = MIRRORED[relation], False
     if relations is not None and relation not in relations:
-        offered = [r for r in RELATIONS if r in relations]
+        known = [r for r in RELATIONS if r in relations]
         raise Unsupported(
             f"the relation '{relation}' is not in this vocabulary",
             got=f"'{clause.phrase}'",
-            expected="one of " + ", ".join(offered) if offered else None,
+            expected="one of " + ", ".join(known) if known else None,
         )
     note = f"this vocabulary has no '{lacking}': '{clause.phrase}' is read as '{relation}'" if mapped_from else None
     return Attachment(relation, (), inverse, clause.phrase, mapped_from, note, clause.negated)
@@ -100,8 +114,8 @@ def _attachment(clause: Clause, relations: Collection[str] | None) -> Attachment
 def _ways(clauses: list[Clause], relations: Collection[str] | None) -> Iterator[list[Clause]]:
     """The parts as they are read first, and as else their words may be meant."""
     yield clauses
-    offered = relations is None or {"on", "near"} <= set(relations)
-    if offered and any(c.otherwise for c in clauses):
+    both = relations is None or {"on", "near"} <= set(relations)
+    if both and any(c.otherwise for c in clauses):
         yield [replace(c, relation=c.otherwise[0], choice=c.otherwise[1]) if c.otherwise else c for c in clauses]
 
 

@@ -13,6 +13,7 @@ nothing is left that tells the thing meant is that an error.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from pipeline.language import choices, lexicon
@@ -54,6 +55,14 @@ def read_chain(text: str, known: Vocabulary) -> Chain:
     raise problem
 
 
+def with_unused(text: str, known: Vocabulary, spans: Iterable[Span]) -> tuple[Span, ...]:
+    """What another reader took of a sentence, in order, with the words that it left over and that say something."""
+    reader = _Reader(text, tokenize(text, known))
+    reader.chain.spans += spans
+    reader.note_dropped()
+    return tuple(sorted(reader.chain.spans, key=lambda s: s.start))
+
+
 _NOT_JUDGED = (
     (lexicon.DEIXIS, "words that point to a place say nothing without a pointer"),
     (lexicon.DOING, "what somebody does with a thing is not judged"),
@@ -80,7 +89,7 @@ class _Reader(RegionReader):
             at = self._step(at)
         for opened in self.opened:
             self._missing(opened)
-        self._note_dropped()
+        self.note_dropped()
         chain = self.chain
         if not chain.nouns:
             raise self.problems[0] if self.problems else self._no_target()

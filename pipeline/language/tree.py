@@ -253,11 +253,14 @@ class Query:
         The default first.
     spans : tuple of Span
         What each stretch of the text says, in order, without overlap.
+    reader : str
+        What read it: "grammar", or "llm" and the model's name.
     """
 
     text: str
     readings: tuple[Reading, ...]
     spans: tuple[Span, ...]
+    reader: str = "grammar"
 
     @property
     def default(self) -> Reading:

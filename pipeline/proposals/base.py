@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import suggest
-from pipeline.system.errors import InputError, UnknownClass, require
+from pipeline.system.errors import InputError, UnknownClass, listed, require
 
 
 @dataclass(frozen=True)
@@ -166,13 +166,6 @@ def unknown_class(label: str, names: Sequence[str], where: str, advice: str | No
     hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else "known: " + listed(names)
     hint += f"; {advice}" if advice else ""
     return UnknownClass(f"{where} does not know the class {label!r}", cause=hint)
-
-
-def listed(names: Sequence[str], limit: int = 12) -> str:
-    """ "a, b, c and 4 more"."""
-    names = sorted(set(names))
-    more = len(names) - limit
-    return ", ".join(names[:limit]) + (f" and {more} more" if more > 0 else "")
 
 
 NMS_IOU = 0.5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -157,3 +157,26 @@ class MissingExtra(ImportError):
     def __reduce__(self) -> tuple[type[MissingExtra], tuple[str, str]]:
         # Worker processes send it to their parent.
         return type(self), (self.feature, self.extra)
+
+
+def listed(names: Sequence[str], limit: int = 12) -> str:
+    """ "a, b, c and 4 more"."""
+    names = sorted(set(names))
+    more = len(names) - limit
+    return ", ".join(names[:limit]) + (f" and {more} more" if more > 0 else "")
+
+
+class ServerError(InputError):
+    """A server that gives no answer, after all tries.
+
+    Attributes
+    ----------
+    status : int or None
+        HTTP status; None where there was no reply.
+    everywhere : bool
+        Whether every other question would fail in the same way.
+    """
+
+    def __init__(self, what: str, *, status: int | None, everywhere: bool, **more: Any) -> None:
+        super().__init__(what, **more)
+        self.status, self.everywhere = status, everywhere

@@ -229,7 +229,7 @@ class Keys:
 
 def help_html(general: Mapping[str, Rows], labels: Mapping[str, Rows], labelling: bool) -> Element:
     """The keys and the mouse's ways as lists; those of labels come first while labels are shown."""
-    parts = [h.div(_groups({**general, **MOUSE}), cls="part")]
+    parts = [h.div(h.h3("At any time"), _groups({**general, **MOUSE}), cls="part")]
     if labels:
         parts.append(h.div(h.h3("While labels are shown"), _groups(labels), cls="part"))
     return h.div(parts[::-1] if labelling else parts, cls="keylists")

@@ -21,6 +21,7 @@ from viser._messages import (
     ViewerCameraMessage,
 )
 
+from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from spatialviz.app.access import Access
 from spatialviz.app.messages import Hello, read
@@ -155,17 +156,10 @@ class Pages:
             self.log(str(error) or "nothing was said")
             await connection.close(1008, "not a page")
             return
-        async with self._making:
-            session = self._sessions.get(page_id)
-            if session is None:
-                self._release(full=len(self._sessions) >= self._most)
-                if len(self._sessions) >= self._most:
-                    many = f"{self._most} pages are open already, and no more are allowed (--max-clients)."
-                    await connection.close(1013, f"{many} Close one; this one tries again.")
-                    return
-                await self._opening.keep()
-                session = self._sessions[page_id] = await asyncio.to_thread(Session, page_id, self._shared)
-            outgoing = session.channel.attach(connection)
+        session = self._sessions.get(page_id) or await self._opened(page_id, connection)
+        if session is None:
+            return
+        outgoing = session.channel.attach(connection)
         name = self._access.name(connection.request)
         if name:
             session.signed_as(name)
@@ -180,6 +174,22 @@ class Pages:
             sending.cancel()
             await asyncio.gather(sending, return_exceptions=True)
             asyncio.get_running_loop().call_later(KEPT_SECONDS + 1, self._release)
+
+    async def _opened(self, page_id: str, connection: Any) -> Session | None:
+        """The session of a new page; None where there is no room, or the browser has gone meanwhile."""
+        async with self._making:
+            if page_id in self._sessions:
+                return self._sessions[page_id]
+            self._release(full=len(self._sessions) >= self._most)
+            if len(self._sessions) >= self._most:
+                many = f"The server is full: {counted(self._most, 'page')} at most (--max-clients)."
+                await connection.close(1013, f"{many} Close another one; this one tries again.")
+                return None
+            await self._opening.keep()
+            if connection.close_code is not None:
+                return None
+            session = self._sessions[page_id] = await asyncio.to_thread(Session, page_id, self._shared)
+            return session
 
     async def _listen_to(self, connection: Any, session: Session) -> None:
         pace, garbage = Pace(), 0

@@ -23,7 +23,6 @@ def sentence_html(state: State) -> Element | None:
     view = state.labels
     if view is None:
         return None
-    said = note(view.said, BAD if view.bad else GOOD) if view.said else None
     chip = h.div(h.span(), up_chip(state), cls="under")
     card = view.sentence
     if card is None:
@@ -32,7 +31,7 @@ def sentence_html(state: State) -> Element | None:
             if view.expressions
             else "The labels have no expressions of this frame."
         )
-        return panel(h.div(what, cls="dim hint"), said, chip)
+        return panel(h.div(what, cls="dim hint"), chip)
     colors = palette(state.dark)
     means = h.span(
         (dot(colors["target"]), f"{card.target}·{card.target_object} "),
@@ -57,7 +56,6 @@ def sentence_html(state: State) -> Element | None:
             _verdicts(card, view.author),
             cls="sets",
         ),
-        said,
         chip,
     )
 

@@ -543,3 +543,5 @@ class Session:
 
     def _set_listing(self, listing: Listing | None) -> None:
         self.state = replace(self.state, listing=listing)
+        if self._begun:
+            self._say_address()

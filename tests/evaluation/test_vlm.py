@@ -17,11 +17,10 @@ import pytest
 from chat_server import MODELS, ChatServer, Clock, CutOff, Make, Raw, Script, Slow, Trickle, completion, error, flat
 from waiting import LONG_S
 
-from pipeline.evaluation.vlm.client import KEY_VARIABLE, Question, ServerError
-from pipeline.evaluation.vlm.protocol import Usage
-from pipeline.evaluation.vlm.transport import wait_asked
-from pipeline.evaluation.vlm.view import Picture
-from pipeline.system.errors import InputError
+from pipeline.system.chat.client import KEY_VARIABLE, Question
+from pipeline.system.chat.protocol import Picture, Usage
+from pipeline.system.chat.transport import wait_asked
+from pipeline.system.errors import InputError, ServerError
 
 
 def test_a_question_is_sent_as_the_protocol_has_it(server: ChatServer, client_of: Make) -> None:

@@ -14,6 +14,7 @@ from pipeline.datasets.saved_case import CASE_FORMAT, DAMAGED, MANIFEST, Four, S
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.tree import Query
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
@@ -124,6 +125,8 @@ class Manifest(_Strict):
     created: str
     files: dict[Literal["rgb.png", "depth.png", "depth.npy", "proposals.json", "relations.onnx"], str]
     text: str
+    reading: Query | None = None
+    """How the text was read, where it was not by the grammar."""
     frame: SavedFrame
     dataset: dict[str, str]
     class_names: tuple[str, ...]

@@ -13,6 +13,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import (
@@ -40,7 +42,9 @@ from pipeline.diagnosis.cases.manifest import (
     truth_record,
 )
 from pipeline.labels.cases import Case, FrameCases
+from pipeline.language.expression import parse
 from pipeline.language.naming import default_synonyms
+from pipeline.language.tree import Query
 from pipeline.proposals.registry import open_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
 from pipeline.system.detector_setup import DetectorSetup
@@ -122,6 +126,7 @@ def save_case(
     known = None if judged is None else truth_record(judged.truth, judged.case, mark, confidence)
     record = answer_record(now)
     detector = source.needed_detector()
+    reading = None if source.reader is parse else TypeAdapter(Query).dump_python(source.read(text), mode="json")
     manifest = {
         "format": CASE_FORMAT,
         "name": name or f"{text} in {context.frame.id}",
@@ -129,6 +134,7 @@ def save_case(
         "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "files": {file: hashlib.sha256(data).hexdigest() for file, data in files.items()},
         "text": text,
+        **({} if reading is None else {"reading": reading}),
         "frame": frame.model_dump(mode="json"),
         "dataset": {"format": source.dataset.format, "name": source.dataset.root.resolve().name},
         "class_names": list(source.dataset.class_names),
@@ -332,9 +338,15 @@ def open_case(
     truth = case = mark = confidence = None
     if manifest.truth is not None:
         truth, case, mark, confidence = read_truth(manifest.truth, manifest.frame.id, root / MANIFEST)
+
+    def read(text: str, **options: Any) -> Query:
+        """As it was read when the case was kept; the grammar reads other texts."""
+        kept = manifest.reading
+        return kept if kept is not None and text == kept.text else parse(text, **options)
+
     source = Pipeline(
         SavedCaseDataset(root, Settings()), detector, scorer, manifest.config, manifest.synonyms,
-        lambda: replace(detector, everything=True, _answers={}),
+        lambda: replace(detector, everything=True, _answers={}), reader=read if manifest.reading else parse,
     )  # fmt: skip
     return OpenedCase(root, manifest, table, expected, source, truth, case, mark, confidence, notes)
 

@@ -26,7 +26,6 @@ from pipeline.diagnosis.whatif.edits import Edits, PlacedBox
 from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import RunLength, mask_box
-from pipeline.language.expression import parse
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
 from pipeline.proposals.base import top_k_indices
@@ -88,12 +87,7 @@ class Baseline:
         self.source, self.context, self.text = source, context, text
         self.detector = source.needed_detector()
         start = perf_counter()
-        self.query = parse(
-            text,
-            class_names=tuple(source.dataset.class_names or ()) or (self.detector.vocabulary or ()),
-            relations=source.config.relations,
-            synonyms=source.synonyms,
-        )
+        self.query = source.read(text)
         read = perf_counter()
         self.found, self.query = detections(context.frame, self.detector, self.query, source.synonyms)
         self.seconds = {"parse": read - start, "opm": perf_counter() - read}

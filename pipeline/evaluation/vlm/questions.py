@@ -10,13 +10,14 @@ from typing import Protocol
 import numpy as np
 
 from pipeline.evaluation.vlm.answers import BoxScale, parse_box, parse_yes_no, yes_probability
-from pipeline.evaluation.vlm.client import Answer, ChatClient, Question
-from pipeline.evaluation.vlm.view import Picture, View, marked, view_of
+from pipeline.evaluation.vlm.view import View, marked, view_of
 from pipeline.geometry.frame import Frame
 from pipeline.labels.exports.vqa_questions import BRIEF, ask_grounding, ask_relation, can_be_asked
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import noun_phrase, readable
 from pipeline.language.relation_names import PAIRWISE, PHRASE
+from pipeline.system.chat.client import Answer, ChatClient, Question
+from pipeline.system.chat.protocol import Picture
 from pipeline.system.errors import InputError, require
 
 _Key = tuple[tuple[int, int] | None, str, str, str]

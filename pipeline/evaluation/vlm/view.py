@@ -2,57 +2,20 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
 
 from pipeline.geometry.palette import ON_DARK
-from pipeline.system.errors import InputError, require
+from pipeline.system.chat.protocol import Picture
+from pipeline.system.errors import require
 
-JPEG_QUALITY = 92
 PADDING = (122, 116, 104)
 """CLIP's mean colour, with which LLaVA-1.5 makes pictures square (llava/mm_utils.py, expand2square)."""
 
 MARK_COLORS = (ON_DARK["target"], ON_DARK["reference"])
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """A picture to be sent, encoded and hashed once.
-
-    Attributes
-    ----------
-    rgb : (H, W, 3) uint8
-    """
-
-    rgb: np.ndarray
-
-    def __post_init__(self) -> None:
-        rgb = self.rgb
-        good = isinstance(rgb, np.ndarray) and rgb.dtype == np.uint8 and rgb.ndim == 3 and rgb.shape[2] == 3
-        if not good or not rgb.size:
-            got = f"{rgb.dtype} {rgb.shape}" if isinstance(rgb, np.ndarray) else type(rgb).__name__
-            raise InputError("a picture must be uint8 (H, W, 3)", got=got)
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of the pixels and of how they are encoded."""
-        found = hashlib.sha256(f"jpeg {JPEG_QUALITY} {self.rgb.shape}".encode())
-        found.update(np.ascontiguousarray(self.rgb).data)
-        return found.hexdigest()
-
-    @cached_property
-    def data_url(self) -> str:
-        """The picture as a JPEG in base64."""
-        options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-        done, data = cv2.imencode(".jpg", cv2.cvtColor(self.rgb, cv2.COLOR_RGB2BGR), options)
-        require(done, "the picture cannot be encoded as JPEG", got=str(self.rgb.shape))
-        return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
 
 
 @dataclass(frozen=True)

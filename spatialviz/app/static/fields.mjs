@@ -37,6 +37,8 @@ function activate(at) {
 /* Shows offers ({value, parts: [[tag, class, text], ...]}) below a field; `take(offer, done)` is called with the one
    that is taken, `done` where it was pressed or entered and not only completed. */
 function open(field, offers, note, take) {
+  // What the arrows chose stays chosen where it is offered again.
+  const chosen = isOpen(field) ? offered.rows[offered.at]?.offer.value : undefined;
   close();
   if (!offers.length && !note) return;
   const list = offered.list ??= Object.assign(el('div', 'suggestions-list'), {id: 'suggested', popover: 'manual'});
@@ -72,6 +74,8 @@ function open(field, offers, note, take) {
   field.setAttribute('aria-autocomplete', 'list');
   field.setAttribute('aria-expanded', 'true');
   Object.assign(offered, {field, rows, at: -1, take});
+  const at = rows.findIndex(row => row.offer.value === chosen);
+  if (at >= 0) activate(at);
 }
 
 /* The keys of a list that is open; whether the key was one. */
@@ -334,7 +338,9 @@ locals.copy = async element => {
   } catch {
     done = document.execCommand('copy');
   }
-  dialog.querySelector('.copied').textContent = done ? 'Copied to the clipboard.'
+  // The dialog may have been closed meanwhile.
+  const told = dialog.querySelector('.copied');
+  if (told) told.textContent = done ? 'Copied to the clipboard.'
     : 'The browser does not allow it: copy it by hand (Ctrl+C).';
 };
 
@@ -362,6 +368,5 @@ calls.shown = () => setTimeout(() => {
 }, 60);
 
 calls.sentence = () => {
-  calls.tab?.('Answer');
   setTimeout(() => focus(document.querySelector('input.sent')), 60);
 };

@@ -42,6 +42,7 @@ function paint(c, gesture, color, w, h) {
 export function draw(canvas, S, over) {
   const {data: d, hand, zoom} = S, {w, h} = d;
   const ratio = window.devicePixelRatio || 1, W = canvas.clientWidth, H = canvas.clientHeight;
+  // While the window is laid out anew there may be no room.
   if (!W || !H) return null;
   const c = sized(canvas, Math.round(W * ratio), Math.round(H * ratio));
   const X = v => S.x + v * zoom, Y = v => S.y + v * zoom;

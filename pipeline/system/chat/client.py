@@ -1,4 +1,4 @@
-"""A client of OpenAI's chat protocol that is asked about pictures: retries, pace, cache, counts, many at once."""
+"""A client of OpenAI's chat protocol, asked about pictures or words: retries, pace, cache, counts, many at once."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pipeline.evaluation.vlm.protocol import (
+from pipeline.system.chat.protocol import (
     PICTURE_TOKENS,
     AnswerCache,
     Completion,
     Parameters,
+    Picture,
     Usage,
     answer_key,
     estimated_tokens,
@@ -26,10 +27,8 @@ from pipeline.evaluation.vlm.protocol import (
     read_models,
     request_body,
 )
-from pipeline.evaluation.vlm.transport import Failure, checked_base, map_ordered, send
-from pipeline.evaluation.vlm.view import Picture
-from pipeline.proposals.base import listed
-from pipeline.system.errors import InputError, require
+from pipeline.system.chat.transport import Failure, checked_base, map_ordered, send
+from pipeline.system.errors import InputError, ServerError, listed, require
 from pipeline.system.paths import cache_folder
 
 KEY_VARIABLE = "SPATIALVIZ_VLM_KEY"
@@ -42,34 +41,20 @@ _MODELS_TIMEOUT_S = 10.0
 _REFUSALS_OF_A_MODEL = (400, 404, 422)
 
 
-class ServerError(InputError):
-    """A server that gives no answer, after all tries.
-
-    Attributes
-    ----------
-    status : int or None
-        HTTP status; None where there was no reply.
-    everywhere : bool
-        Whether every other question would fail in the same way.
-    """
-
-    def __init__(self, what: str, *, status: int | None, everywhere: bool, **more: Any) -> None:
-        super().__init__(what, **more)
-        self.status, self.everywhere = status, everywhere
-
-
 class _Stopped(Exception):
     """Nobody waits for the answer any more."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """One question about one picture; None stands for the client's own setting."""
+    """One question, about a picture where there is one; None stands for the client's own setting. `check` raises for an
+    answer that is of no use, which is then not kept."""
 
     prompt: str
-    picture: Picture
+    picture: Picture | None
     max_tokens: int | None = None
     top_logprobs: int | None = None
+    check: Callable[[str], object] = str
 
 
 @dataclass(frozen=True)
@@ -94,7 +79,7 @@ class Answer(Completion):
 
 
 class ChatClient:
-    """Asks one model of one server about pictures.
+    """Asks one model of one server.
 
     Parameters
     ----------
@@ -110,7 +95,7 @@ class ChatClient:
         Further tries after 408, 429, 5xx, a timeout, a broken connection or a broken reply.
     requests_per_minute : float, optional
     max_tokens, temperature, seed, top_logprobs, extra
-        See `pipeline.evaluation.vlm.protocol.Parameters`.
+        See `pipeline.system.chat.protocol.Parameters`.
     cache : bool or Path
         Whether answers are kept, in the user's cache folder (or SPATIALVIZ_CACHE) or in one's own.
     clock, sleep : callable
@@ -164,27 +149,30 @@ class ChatClient:
     def ask(
         self,
         prompt: str,
-        image: np.ndarray | Picture,
+        image: np.ndarray | Picture | None,
         *,
         max_tokens: int | None = None,
         top_logprobs: int | None = None,
+        check: Callable[[str], object] = str,
     ) -> Answer:
-        """Ask one question about a picture.
+        """Ask one question.
 
         Parameters
         ----------
-        image : (H, W, 3) uint8 or Picture
+        image : (H, W, 3) uint8 or Picture, optional
             Sent as it is, as JPEG.
         max_tokens, top_logprobs : int, optional
             Instead of the client's.
+        check : callable
+            Raises for an answer that is of no use; it is not kept in the cache.
 
         Raises
         ------
         ServerError
             There is no answer after all tries: an `InputError` that names address, status and the server's words.
         """
-        picture = image if isinstance(image, Picture) else Picture(image)
-        return self._answer(Question(prompt, picture, max_tokens, top_logprobs), threading.Event())
+        picture = image if image is None or isinstance(image, Picture) else Picture(image)
+        return self._answer(Question(prompt, picture, max_tokens, top_logprobs, check), threading.Event())
 
     def ask_many(
         self,
@@ -250,11 +238,12 @@ class ChatClient:
         parameters = replace(self.parameters, **{k: v for k, v in own.items() if v is not None})
         _check(parameters, self.timeout_s, self.retries)
         require(question.prompt.strip(), "a question without words")
-        key = answer_key(parameters, question.prompt, question.picture.digest)
+        key = answer_key(parameters, question.prompt, question.picture.digest if question.picture else "")
         known = self._cache.load(key) if self._cache else None
         if known is not None:
             return self._counted(question, *known, cached=True)
-        completion, seconds = self._post(request_body(parameters, question.prompt, question.picture.data_url), stop)
+        completion, seconds = self._post(request_body(parameters, question.prompt, question.picture), stop)
+        question.check(completion.text)
         if self._cache:
             self._cache.store(key, question.prompt, parameters, completion, seconds)
         return self._counted(question, completion, seconds, cached=False)
@@ -314,7 +303,8 @@ class ChatClient:
     def _counted(self, question: Question, found: Completion, seconds: float, *, cached: bool) -> Answer:
         tokens_in, tokens_out = found.prompt_tokens, found.completion_tokens
         estimated = tokens_in is None or tokens_out is None
-        tokens_in = PICTURE_TOKENS + estimated_tokens(question.prompt) if tokens_in is None else tokens_in
+        if tokens_in is None:
+            tokens_in = estimated_tokens(question.prompt) + (PICTURE_TOKENS if question.picture else 0)
         tokens_out = estimated_tokens(found.text) if tokens_out is None else tokens_out
         if cached:
             self._count(

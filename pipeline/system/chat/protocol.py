@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import http
 import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
+import cv2
+import numpy as np
 from pydantic import Field, TypeAdapter
 
-from pipeline.evaluation.vlm.transport import Failure, Reply, wait_asked
+from pipeline.system.chat.transport import Failure, Reply, wait_asked
+from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import keep_whole
+
+JPEG_QUALITY = 92
 
 _VERSION = "1"
 """Part of every key: a change of what is made of a reply must change it."""
@@ -68,6 +75,40 @@ class Parameters:
         return {name: value for name, value in {**table, **self.extra}.items() if value is not None}
 
 
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture to be sent, encoded and hashed once.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+    """
+
+    rgb: np.ndarray
+
+    def __post_init__(self) -> None:
+        rgb = self.rgb
+        good = isinstance(rgb, np.ndarray) and rgb.dtype == np.uint8 and rgb.ndim == 3 and rgb.shape[2] == 3
+        if not good or not rgb.size:
+            got = f"{rgb.dtype} {rgb.shape}" if isinstance(rgb, np.ndarray) else type(rgb).__name__
+            raise InputError("a picture must be uint8 (H, W, 3)", got=got)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the pixels and of how they are encoded."""
+        found = hashlib.sha256(f"jpeg {JPEG_QUALITY} {self.rgb.shape}".encode())
+        found.update(np.ascontiguousarray(self.rgb).data)
+        return found.hexdigest()
+
+    @cached_property
+    def data_url(self) -> str:
+        """The picture as a JPEG in base64."""
+        options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+        done, data = cv2.imencode(".jpg", cv2.cvtColor(self.rgb, cv2.COLOR_RGB2BGR), options)
+        require(done, "the picture cannot be encoded as JPEG", got=str(self.rgb.shape))
+        return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+
+
 @dataclass(frozen=True)
 class Completion:
     """A server's answer.
@@ -93,16 +134,15 @@ class Completion:
 _COMPLETION = TypeAdapter(Completion)
 
 
-def request_body(parameters: Parameters, prompt: str, data_url: str) -> bytes:
+def request_body(parameters: Parameters, prompt: str, picture: Picture | None) -> bytes:
     """The body of a request, ASCII JSON.
 
     The picture stands before the text, as in LLaVA's training; and what questions about one picture have in common
     comes first, which a server may keep between them.
     """
-    content = [
-        {"type": "image_url", "image_url": {"url": data_url}},
-        {"type": "text", "text": prompt},
-    ]
+    content: list[dict[str, Any]] = [{"type": "text", "text": prompt}]
+    if picture is not None:
+        content.insert(0, {"type": "image_url", "image_url": {"url": picture.data_url}})
     return json.dumps({**parameters.fields(), "messages": [{"role": "user", "content": content}]}).encode("ascii")
 
 
@@ -289,7 +329,7 @@ def answer_key(parameters: Parameters, prompt: str, picture: str) -> str:
     Parameters
     ----------
     picture : str
-        Hash of the picture as it is sent.
+        Hash of the picture as it is sent; empty without one.
     """
     content = {"version": _VERSION, "request": parameters.fields(), "prompt": prompt, "picture": picture}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode("ascii")).hexdigest()

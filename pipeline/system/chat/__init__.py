@@ -1,0 +1,1 @@
+"""A chat with an OpenAI-compatible server: requests, retries, pace and a cache of answers."""
