@@ -15,17 +15,17 @@ from pipeline.diagnosis.whatif.decision_map import decision_map
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.rerun import Baseline
 from pipeline.geometry.palette import depth_ends, palette
-from spatialviz.app.edit_scene import OTHERS, winner_colors
+from spatialviz.app.channel import Call
+from spatialviz.app.context import Context, Shared
+from spatialviz.app.edit_scene import OTHERS, map_legend, winner_colors
+from spatialviz.app.frame_cloud import SceneAids, floor_height, grid_lines
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.layout import Page
-from spatialviz.app.legend import depth_bar, map_legend
-from spatialviz.app.messages import Call
-from spatialviz.app.pointing import Pointing
-from spatialviz.app.scene import SceneView
-from spatialviz.app.scene_aids import SceneAids, floor_height, grid_lines
-from spatialviz.app.scene_client import SceneClient
+from spatialviz.app.picture import depth_bar
+from spatialviz.app.scene import Tag
+from spatialviz.app.selection import Pointing
 from spatialviz.app.state import State, shown_objects
-from spatialviz.app.view_string import view_of, with_settings
+from spatialviz.app.view_strings import view_of, with_settings
 
 
 @cache
@@ -40,22 +40,26 @@ def opened() -> tuple[Pipeline, State]:
     return source, replace(state, pair=state.at(state.ranked[0]))
 
 
-class Desk:
+class Desk(Context):
     """A page without a browser: its state, the calls that it was sent, and its tools."""
 
     def __init__(self) -> None:
-        self.state = opened()[1]
+        source, state = opened()
+        super().__init__("0" * 32, Shared(FrameStore({"demo": source}), {}, {}, {}, {}))
+        self.state = state
         self.calls: list[Call] = []
         self.level: list[tuple[int, int]] = []
         self.page = Page(lambda message: self.calls.append(message) if isinstance(message, Call) else None)
-        self.client = SceneClient()
-        self.aids = SceneAids(self.client, self.page, SceneView(self.client, lambda *_: None))
-        self.pointing = Pointing(
-            self.page, lambda: self.state, self.take, lambda: None, {"level": lambda _, u, v: self.level.append((u, v))}
-        )
+        self.aids = SceneAids(self)
+        self.pointing = Pointing(self, {"level": lambda _, u, v: self.level.append((u, v))})
 
-    def take(self, state: State) -> None:
+    def draw(self, live: bool = False) -> None:
+        """Nothing is drawn."""
+
+    def aided(self, state: State) -> list[Tag]:
+        """The tags of a state."""
         self.state = state
+        return self.aids.follow()
 
     def called(self, name: str) -> Any:
         return next(c.data for c in reversed(self.calls) if c.name == name)
@@ -69,7 +73,7 @@ def test_two_clicks_measure_a_third_begins_anew_and_escape_ends() -> None:
         assert desk.pointing.on_pixel(*pixel)
     assert desk.state.measured is not None
     assert desk.state.measured.distance == pytest.approx(1.5161, abs=1e-4)
-    (tag,) = desk.aids.follow(desk.state)
+    (tag,) = desk.aided(desk.state)
     assert tag.text == "1.516 m"
     assert len(desk.called("measure")["points"]) == 2
     desk.pointing.on_pixel(300, 300)
@@ -107,9 +111,10 @@ def test_the_grid_has_metre_cells_on_the_floor() -> None:
     assert len(cells) == 4 + 4
     assert len(fine) == 3 * (3 + 3)
     desk = Desk()
-    desk.aids.follow(replace(desk.state, flags=replace(desk.state.flags, grid=True)))
+    plain = desk.state
+    desk.aided(replace(plain, flags=replace(plain.flags, grid=True)))
     assert {"/grid/cells", "/grid/fine"} <= desk.client.scene.nodes.keys()
-    desk.aids.follow(desk.state)
+    desk.aided(plain)
     assert not any(name.startswith("/grid") for name in desk.client.scene.nodes)
     loaded = desk.state.loaded
     assert loaded is not None
@@ -119,14 +124,14 @@ def test_the_grid_has_metre_cells_on_the_floor() -> None:
 
 def test_the_scale_is_told_for_the_middle_of_the_pair_else_of_the_cloud() -> None:
     desk = Desk()
-    desk.aids.follow(desk.state)
+    desk.aided(desk.state)
     pair = desk.state.pair
     assert pair is not None
     boxes = [desk.state.shown.objects[i].lifted.box for i in pair[:2]]
     expected = np.mean([box.center for box in boxes if box is not None], axis=0)
     assert desk.called("scale")["name"] == desk.state.shown.names[pair[0]]
     np.testing.assert_allclose(desk.called("scale")["center"], expected, atol=1e-3)
-    desk.aids.follow(replace(desk.state, pair=None))
+    desk.aided(replace(desk.state, pair=None))
     assert desk.called("scale")["name"] == "the middle"
 
 

@@ -1,19 +1,19 @@
-"""The layer of a second detector: whose boxes are shown, its boxes in the scene, and steps through disagreements."""
+"""A second detector beside the own one: whose boxes are shown, where, and what the two agree on."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
+from pipeline.answering.agreement.agreement import MIN_IOU
+from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.answering.objects import SceneObject
 from pipeline.geometry.boxes import EDGES, Box3D
-from pipeline.geometry.palette import RGB, hex_color, second_color
-from spatialviz.app.beside_html import chosen_row, second_name
-from spatialviz.app.scene import GHOST_GROWTH, SceneView, Tag, half_size, triple
-from spatialviz.app.scene_client import SceneClient
+from pipeline.geometry.palette import RGB, hex_color, ink, palette, second_color
+from spatialviz.app.context import Context, Part, command
+from spatialviz.app.markup import DOUBT, GOOD, Child, Element, dot, h, heading, note, panel, segments
+from spatialviz.app.scene import GHOST_GROWTH, Tag, half_size
 from spatialviz.app.state import Layers, State
 from spatialviz.report.picture import dashed
 
@@ -23,70 +23,42 @@ DASH = 0.055
 ANCHOR = "/tags/beside"
 
 
-class BesideLayer:
-    """Draws the second detector's boxes, and takes what is asked of it.
+class BesideLayer(Part):
+    """Draws the second detector's boxes, and takes what is asked of it."""
 
-    Parameters
-    ----------
-    client : SceneClient
-    scene : SceneView
-        Says where a box stands in the scene.
-    state : callable
-        Gives the client's state.
-    take : callable
-        Takes a new one.
-    draw : callable
-    """
-
-    def __init__(
-        self,
-        client: SceneClient,
-        scene: SceneView,
-        state: Callable[[], State],
-        take: Callable[[State], None],
-        draw: Callable[[], None],
-    ) -> None:
-        self._client, self._scene = client, scene
-        self._state, self._take, self._draw = state, take, draw
-        self._lines: dict[str, Any] = {}
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
         self._drawn: tuple[object, ...] = ()
         self._tags: list[Tag] = []
-        self._anchor: Any = None
 
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "layer": self.show,
-            "beside": self._select,
-            "next-disagreement": lambda step: self._step(int(step)),
-        }
-
+    @command("layer")
     def show(self, which: str) -> None:
         """Show the boxes of "both", "a" or "b"; or the "next" of them."""
-        state = self._state()
+        state = self.state
         if state.beside is None:
             return
         if which == "next":
             which = LAYERS[(LAYERS.index(state.layers) + 1) % len(LAYERS)]
         for layers in LAYERS:
             if layers == which:
-                self._take(replace(state, layers=layers))
-                self._draw()
+                self.ctx.show(layers=layers)
 
+    @command("beside")
     def _select(self, places: str) -> None:
         """Select "3,5": object 3 of the own detector and 5 of the second; -1 for none."""
-        beside = self._state().beside
+        beside = self.state.beside
         own, _, other = places.partition(",")
         if beside is None or not all(n.lstrip("-").isdecimal() for n in (own, other)):
             return
         i, j = int(own), int(other)
-        state = self._state()
+        state = self.state
         if i < len(state.shown.objects) and j < len(beside.objects):
             self._choose(None if i < 0 else i, None if j < 0 else j)
 
+    @command("next-disagreement")
     def _step(self, step: int) -> None:
         """Go to the next disagreement, or to one before."""
-        state = self._state()
+        state = self.state
         rows = () if state.beside is None else state.beside.disagreements
         if rows:
             at = chosen_row(state)
@@ -94,17 +66,16 @@ class BesideLayer:
             self._choose(*rows[place % len(rows)])
 
     def _choose(self, own: int | None, second: int | None) -> None:
-        state = self._state()
+        state = self.state
         layers = state.layers
         # What is chosen must be seen.
         if layers != "both" and (own if layers == "a" else second) is None:
             layers = "both"
-        self._take(replace(state, selected=own, second=second, layers=layers))
-        self._draw()
+        self.ctx.show(selected=own, second=second, layers=layers)
 
     def follow(self, live: bool = False) -> list[Tag]:
         """Bring the scene up to the state, and return the names to show; while a hand is at a box nothing changes."""
-        state = self._state()
+        state = self.state
         objects, chosen = state.second_layer, state.second_selected
         marks = (state.source, state.frame_id, bool(objects), chosen, state.layers, state.boxes_shown, state.dark)
         if live or marks == self._drawn:
@@ -116,53 +87,38 @@ class BesideLayer:
             alike = set(state.beside.found.pairs[state.beside.found.same, 1].tolist())
         boxed = [j for j, entry in enumerate(objects) if entry.lifted.box is not None]
         shown = boxed if state.boxes_shown else []
-        with self._client.atomic():
-            self._set("alike", self._dashes(objects, [j for j in shown if j in alike]), _faint(color, state.dark), 1.2)
-            self._set("apart", self._dashes(objects, [j for j in shown if j not in alike]), color, 2.2)
-            self._set("chosen", self._dashes(objects, [j for j in boxed if j == chosen]), color, 4.0)
+        drawn = (
+            ("alike", [j for j in shown if j in alike], _faint(color, state.dark), 1.2),
+            ("apart", [j for j in shown if j not in alike], color, 2.2),
+            ("chosen", [j for j in boxed if j == chosen], color, 4.0),
+        )
+        with self.ctx.client.atomic():
+            for name, which, look, width in drawn:
+                self.ctx.client.lines(f"/beside/{name}", self._dashes(objects, which), look, width)
             self._tags = self._tag(state, chosen if chosen in boxed else None)
         return self._tags
-
-    def clear(self) -> None:
-        """Show nothing."""
-        for handle in self._lines.values():
-            handle.remove()
-        self._lines, self._drawn, self._tags = {}, (), []
 
     def _dashes(self, objects: Sequence[SceneObject], which: Sequence[int]) -> np.ndarray:
         edges = []
         for j in which:
             box = objects[j].lifted.box
             assert box is not None
-            at = self._scene.shown_box(box)
+            at = self.ctx.scene.shown_box(box)
             # A little larger, so that they do not lie in the very lines of the own boxes.
             edges.append(Box3D(at.center, at.R, at.size + GHOST_GROWTH).corners[EDGES])
         return dashed(np.concatenate(edges), DASH) if edges else np.zeros((0, 2, 3), np.float32)
-
-    def _set(self, name: str, points: np.ndarray, color: RGB, width: float) -> None:
-        handle = self._lines.get(name)
-        if handle is None:
-            if len(points):
-                self._lines[name] = self._client.scene.add_line_segments(
-                    f"/beside/{name}", points, color, thickness=width, thickness_units="screen"
-                )
-            return
-        handle.visible = bool(len(points))
-        if len(points):
-            handle.points, handle.colors = points, np.array(color, np.uint8)
 
     def _tag(self, state: State, chosen: int | None) -> list[Tag]:
         if chosen is None or state.beside is None:
             return []
         entry = state.beside.objects[chosen]
         assert entry.lifted.box is not None
-        box = self._scene.shown_box(entry.lifted.box)
-        if self._anchor is None:
-            self._anchor = self._client.scene.add_frame(ANCHOR, show_axes=False)
-        self._anchor.position = triple(box.center)
+        box = self.ctx.scene.shown_box(entry.lifted.box)
         detail = "" if entry.score >= 0.9995 else f"{entry.score:.2f}"
         name, color = second_name(state.beside, chosen), hex_color(second_color(state.dark))
-        return [Tag(ANCHOR, f"B {name}", detail, color, True, extent=half_size(box))]
+        return [
+            Tag(self.ctx.client.anchor(ANCHOR, box.center), f"B {name}", detail, color, True, extent=half_size(box))
+        ]
 
 
 def _faint(color: RGB, dark: bool) -> RGB:
@@ -170,3 +126,176 @@ def _faint(color: RGB, dark: bool) -> RGB:
     ground = 20 if dark else 250
     r, g, b = ((c + ground) // 2 for c in color)
     return r, g, b
+
+
+def second_name(beside: SecondDetections, j: int) -> str:
+    """The name of one of the second detector's objects."""
+    return f"{beside.objects[j].label}·{j}"
+
+
+def layers_html(state: State) -> Element | None:
+    """Whose boxes are shown; nothing without a second detector."""
+    if state.beside is None:
+        return None
+    a, b = state.beside.names
+    cells = segments("layer", {"both": "Both", "a": "A", "b": "B"}, state.layers, "Boxes")
+    return h.div(h.span("Boxes", cls="label"), cells, cls="row", title=f"A: {a}, solid; B: {b}, dashed (Shift+B)")
+
+
+def second_overlay(state: State, unit: float) -> list[Element]:
+    """The second detector's 2D boxes as parts of an SVG: dashed, faint where the own one found the same."""
+    beside = state.beside
+    if beside is None or not state.second_layer or not (state.boxes_shown or state.second_selected is not None):
+        return []
+    color, tag = hex_color(second_color(True)), hex_color(second_color(False))
+    alike = set(beside.found.pairs[beside.found.same, 1].tolist())
+    parts = []
+    for j, entry in enumerate(beside.objects):
+        chosen = j == state.second_selected
+        if not chosen and not state.boxes_shown:
+            continue
+        x0, y0, x1, y1 = (float(v) for v in entry.bbox)
+        faint = j in alike and state.layers == "both"
+        width = 1.8 if chosen else 0.8 if faint else 1.2
+        opacity = 1.0 if chosen else 0.5 if faint else 0.95
+        parts.append(
+            h.rect(
+                x=f"{x0:.1f}", y=f"{y0:.1f}", width=f"{x1 - x0:.1f}", height=f"{y1 - y0:.1f}", fill="none",
+                stroke=color, stroke_width=f"{width * unit:.2f}", opacity=opacity,
+                stroke_dasharray=f"{3.2 * unit:.1f} {2.2 * unit:.1f}",
+            )
+        )  # fmt: skip
+        if chosen:
+            parts += name_tag(f"B {second_name(beside, j)}", x0, y1, entry.mask.shape, unit, tag)
+    return parts
+
+
+def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> tuple[Element, Element]:
+    """A name on its colour in the picture, its upper left corner at (x, y) or as near as the picture's `shape` lets."""
+    width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
+    x, y = max(min(x, shape[1] - width), 0), min(max(y, 0), shape[0] - height)
+    return (
+        h.rect(
+            x=f"{x:.1f}", y=f"{y:.1f}", width=f"{width:.1f}", height=f"{height:.1f}", rx=f"{2 * unit:.1f}", fill=color
+        ),
+        h.text(
+            text, x=f"{x + 4 * unit:.1f}", y=f"{y + 10.4 * unit:.1f}", font_size=f"{10.5 * unit:.1f}",
+            font_weight=600, fill=ink(color), font_family="system-ui,sans-serif",
+        ),
+    )  # fmt: skip
+
+
+def agreement_html(state: State) -> Element:
+    """Counts, figures, and a row for each disagreement; a click selects what it is about."""
+    beside = state.beside
+    if beside is None:
+        reason = "The detectors are compared beside an answer, not beside labels."
+        return panel(note(reason if state.labels is not None else "There is nothing to compare in this frame."))
+    sums, a, b = beside.sums, *beside.names
+    second, other = hex_color(second_color(state.dark)), hex_color(palette(state.dark)["other"])
+    whose = (dot(palette(state.dark)["other"]), f"A {a} \u2003", hollow(second), f"B {b}")
+    title = heading("Agreement", h.span(whose, title=f"A: {a}, B: {b}"))
+    if not sums.a + sums.b:
+        nothing = h.div("Neither finds anything that the other knows.", cls="dim")
+        return panel(title, nothing, _beyond(beside))
+    shares = (
+        (sums.both, GOOD, "alike", ""),
+        (sums.otherwise, DOUBT, "named otherwise", ""),
+        (sums.only_a, other, "only A", ""),
+        (sums.only_b, second, "only B", "second"),
+    )
+    bar = (
+        h.i(cls=kind, css={"--c": color, "flex": str(count)}, title=f"{count} {name}")
+        for count, color, name, kind in shares
+        if count
+    )
+    legend = (
+        h.span(h.span(cls="hollow" if kind else "dot", css={"--c": color}), f"{count} {name}")
+        for count, color, name, kind in shares
+    )
+    figures = (
+        ("agreement", sums.share, "2 alike / (A + B): what kappa tends to where empty places are beyond counting"),
+        ("of places", sums.share_placed, "the same, however the two name what they both found"),
+        ("mean IoU", sums.mean_iou, "of what both found"),
+        ("scores ρ", sums.score_correlation, "rank correlation of the scores of what both found"),
+    )
+    cells = (h.span(h.b(_figure(value)), name, cls="dim", title=hint) for name, value, hint in figures)
+    return panel(
+        title,
+        h.div(bar, cls="agree"),
+        h.div(legend, cls="legend"),
+        h.div(cells, cls="kappas"),
+        _rows(state, beside),
+        _beyond(beside),
+    )
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}".replace("-", "−")
+
+
+def _rows(state: State, beside: SecondDetections) -> Child:
+    color = hex_color(second_color(state.dark))
+    grey = palette(state.dark)
+    iou = {(int(i), int(j)): float(v) for (i, j), v in zip(beside.found.pairs, beside.found.iou, strict=True)}
+    rows = []
+    for i, j in beside.disagreements:
+        own = other = (h.td("–", cls="none"), h.td())
+        if i is not None:
+            mark = dot(grey[state.roles.get(i, "other")])
+            # The question may name it otherwise than the detector does where it is asked for everything.
+            number = state.shown.names[i].rpartition("·")[2]
+            own = _cells(mark, f"{beside.found.labels_a[i]}·{number}", float(beside.found.scores_a[i]))
+        if j is not None:
+            other = _cells(hollow(color), second_name(beside, j), float(beside.found.scores_b[j]))
+        if i is not None and j is not None:
+            overlap, hint = iou[i, j], "overlap of the two"
+        else:
+            near = beside.found.nearest_a if i is not None else beside.found.nearest_b
+            overlap = float(near[i if i is not None else j])
+            why = "which stands for another already" if overlap >= MIN_IOU else "too little"
+            hint = f"overlap with the nearest of the other detector, {why}"
+        ends = ",".join(str(-1 if k is None else k) for k in (i, j))
+        rows.append(
+            h.tr(
+                own, other, h.td(f"{overlap:.2f}", cls="n dim", title=hint), id=f"apart-{ends.replace(',', '-')}",
+                cls="r", do=f"beside:{ends}", aria_current="true" if (i, j) == chosen_row(state) else None,
+            )
+        )  # fmt: skip
+    if not rows:
+        return h.div("They disagree on nothing.", cls="dim")
+    score = h.th("score", cls="n s", title="the detector's own")
+    head = h.tr(h.th("A"), score, h.th("B"), score, h.th("IoU", cls="n s"))
+    return (
+        heading(f"Disagreements ({len(rows)})", h.kbd("Shift"), " ", h.kbd("J"), " next"),
+        h.div(h.table(head, rows, cls="apart"), cls="scroll disagreements"),
+    )
+
+
+def chosen_row(state: State) -> tuple[int | None, int | None]:
+    """What is selected of the two detectors, as a row of the disagreements has it."""
+    beside = state.beside
+    if beside is None:
+        return None, None
+    second = state.second_selected
+    if state.selected is None:
+        return beside.partner_of_b(second), second
+    return state.selected, second
+
+
+def _cells(mark: Element, name: str, score: float) -> tuple[Element, Element]:
+    shown = "" if score >= 0.9995 else f"{score:.2f}"
+    return h.td(h.span(mark, h.b(name), cls="name"), title=name), h.td(shown, cls="n dim")
+
+
+def hollow(color: str) -> Element:
+    """The dashed square that marks the second detector's objects."""
+    return h.span(cls="hollow", css={"--c": color})
+
+
+def _beyond(beside: SecondDetections) -> Element | None:
+    sums = beside.sums
+    if not sums.beyond_a + sums.beyond_b:
+        return None
+    parts = [f"{n} of {name}" for n, name in ((sums.beyond_a, "A"), (sums.beyond_b, "B")) if n]
+    return h.div(f"Not counted, of classes that the other does not know: {', '.join(parts)}.", cls="dim small")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import getpass
+from collections.abc import Callable
 from dataclasses import replace
 
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, settle
@@ -14,81 +15,38 @@ from pipeline.corrections.object_card import expression_cards
 from pipeline.corrections.scene import ASKED_BEYOND_M, PairCard, RelationLine, labelled_objects, pair_card
 from pipeline.corrections.wording import consequences, events_text, outcome_text
 from pipeline.system.errors import InputError, require
+from spatialviz.app.context import Context, Part, command
 from spatialviz.app.label_view import ANYTHING, LabelView, Target
-from spatialviz.app.layout import Page
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.state import Shown, State
 
 
-class Correct:
-    """Shows and corrects the labels of the source that a client looks at.
+class Correct(Part):
+    """Shows and corrects the labels of the source that a client looks at."""
 
-    Parameters
-    ----------
-    page : Page
-    desks : mapping of str to callable
-        By name of the source: opens this client's desk.
-    state : callable
-        Gives the client's state.
-    take : callable
-        Takes a new one.
-    draw : callable
-    ask : callable
-        Asks the question of the state again, where labels are shown no longer.
-    open_frame : callable
-        Shows another frame, with its labels where `stays` says so.
-    note : callable
-        Writes a line of the log.
-    """
-
-    def __init__(
-        self,
-        page: Page,
-        desks: Mapping[str, Callable[[], LabelEditor]],
-        *,
-        state: Callable[[], State],
-        take: Callable[[State], None],
-        draw: Callable[[], None],
-        ask: Callable[[], None],
-        open_frame: Callable[[str], None],
-        note: Callable[[str], None],
-    ) -> None:
-        self._page, self._openers = page, desks
-        self._state, self._take, self._draw, self._ask, self._note = state, take, draw, ask, note
-        self._open_frame = open_frame
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
         self._desks: dict[str, LabelEditor] = {}
         self._author = ""
-        self.keeps_name = self._token_name = False
+        self.keeps_name, self._token_name = ctx.shared.author is not None, False
         self.on_conflict: Callable[[], None] = lambda: None
         self.on_doubt: Callable[[PairCard, RelationLine, int], None] = lambda card, line, state: None
         self._wanted: Target | None = None
-        self._listeners: list[Callable[[tuple[Event, ...]], None]] = []
+        self._listeners: list[Callable[[tuple[Event, ...]], object]] = []
         self._said: tuple[str, bool] = "", False
-
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "labels": lambda _: self.toggle(),
-            "labels-at": self.look_at_said,
-            "relation-row": self.focus_relation,
-            "next-row": lambda step: self.step_relation(int(step)),
-            "swap": lambda _: self.swap(),
-            "take-back": lambda _: self.taken_back("undo"),
-            "bring-back": lambda _: self.taken_back("redo"),
-            "save-again": lambda _: self.save_again(),
-        }
 
     # ---- what is shown ----------------------------------------------------------------
 
     @property
     def desk(self) -> LabelEditor | None:
         """The desk of the source that is looked at, opened when it is first needed."""
-        return self._opened(self._state().source)
+        return self._opened(self.state.source)
 
     def _opened(self, name: str) -> LabelEditor | None:
-        if name not in self._desks and name in self._openers:
-            self._desks[name] = self._openers[name]()
-            self._desks[name].author = self._author or self._desks[name].author
+        if name not in self._desks and name in self.ctx.shared.journals:
+            place, dataset = self.ctx.shared.journals[name], self.ctx.shared.store.sources[name].dataset
+            author = self._author or self.ctx.shared.author or login_name()
+            self._desks[name] = LabelEditor(place.labels, place, author, dataset)
         return self._desks.get(name)
 
     def greeted(self, author: str) -> None:
@@ -97,7 +55,7 @@ class Correct:
             if author and not self.keeps_name:
                 self.sign(author)
         except InputError as error:
-            self._note(str(error))
+            self.ctx.note(str(error))
 
     def signed_as(self, author: str) -> None:
         """Correct under the name of whoever's token it is; the page cannot change it."""
@@ -107,7 +65,7 @@ class Correct:
     @property
     def open_desk(self) -> LabelEditor | None:
         """The desk of the source that is looked at, where it was needed before; any thread may ask."""
-        return self._desks.get(self._state().source)
+        return self._desks.get(self.state.source)
 
     def corrected(self, source: str, frame: str) -> EffectiveFrame | None:
         """The labels of a frame as they were corrected by now; None where nobody has corrected any."""
@@ -128,12 +86,13 @@ class Correct:
     @property
     def stays(self) -> bool:
         """Whether a frame that is opened shows its labels."""
-        return self._state().labels is not None or self._wanted is not None
+        return self.state.labels is not None or self._wanted is not None
 
     def stay(self, wanted: Target = ANYTHING) -> None:
         """Have the frame that is opened next show its labels, and in them what is wanted."""
         self._wanted = wanted
 
+    @command("labels-at")
     def look_at_said(self, said: str) -> None:
         """Show a pair: "a,b,relation,frame"."""
         parts = said.split(",", 3)
@@ -143,24 +102,25 @@ class Correct:
     def look_at(self, wanted: Target) -> None:
         """Show the labels of a frame, and in it a pair or an object."""
         self._wanted = wanted
-        if wanted.frame == self._state().frame_id:
+        if wanted.frame == self.state.frame_id:
             self.show()
-            self._draw()
+            self.ctx.draw()
         else:
-            self._open_frame(wanted.frame)
+            self.ctx.open_frame(wanted.frame)
 
+    @command("labels")
     def toggle(self) -> None:
         """Show the labels, or the answer again."""
-        if self._state().labels is not None:
-            self._take(replace(self._state(), labels=None))
-            self._ask()
+        if self.state.labels is not None:
+            self.state = replace(self.state, labels=None)
+            self.ctx.reopen()
             return
         self.show()
-        self._draw()
+        self.ctx.draw()
 
     def show(self) -> None:
         """Show the labels of the frame that is looked at, where there are any."""
-        state, desk = self._state(), self.desk
+        state, desk = self.state, self.desk
         wanted, self._wanted = self._wanted, None
         if desk is None:
             self.refuse("no labels are open: `spatialviz view DATASET --labels LABELS`")
@@ -177,7 +137,7 @@ class Correct:
             return
         view = LabelView(frame, said=self._said[0], bad=self._said[1])
         if wanted is None or wanted.frame != frame.frame:
-            self._take(_looking_at(replace(state.unasked, labels=None), view))
+            self.state = _looking_at(replace(state.unasked, labels=None), view)
             if desk.disputed:
                 self.on_conflict()
             return
@@ -185,18 +145,11 @@ class Correct:
         standing = [n for n in wanted.objects if n in frame.objects]
         chosen = tuple(standing) if len(standing) > 1 else None
         selected = standing[0] if standing else None
-        self._take(_looking_at(replace(state.unasked, labels=None), view, chosen, selected))
-
-    def leave_item(self) -> None:
-        """Close the item of the review queue; its pair stays chosen."""
-        state = self._state()
-        if state.labels is not None:
-            self._take(replace(state, labels=replace(state.labels, item=None)))
-            self._draw()
+        self.state = _looking_at(replace(state.unasked, labels=None), view, chosen, selected)
 
     def renew(self) -> None:
         """Look at the labels again after they changed; what is selected and chosen stays by its number."""
-        state, desk = self._state(), self.desk
+        state, desk = self.state, self.desk
         view = state.labels
         if view is None or desk is None:
             return
@@ -204,11 +157,11 @@ class Correct:
         chosen = None if state.pair is None else tuple(numbers[i] for i in state.pair)
         selected = None if state.selected is None else numbers[state.selected]
         view = replace(view, frame=desk.frame(state.frame_id), moved=None)
-        self._take(_looking_at(state, view, chosen, selected))
+        self.state = _looking_at(state, view, chosen, selected)
 
     def chosen(self) -> None:
         """The chosen pair may be another: its card follows."""
-        state = self._state()
+        state = self.state
         view = state.labels
         if view is None:
             return
@@ -220,11 +173,11 @@ class Correct:
         relation = view.relation if any(x.relation == view.relation for x in lines) else None
         if relation is None and lines:
             relation = lines[0].relation
-        self._take(replace(state, labels=self._detailed(replace(view, card=card, relation=relation))))
+        self.state = replace(state, labels=self._detailed(replace(view, card=card, relation=relation)))
 
     def _detailed(self, view: LabelView) -> LabelView:
         """With the expressions of the frame, and the history of what is selected."""
-        state, desk, card, sentence = self._state(), self.desk, view.card, view.sentence
+        state, desk, card, sentence = self.state, self.desk, view.card, view.sentence
         about = view.about
         if card is not None and (sentence is None or not sentence.is_of((card.a, card.b))):
             about = card.a, card.b
@@ -238,22 +191,19 @@ class Correct:
 
     def follow(self) -> None:
         """Bring the Review tab up to the state."""
-        if not self._openers:
+        if not self.ctx.shared.journals:
             return
-        state = self._state()
-        self._page.show("review-head", review_head_html(state, state.source in self._openers, self.open_desk))
-        self._page.show("review-pair", pair_html(state))
+        state = self.state
+        self.ctx.page.show(
+            "review-head", review_head_html(state, state.source in self.ctx.shared.journals, self.open_desk)
+        )
+        self.ctx.page.show("review-pair", pair_html(state))
 
     # ---- edits ------------------------------------------------------------------------
 
-    def on_saved(self, listener: Callable[[tuple[Event, ...]], None]) -> None:
+    def on_saved(self, listener: Callable[[tuple[Event, ...]], object]) -> None:
         """Have something called with the events of everything that this client saves or takes back."""
         self._listeners.append(listener)
-
-    @property
-    def waits(self) -> bool:
-        """Whether something could not be saved yet."""
-        return self.desk is not None and bool(self.desk.waiting)
 
     def settle(
         self, ends: tuple[int, int], relation: str | None, state: int, *, last_word: bool = False, sure: bool = False
@@ -266,7 +216,7 @@ class Correct:
         `last_word` settles it for all of them. What geometry contradicts by
         decimetres is handed to `on_doubt`, and saved only where they are `sure`.
         """
-        view, desk = self._state().labels, self.desk
+        view, desk = self.state.labels, self.desk
         if view is None or desk is None:
             return False
         try:
@@ -296,7 +246,7 @@ class Correct:
 
     def save(self, made: Callable[[EffectiveFrame], Edits], draw: bool = True) -> Outcome | None:
         """Save what an action comes down to, made on the labels as this client sees them; None where it is none."""
-        view, desk = self._state().labels, self.desk
+        view, desk = self.state.labels, self.desk
         if view is None or desk is None:
             return None
         try:
@@ -307,13 +257,9 @@ class Correct:
         self.came_to(outcome, "saved", draw)
         return outcome
 
-    def redraw(self) -> None:
-        """Draw the page."""
-        self._draw()
-
     def came_to(self, outcome: Outcome | None, verb: str, draw: bool = True) -> None:
         """Show what came of an action, and what followed from it."""
-        before = self._state().labels
+        before = self.state.labels
         said, bad = outcome_text(outcome, verb, None if before is None else before.frame)
         own = None if before is None or isinstance(outcome, Conflict) else before.frame
         self.tell(said, bad, draw=False, before=own)
@@ -321,33 +267,33 @@ class Correct:
             for listener in self._listeners:
                 listener(outcome.events)
         if draw:
-            self._draw()
+            self.ctx.draw()
         if isinstance(outcome, Conflict):
             self.on_conflict()
 
     def tell(self, said: str, bad: bool = False, draw: bool = True, before: EffectiveFrame | None = None) -> None:
         """Say something where the outcome of actions is said, with the labels as they are now."""
         self.renew()
-        view = self._state().labels
+        view = self.state.labels
         if view is not None and before is not None and (followed := str(consequences(before, view.frame))):
             said = f"{said} · {followed}"
         self._said = said, bad
         if view is not None:
-            self._take(replace(self._state(), labels=replace(view, said=said, bad=bad)))
+            self.state = replace(self.state, labels=replace(view, said=said, bad=bad))
         elif said:
-            self._page.toast("Labels", said)
-        self._note(said)
+            self.ctx.page.toast("Labels", said)
+        self.ctx.note(said)
         if draw:
-            self._draw()
+            self.ctx.draw()
 
     def refresh(self) -> None:
         """Show what waits, and what it is made on, as it is now."""
         self.renew()
-        self._draw()
+        self.ctx.draw()
 
     def took(self, frame: str, events: tuple[Event, ...]) -> None:
         """Others have saved something in a frame, or put another journal in its place: look at it, and say so."""
-        state, desk = self._state(), self.desk
+        state, desk = self.state, self.desk
         if desk is None or state.labels is None or state.frame_id != frame:
             return
         events = tuple(e for e in events if not desk.has_seen(e))
@@ -364,10 +310,11 @@ class Correct:
         except InputError:
             return None
 
+    @command("take-back=undo", "bring-back=redo")
     def taken_back(self, which: str, group: str | None = None) -> None:
         """Undo or redo one's newest action, or undo the one of a group."""
         desk = self.desk
-        if desk is None or self._state().labels is None:
+        if desk is None or self.state.labels is None:
             return
         try:
             outcome = desk.undo(group) if which == "undo" else desk.redo()
@@ -379,6 +326,7 @@ class Correct:
             return
         self.came_to(outcome, "taken back" if which == "undo" else "brought back")
 
+    @command("save-again")
     def save_again(self) -> None:
         """Try to save what waits."""
         for outcome in () if self.desk is None else self.desk.retry():
@@ -386,23 +334,24 @@ class Correct:
 
     # ---- pairs ------------------------------------------------------------------------
 
+    @command("swap")
     def swap(self) -> None:
         """The pair the other way round."""
-        state = self._state()
+        state = self.state
         if state.pair is not None and state.labels is not None:
-            self._take(replace(state, pair=(state.pair[1], state.pair[0])))
-            self._draw()
+            self.ctx.show(pair=(state.pair[1], state.pair[0]))
 
+    @command("relation-row")
     def focus_relation(self, relation: str) -> None:
         """Look at a relation of the pair."""
-        view = self._state().labels
+        view = self.state.labels
         if view is not None and view.card is not None and any(x.relation == relation for x in view.card.lines):
-            self._take(replace(self._state(), labels=replace(view, relation=relation)))
-            self._draw()
+            self.ctx.show(labels=replace(view, relation=relation))
 
+    @command("next-row")
     def step_relation(self, step: int) -> None:
         """Look at the next relation of the pair."""
-        view = self._state().labels
+        view = self.state.labels
         if view is None or view.card is None or not view.card.lines:
             return
         names = [x.relation for x in view.card.lines]
@@ -411,8 +360,16 @@ class Correct:
 
     def refuse(self, problem: str) -> None:
         """Say why something was not done."""
-        self._note(f"not done: {problem}")
-        self._page.toast("Not done", problem)
+        self.ctx.note(f"not done: {problem}")
+        self.ctx.page.toast("Not done", problem)
+
+
+def login_name() -> str:
+    """The name that the user is logged in with; "somebody" where there is none."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):  # A container may know no name of its user.
+        return "somebody"
 
 
 def _looking_at(

@@ -1,24 +1,31 @@
-"""What the scene shows of edits: their boxes and where those were, the asked relation's region, the decision map."""
+"""What the scene shows of edits: handles, boxes and where those were, the asked region, the decision map."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import cycle
+from threading import Lock
 from typing import Any
 
 import numpy as np
+import viser.transforms as vtf
 
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
-from pipeline.diagnosis.whatif.region import Region
-from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, Placement, place_in_region
+from pipeline.diagnosis.whatif.region import Region, region_of
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.palette import RGB, Role, palette
-from pipeline.language.relation_names import RELATIONS
-from pipeline.relations.relations import letter
-from spatialviz.app.glb import unlit_glb
-from spatialviz.app.relation_region import REACH, asked_pair
-from spatialviz.app.scene import SceneView
-from spatialviz.app.scene_client import SceneClient
-from spatialviz.app.state import State
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.relation_names import PAIRWISE, RELATIONS
+from pipeline.relations.relations import Profile, letter
+from pipeline.system.errors import InputError
+from spatialviz.app.context import Context, Part
+from spatialviz.app.frame_cloud import over_floor, set_changed, unlit_glb
+from spatialviz.app.markup import Element, dot, h
+from spatialviz.app.scene import edges
+from spatialviz.app.state import EditMode, State
 
 HOLDS: RGB = (38, 166, 154)
 DOUBTFUL: RGB = (224, 152, 46)
@@ -29,7 +36,6 @@ OUTLINE_GROWTH = 0.006
 MAP_OPACITY = 0.8
 MAP_LIFT = 0.008
 """The map lies a little above the points of the floor, metres."""
-FLOOR_NOISE = 0.06
 OTHERS: tuple[RGB, ...] = ((166, 122, 214), (84, 178, 160), (186, 170, 84), (208, 122, 150), (148, 156, 168))
 """Winners that are neither target nor reference: apart from orange and blue, and from each other."""
 
@@ -43,21 +49,17 @@ def winner_colors(found: DecisionMap, state: State) -> dict[int, RGB]:
     return {k: next(others) if role is None else colors[role] for k, role in roles.items()}
 
 
-class EditScene:
+class EditScene(Part):
     """Draws into one client's scene, beside what `SceneView` draws."""
 
-    def __init__(self, client: SceneClient, scene: SceneView) -> None:
-        self._client, self._scene = client, scene
-        self._lines: dict[str, Any] = {}
-        self._region: list[Any] = []
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
         self._of: tuple[object, ...] | None = None
-        self._map: list[Any] = []
         self._mapped: tuple[Any, ...] | None = None
-        self._middle: Any = None
 
     def draw(self, state: State, found: DecisionMap | None, keep_map: bool) -> None:
         """Bring all of it up to a state; `keep_map` leaves the map as it is."""
-        with self._client.atomic():
+        with self.ctx.client.atomic():
             self._draw_boxes(state)
             self._draw_region(state)
             if not keep_map:
@@ -73,61 +75,56 @@ class EditScene:
             touched = {*state.edits.boxes, *state.edits.masks, *(key for _, key in state.edits.confidences)}
             for key, entry in zip(edited.after.keys, edited.after.trace.objects, strict=True):
                 if key in touched and entry.lifted.box is not None:
-                    now.append(entry.lifted.box)
+                    now.append(self.ctx.scene.shown_box(entry.lifted.box))
             for key in (*state.edits.boxes, *state.edits.masks, *state.edits.hidden):
                 box = before[key].lifted.box if key in before else None
                 if box is not None:
-                    were.append(box)
+                    were.append(self.ctx.scene.shown_box(box))
         color = palette(state.dark)["edited"]
-        grown = [Box3D(b.center, b.R, b.size + OUTLINE_GROWTH) for b in now]
-        self._set("/edit/now", self._edges(grown), color, 2.6)
-        self._set("/edit/before", self._edges(were), color, 1.0)
+        self.ctx.client.lines("/edit/now", edges(now, OUTLINE_GROWTH), color, 2.6)
+        self.ctx.client.lines("/edit/before", edges(were), color, 1.0)
 
     def _draw_region(self, state: State) -> None:
         asked = asked_pair(state) if state.flags.region and state.loaded is not None else None
         marks = None if asked is None else (state.source, state.frame_id, state.dark, *asked.marks)
         if marks != self._of:
-            for handle in self._region:
-                handle.remove()
-            self._region, self._of = [], marks
+            self.ctx.client.clear("/region/")
+            self._of = marks
             region = None if asked is None else asked.region
             if region is not None:
                 self._add_region(region, state.dark)
         known = asked is not None and bool(np.isfinite(asked.target.lo).all())
-        if self._middle is None and known:
-            self._middle = self._client.scene.add_icosphere("/region/target", 0.014, cast_shadow=False)
-        if self._middle is None:
-            return
-        if self._middle.visible != known:
-            self._middle.visible = known
-        if asked is None or not known:
-            return
-        self._middle.position = self._scene.to_show @ (asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2)
-        self._middle.color = {**REGION_COLORS, "F": FAILS}[letter(asked.placement.state)]
+        target = self.ctx.client.scene.nodes.get("/region/target")
+        if target is None and known:
+            target = self.ctx.client.scene.add_icosphere("/region/target", 0.014, cast_shadow=False)
+        if target is not None:
+            set_changed(target, visible=known)
+        if target is not None and asked is not None and known:
+            middle = asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2
+            target.position = self.ctx.scene.to_show @ middle
+            target.color = {**REGION_COLORS, "F": FAILS}[letter(asked.placement.state)]
 
     def _add_region(self, region: Region, dark: bool) -> None:
-        scene, R = self._client.scene, self._scene.to_show.T
+        scene, lines, R = self.ctx.client.scene, self.ctx.client.lines, self.ctx.scene.to_show.T
         for patch in region.patches:
             corners = (patch.triangles @ R).reshape(-1, 3).astype(np.float32)
-            self._region.append(
-                scene.add_mesh_simple(
-                    f"/region/{patch.label}",
-                    corners,
-                    np.arange(len(corners)).reshape(-1, 3),
-                    color=REGION_COLORS[patch.label],
-                    opacity=OPACITY[patch.label],
-                    side="double",
-                    cast_shadow=False,
-                    receive_shadow=False,
-                )
+            scene.add_mesh_simple(
+                f"/region/{patch.label}",
+                corners,
+                np.arange(len(corners)).reshape(-1, 3),
+                color=REGION_COLORS[patch.label],
+                opacity=OPACITY[patch.label],
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
             )
             if len(patch.lines):
-                lines, color = (patch.lines @ R).astype(np.float32), REGION_COLORS[patch.label]
-                self._region.append(self._segments(f"/region/{patch.label}-rim", lines, color, 1.6))
+                rim, color = (patch.lines @ R).astype(np.float32), REGION_COLORS[patch.label]
+                lines(f"/region/{patch.label}-rim", rim, color, 1.6)
         if region.dead_zone > 0:
-            edges = (_dead_zone(region) @ R).astype(np.float32)
+            strip = (_dead_zone(region) @ R).astype(np.float32)
             color = (245, 247, 250) if dark else (24, 26, 30)
-            self._region.append(self._segments("/region/dead-zone", edges, color, 1.2))
+            lines("/region/dead-zone", strip, color, 1.2)
 
     def _draw_map(self, found: DecisionMap | None, state: State) -> None:
         shown = None if found is None else (found, state.dark, tuple(winner_colors(found, state).items()))
@@ -138,9 +135,8 @@ class EditScene:
             and self._mapped[1:] == shown[1:]
         ):
             return
-        for node in self._map:
-            node.remove()
-        self._map, self._mapped = [], shown
+        self.ctx.client.clear("/map/")
+        self._mapped = shown
         if found is None or state.loaded is None:
             return
         rows, columns = np.nonzero(found.winner >= 0)
@@ -152,7 +148,7 @@ class EditScene:
         strength = (0.4 + 0.6 * np.clip(found.margin[rows, columns], 0, 1))[:, None]
         background = 34.0 if state.dark else 244.0
         colors = by_winner[found.winner[rows, columns]] * strength + background * (1 - strength)
-        corners = found.corners @ self._scene.to_show.T
+        corners = found.corners @ self.ctx.scene.to_show.T
         corners[..., 2] = over_floor(state.loaded.cloud.points, corners[0, 0], corners[-1, -1]) + MAP_LIFT
         steps = ((0, 0), (0, 1), (1, 1), (1, 0))
         vertices = np.stack([corners[rows + r, columns + c] for r, c in steps], axis=1).reshape(-1, 3)
@@ -161,30 +157,8 @@ class EditScene:
         cells = np.repeat(np.round(colors).astype(np.uint8), 4, axis=0)
         data = unlit_glb(vertices.astype(np.float32), faces, cells, MAP_OPACITY)
         rims = (_rims(found.winner, corners) + np.array([0, 0, MAP_LIFT / 4])).astype(np.float32)
-        self._map = [
-            self._client.scene.add_glb("/map/areas", data, cast_shadow=False, receive_shadow=False),
-            self._segments("/map/rims", rims, (245, 247, 250) if state.dark else (24, 26, 30), 1.6),
-        ]
-
-    def _edges(self, boxes: Sequence[Box3D]) -> np.ndarray:
-        if not boxes:
-            return np.zeros((0, 2, 3), np.float32)
-        return np.concatenate([self._scene.shown_box(b).corners[EDGES] for b in boxes]).astype(np.float32)
-
-    def _segments(self, name: str, points: np.ndarray, color: RGB, width: float) -> Any:
-        return self._client.scene.add_line_segments(name, points, color, thickness=width, thickness_units="screen")
-
-    def _set(self, name: str, points: np.ndarray, color: RGB, width: float) -> None:
-        """Lines of a name, made once and then moved."""
-        handle = self._lines.get(name)
-        if handle is None:
-            if len(points):
-                self._lines[name] = self._segments(name, points, color, width)
-            return
-        if len(points):
-            handle.points = points
-            handle.colors = np.array(color, np.uint8)
-        handle.visible = bool(len(points))
+        self.ctx.client.scene.add_glb("/map/areas", data, cast_shadow=False, receive_shadow=False)
+        self.ctx.client.lines("/map/rims", rims, (245, 247, 250) if state.dark else (24, 26, 30), 1.6)
 
 
 def _dead_zone(region: Region) -> np.ndarray:
@@ -199,16 +173,6 @@ def _dead_zone(region: Region) -> np.ndarray:
     return np.array([[edge - reach, edge + reach] for edge in edges])
 
 
-def over_floor(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """The height over which nearly none of the floor's points ((N, 3), shown frame) lie, between two of its corners.
-
-    Depth is noisy: what lies in the floor itself shows as specks between its points.
-    """
-    floor, across = low[2], points[:, :2]
-    near = (np.abs(points[:, 2] - floor) < FLOOR_NOISE) & ((across > low[:2]) & (across < high[:2])).all(axis=1)
-    return float(np.percentile(points[near, 2], 98)) if near.any() else float(floor)
-
-
 def _rims(winner: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """(N, 2, 3): the edges of cells between two winners, and around all of them."""
     padded = np.pad(winner, 1, constant_values=-1)
@@ -218,3 +182,231 @@ def _rims(winner: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.concatenate(
         [np.stack([corners[r, c], corners[r, c + 1]], axis=1), np.stack([corners[v, h], corners[v + 1, h]], axis=1)]
     )
+
+
+REACH = 1.0
+"""Metres around the reference that are drawn."""
+
+
+@dataclass(frozen=True)
+class AskedPair:
+    """What a region is of: "target RELATION reference", in the order in which it is judged.
+
+    Attributes
+    ----------
+    relation : str
+    target, reference : LiftedObject
+    places : (int, int)
+        In `shown.objects`.
+    viewer : ViewerAxes
+    profile : Profile
+    """
+
+    relation: str
+    target: LiftedObject
+    reference: LiftedObject
+    places: tuple[int, int]
+    viewer: ViewerAxes
+    profile: Profile
+
+    @property
+    def region(self) -> Region | None:
+        """Where the relation holds; None where the reference has no place in space."""
+        try:
+            size = self.target.hi - self.target.lo
+            return region_of(self.reference, self.relation, size, self.viewer, self.profile, REACH)
+        except InputError:
+            return None
+
+    @property
+    def placement(self) -> Placement:
+        """Where the target falls in it, and why."""
+        return place_in_region(self.target, self.reference, self.relation, self.viewer, self.profile)
+
+    @property
+    def marks(self) -> tuple[object, ...]:
+        """What the region depends on, to a tenth of a millimetre: a target that is only moved keeps it."""
+        lengths = (self.reference.lo, self.reference.hi, self.target.hi - self.target.lo)
+        ends = (tuple(np.round(v, 4).tolist()) for v in lengths)
+        return self.relation, *ends, self.viewer.matrix.tobytes(), self.profile
+
+
+def asked_pair(state: State) -> AskedPair | None:
+    """The chosen pair under the asked relation; None where the relation is not of two objects."""
+    trace, pair = state.trace, state.chosen
+    if trace is None or pair is None or pair.reference is None or trace.relation not in PAIRWISE:
+        return None
+    a, b = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
+    return AskedPair(
+        trace.relation,
+        trace.objects[a].lifted,
+        trace.objects[b].lifted,
+        (state.shown.place[a], state.shown.place[b]),
+        trace.viewer,
+        replace(Profile(), **state.edits.profile),
+    )
+
+
+def map_legend(state: State, found: DecisionMap | None) -> Element | None:
+    """Who wins where, with the share of the floor."""
+    if found is None:
+        return None
+    colors = winner_colors(found, state)
+    winners, counts = np.unique(found.winner, return_counts=True)
+    rows = (
+        h.li(
+            dot(colors[w]) if w >= 0 else h.span(cls="dot none"),
+            h.b(state.named(found.keys[w]) if w >= 0 else "no pair"),
+            h.span(f"{n / found.winner.size:.0%}"),
+        )
+        for n, w in sorted(zip(counts.tolist(), winners.tolist(), strict=True), reverse=True)
+    )
+    return h.figure(
+        h.figcaption("Who wins if ", h.b(state.named(found.key)), " stands there"),
+        h.ul(rows),
+        h.p("paler where the next is close", cls="dim"),
+        cls="maplegend",
+    )
+
+
+MODES: tuple[EditMode, ...] = ("off", "move", "turn", "resize")
+FACES = tuple((axis, side) for axis in range(3) for side in (-1, 1))
+
+
+class BoxGizmo:
+    """One client's handles: one transform control for move and turn, one for each face for resize.
+
+    Parameters
+    ----------
+    ctx : Context
+    dragged : callable
+        Gets the box as it is now (camera frame), and whether the handle was let go, on the page's own thread. Only the
+        latest box counts where the page is still busy with one before.
+    root : str
+        Scene node under which they stand.
+    """
+
+    def __init__(self, ctx: Context, dragged: Callable[[Box3D, bool], None], root: str = "/edit") -> None:
+        self._ctx, self._client, self._dragged, self._root = ctx, ctx.client, dragged, root
+        self._latest: tuple[Box3D, bool] | None = None
+        self._lock = Lock()
+        self._main: Any = None
+        self._faces: list[Any] = []
+        self._box: Box3D | None = None
+        self._start: tuple[Box3D, np.ndarray] | None = None
+        self._held: Any = None
+        self._pulled = False
+        self._mode: EditMode = "off"
+
+    @property
+    def held(self) -> bool:
+        """Whether a handle is being dragged."""
+        return self._held is not None
+
+    def show(self, box: Box3D | None, mode: EditMode) -> None:
+        """Show the handles of a mode around a box; none where there is no box. One that is held stays where it is."""
+        if box is None or mode == "off":
+            self._box, self._mode = None, "off"
+            for handle in [self._main, *self._faces]:
+                if handle is not None and handle.visible:
+                    handle.visible = False
+            return
+        if self._main is None:
+            self._make()
+        self._box, self._mode = box, mode
+        with self._client.atomic():
+            self._place(box, mode)
+
+    def _place(self, box: Box3D, mode: EditMode) -> None:
+        main, span = self._main, float(box.size.max())
+        set_changed(main, visible=mode != "resize")
+        if mode != "resize" and main is not self._held:
+            turning = mode == "turn"
+            set_changed(
+                main,
+                disable_axes=turning,
+                disable_sliders=turning,
+                disable_rotations=not turning,
+                active_axes=(True, True, not turning),
+                scale=float(np.clip(span, 0.18, 0.6)),
+            )
+            main.position = box.center
+            main.wxyz = vtf.SO3.from_z_radians(_yaw(box)).wxyz if turning else np.array([1.0, 0.0, 0.0, 0.0])
+        for handle, (axis, side) in zip(self._faces, FACES, strict=True):
+            set_changed(handle, visible=mode == "resize")
+            if mode != "resize" or handle is self._held:
+                continue
+            normal, along = box.R[:, axis] * side, box.R[:, (axis + 1) % 3]
+            handle.position = box.center + normal * box.size[axis] / 2
+            handle.wxyz = vtf.SO3.from_matrix(np.stack([normal, along, np.cross(normal, along)], axis=1)).wxyz
+            set_changed(handle, scale=float(np.clip(0.5 * span, 0.07, 0.24)))
+
+    def _make(self) -> None:
+        scene = self._client.scene
+        self._main = scene.add_transform_controls(
+            f"{self._root}/gizmo", line_width=3.0, depth_test=False, visible=False
+        )
+        self._faces = [
+            scene.add_transform_controls(
+                f"{self._root}/face-{'xyz'[axis]}{'-' if side < 0 else '+'}",
+                line_width=4.0,
+                active_axes=(True, False, False),
+                disable_sliders=True,
+                disable_rotations=True,
+                depth_test=False,
+                visible=False,
+            )
+            for axis, side in FACES
+        ]
+        self._listen(self._main, self._moved)
+        for handle, (axis, side) in zip(self._faces, FACES, strict=True):
+            self._listen(handle, lambda start, h, axis=axis, side=side: _resized(start[0], axis, side, h.position))
+
+    def _listen(self, handle: Any, changed: Callable[[tuple[Box3D, np.ndarray], Any], Box3D]) -> None:
+        @handle.on_update
+        async def _(event: Any) -> None:
+            if event.phase == "start" and self._box is not None:
+                self._start, self._held = (self._box, _matrix(handle)), handle
+            if self._start is None or self._held is not handle:
+                return
+            if event.phase == "update":
+                self._pulled = True
+            box, ended, pulled = changed(self._start, handle), event.phase == "end", self._pulled
+            if ended:
+                self._start, self._held, self._pulled = None, None, False
+            if pulled:
+                with self._lock:
+                    before, self._latest = self._latest, (box, ended or (self._latest or (box, False))[1])
+                if before is None:
+                    self._ctx.post(self._follow)
+
+    def _follow(self) -> None:
+        with self._lock:
+            latest, self._latest = self._latest, None
+        if latest is not None:
+            self._dragged(self._ctx.scene.camera_box(latest[0]), latest[1])
+
+    def _moved(self, start: tuple[Box3D, np.ndarray], handle: Any) -> Box3D:
+        box, was = start
+        if self._mode != "turn":
+            return replace(box, center=np.array(handle.position, np.float64))
+        turn = vtf.SO3.from_matrix(_matrix(handle) @ was.T).as_matrix()
+        return replace(box, R=turn @ box.R)
+
+
+def _resized(box: Box3D, axis: int, side: int, position: Any) -> Box3D:
+    """The box with one face pulled to a place; the opposite face stays."""
+    normal = box.R[:, axis] * side
+    face = box.center + normal * box.size[axis] / 2
+    pull = max(float((np.array(position) - face) @ normal), SMALLEST_SIDE - float(box.size[axis]))
+    size = box.size.copy()
+    size[axis] += pull
+    return Box3D(box.center + normal * pull / 2, box.R, size)
+
+
+def _matrix(handle: Any) -> np.ndarray:
+    return vtf.SO3(np.array(handle.wxyz)).as_matrix()
+
+
+def _yaw(box: Box3D) -> float:
+    return float(np.arctan2(box.R[1, 0], box.R[0, 0]))

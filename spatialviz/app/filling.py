@@ -7,17 +7,23 @@ from collections.abc import Sequence
 from pipeline.datasets import Dataset, has_moves, moves
 from spatialviz.app import sentences_html
 from spatialviz.app.answer import answer_html
-from spatialviz.app.bar import problem_html, refusal_html, tasks_html, tools_html, where_html
-from spatialviz.app.beside_html import agreement_html
+from spatialviz.app.beside import agreement_html
+from spatialviz.app.context import Shared
 from spatialviz.app.layout import Page
-from spatialviz.app.legend import depth_bar
-from spatialviz.app.objects import objects_html
-from spatialviz.app.picture import image_html, log_html
-from spatialviz.app.shared import Shared
+from spatialviz.app.picture import depth_bar, image_html, log_html, objects_html
 from spatialviz.app.stage_objects import object_html
 from spatialviz.app.stages import stages_html
 from spatialviz.app.state import State
-from spatialviz.app.toolbar import moves_html, scene_tools_html, suggestions_html
+from spatialviz.app.toolbar import (
+    moves_html,
+    problem_html,
+    refusal_html,
+    scene_tools_html,
+    suggestions_html,
+    tasks_html,
+    tools_html,
+    where_html,
+)
 
 
 def fill_page(

@@ -1,65 +1,331 @@
-"""The cloud of the frame in one client's scene: sent with another frame, painted anew with other colours."""
+"""The frame in one client's scene: its cloud, the room around it, and what helps to judge lengths in it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import viser.transforms as vtf
 
-from spatialviz.app.frames import LoadedFrame
-from spatialviz.app.paint import frame_colors
-from spatialviz.app.scene import SceneView
+from pipeline.datasets.scene_mesh import fuse_context
+from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.lifting import Pixel
+from pipeline.geometry.measure import surface_point
+from pipeline.geometry.palette import DROPPED, Role, depth_colors, instance_colors, palette
+from pipeline.system.errors import FrameUnusable, MissingExtra
+from spatialviz.app.context import Context, Part
+from spatialviz.app.frames import Cloud, LoadedFrame
+from spatialviz.app.frames import Part as CloudPart
+from spatialviz.app.scene import Tag
+from spatialviz.app.scene_client import Node, triple
 from spatialviz.app.state import State
 
 
-class FrameCloud:
-    """Keeps a client's cloud up to its state.
+class FrameCloud(Part):
+    """Keeps a client's cloud, and the room around it, up to its state."""
+
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
+        self._loaded: LoadedFrame | None = None
+        self._painted: tuple[Any, ...] = ()
+        self._points = np.zeros((0, 3), np.uint8)
+        self._parts: list[Node] = []
+        self._room: tuple[LoadedFrame, bool] | None = None
+        self.place_anew = False
+
+    def follow(self) -> None:
+        """Bring all of it up to the state; the view is placed anew where it is asked for, or nobody has turned it."""
+        state, scene = self.state, self.ctx.scene
+        loaded, viewpoint = state.loaded, scene.viewpoint
+        anew, self.place_anew = self.place_anew or viewpoint.untouched, False
+        was, self._loaded = self._loaded, loaded
+        other = viewpoint.look_about(state.about)
+        if loaded is None:
+            scene.cloud, self._parts, self._painted = None, [], ()
+            self.ctx.client.clear("/cloud/")
+            self.ctx.client.clear("/camera")
+        elif self._painted != state.paint_key or loaded is not was:
+            self._painted = state.paint_key
+            self._points = loaded.cloud.painted(frame_colors(state.colors, loaded, state.roles, state.dark))
+            with self.ctx.client.atomic():
+                if loaded is not was:
+                    self._show(loaded)
+                for node, part in zip(self._parts if loaded is was else (), loaded.cloud.parts, strict=False):
+                    node.colors = self._points[part.at]
+            if loaded is not was:
+                if anew:
+                    viewpoint.place(state.camera)
+                self.ctx.post(lambda: self._complete(loaded))
+        # Of a question that could not be asked there is nothing else to look at.
+        if other and not state.error and state.camera == "pair" and viewpoint.untouched and loaded is not None:
+            viewpoint.place("pair")
+        self.dress()
+        self._show_room(state)
+
+    def dress(self) -> None:
+        """Show the points and the camera, as large as they are wanted."""
+        parts, state = () if self._loaded is None else self._loaded.cloud.parts, self.state
+        # Until the rest is there, one point stands for four.
+        factor = state.point_size * (1 if len(self._parts) == len(parts) else 2)
+        with self.ctx.client.atomic():
+            for node, part in zip(self._parts, parts, strict=False):
+                set_changed(node, visible=state.flags.cloud, point_size=part.size * factor)
+            if "/camera" in self.ctx.client.scene.nodes:
+                set_changed(self.ctx.client.scene.nodes["/camera"], visible=state.flags.camera)
+
+    def _show(self, loaded: LoadedFrame) -> None:
+        """Another frame, of its points the first cloud."""
+        frame, viewer, scene = loaded.context.frame, loaded.context.viewer, self.ctx.scene
+        scene.to_show, scene.cloud = np.stack([viewer.right, viewer.forward, viewer.up]), loaded.cloud
+        scene.viewpoint.set_frame(loaded.cloud.points, scene.to_show, frame.camera)
+        self.ctx.client.clear("/cloud/")
+        self._parts = [self._add(part) for part in loaded.cloud.parts if part.first]
+        self.ctx.client.scene.add_camera_frustum(
+            "/camera",
+            fov=float(2 * np.arctan(frame.height / 2 / frame.camera.fy)),
+            aspect=frame.width / frame.height,
+            scale=0.15,
+            thickness=1.5,
+            thickness_units="screen",
+            color=(130, 138, 150),
+            wxyz=vtf.SO3.from_matrix(scene.to_show).wxyz,
+            visible=self.state.flags.camera,
+        )
+
+    def _complete(self, loaded: LoadedFrame) -> None:
+        """Send the rest of a frame's cloud, unless another one is shown already."""
+        if loaded is self._loaded:
+            with self.ctx.client.atomic():
+                self._parts += [self._add(part) for part in loaded.cloud.parts[len(self._parts) :]]
+                self.dress()
+
+    def _add(self, part: CloudPart) -> Node:
+        return self.ctx.client.scene.add_point_cloud(
+            part.name,
+            part.offsets,
+            self._points[part.at],
+            point_size=part.size * self.state.point_size * (2 if part.first else 1),
+            precision="float16",
+            point_shading="flat",
+            point_shape="square",
+            position=triple(part.center),
+            visible=self.state.flags.cloud,
+        )
+
+    def _show_room(self, state: State) -> None:
+        """The frames around this one fused, where that is wanted and possible, dimmed toward the background."""
+        room = (state.loaded, state.dark) if state.flags.context and state.loaded is not None else None
+        if room is not None and self._room is not None and room[0] is self._room[0] and room[1] == self._room[1]:
+            return
+        self._room = room
+        self.ctx.client.clear("/context")
+        if room is None:
+            return
+        try:
+            mesh = fuse_context(self.ctx.source.dataset, room[0].context.frame)
+        except (FrameUnusable, MissingExtra) as error:
+            self.ctx.note(str(error))
+            self.ctx.page.toast("No room to show", str(error))
+            self.ctx.show(flags=replace(state.flags, context=False))
+            return
+        if mesh is not None and len(mesh.faces):
+            dimmed = (mesh.colors * 0.45 + (20 if state.dark else 250) * 0.55).astype(np.uint8)
+            data = unlit_glb(mesh.vertices @ self.ctx.scene.to_show.T.astype(np.float32), mesh.faces, dimmed)
+            self.ctx.client.scene.add_glb("/context", data, cast_shadow=False, receive_shadow=False)
+
+
+def set_changed(node: Node, **values: Any) -> None:
+    """Set what differs; viser sends every assignment."""
+    for name, value in values.items():
+        if getattr(node, name) != value:
+            setattr(node, name, value)
+
+
+def frame_colors(mode: str, loaded: LoadedFrame, roles: Mapping[int, Role], dark: bool) -> np.ndarray:
+    """(H, W, 3) uint8 colours of a frame's pixels: "rgb", "objects", "depth" or "evidence"."""
+    frame, objects = loaded.context.frame, loaded.objects
+    if mode == "depth":
+        return depth_colors(frame.depth)
+    if mode == "rgb" or not objects:
+        return frame.rgb
+    grey = np.repeat(frame.rgb.mean(axis=2, keepdims=True), 3, axis=2)
+    image = (grey * 0.55 + (20 if dark else 110)).astype(np.uint8)
+    order = sorted(range(len(objects)), key=lambda i: -int(objects[i].lifted.quality.mask_pixels))
+    if mode == "objects":
+        calm, role_colors = instance_colors(len(objects)), palette(dark)
+        for i in order:
+            color = role_colors[roles[i]] if i in roles else calm[i]
+            mask = objects[i].mask
+            image[mask] = (image[mask] * 0.35 + np.array(color) * 0.65).astype(np.uint8)
+        return image
+    for i in order:
+        evidence = objects[i].lifted.evidence
+        if evidence is None:
+            continue
+        h, w = evidence.codes.shape
+        window = image[evidence.y0 : evidence.y0 + h, evidence.x0 : evidence.x0 + w]
+        source = frame.rgb[evidence.y0 : evidence.y0 + h, evidence.x0 : evidence.x0 + w]
+        kept = evidence.codes == Pixel.KEPT
+        window[kept] = source[kept]
+        for reason, color in DROPPED.items():
+            window[evidence.codes == reason] = color
+    return image
+
+
+def unlit_glb(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray, opacity: float = 1.0) -> bytes:
+    """A binary glTF with one unlit material (KHR_materials_unlit).
 
     Parameters
     ----------
-    scene : SceneView
-    show_context : callable
-        Shows the room around another frame.
-    post : callable
-        Runs something after whatever the user does meanwhile.
+    vertices : (V, 3) float32
+    faces : (F, 3) int
+    colors : (V, 3) uint8
+        sRGB; glTF wants them linear.
+    opacity : float
+        0..1, of all of it.
     """
+    import trimesh
+    from trimesh.exchange.gltf import export_glb
 
-    def __init__(
-        self, scene: SceneView, show_context: Callable[[], None], post: Callable[[Callable[[], None]], None]
-    ) -> None:
-        self._scene, self._show_context, self._post = scene, show_context, post
-        self._loaded: LoadedFrame | None = None
-        self._painted: tuple[Any, ...] = ()
-        self._colors = np.zeros((0, 0, 3), np.uint8)
-        self.place_anew = False
-        """Whether the next frame is seen from its own place, though somebody has turned the view."""
+    linear = np.round(255 * (colors / 255.0) ** 2.2).astype(np.uint8)
+    solid = trimesh.Trimesh(vertices, faces, vertex_colors=linear, process=False)
+    return bytes(export_glb(trimesh.Scene(solid), tree_postprocessor=lambda tree: _unlit(tree, opacity)))
 
-    def clear(self) -> None:
-        """Show nothing: the frame is broken."""
-        self._loaded, self._colors = None, np.zeros((0, 0, 3), np.uint8)
-        self._scene.clear()
 
-    def follow(self, state: State) -> None:
-        """Bring the cloud up to the state; the view is placed anew where it is asked for, or nobody has turned it."""
+def _unlit(tree: dict[str, Any], opacity: float) -> None:
+    tree["materials"] = [
+        {
+            "pbrMetallicRoughness": {
+                "metallicFactor": 0.0,
+                "roughnessFactor": 1.0,
+                "baseColorFactor": [1.0, 1.0, 1.0, opacity],
+            },
+            "alphaMode": "OPAQUE" if opacity >= 1 else "BLEND",
+            "extensions": {"KHR_materials_unlit": {}},
+            "doubleSided": True,
+        }
+    ]
+    tree["extensionsUsed"] = sorted({*tree.get("extensionsUsed", []), "KHR_materials_unlit"})
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["material"] = 0
+
+
+FLOOR_NOISE = 0.06
+
+
+def over_floor(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+    """The height over which nearly none of the floor's points ((N, 3), shown frame) lie, between two of its corners.
+
+    Depth is noisy: what lies in the floor itself shows as specks between its points.
+    """
+    floor, across = low[2], points[:, :2]
+    near = (np.abs(points[:, 2] - floor) < FLOOR_NOISE) & ((across > low[:2]) & (across < high[:2])).all(axis=1)
+    return float(np.percentile(points[near, 2], 98)) if near.any() else float(floor)
+
+
+CELL, FINE = 1.0, 0.25
+"""Distance of the grid's lines, metres."""
+FLOOR_LOW, FLOOR_HIGH = 0.05, 0.1
+"""Points so far below and above the lowest ones are of the floor, metres."""
+GRID_LIFT = 0.008
+GRID_COLORS = {True: ((118, 126, 140), (70, 76, 86)), False: ((150, 158, 170), (200, 205, 212))}
+INK = {True: "#f5f7fa", False: "#181a1e"}
+TAG = "/tags/measured"
+
+
+class SceneAids(Part):
+    """Draws them into one client's scene and page."""
+
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
+        self._gridded: tuple[Cloud, bool] | None = None
+
+    def follow(self) -> list[Tag]:
+        """Bring them up to the state; returns the names that are to be shown."""
+        state = self.state
         loaded = state.loaded
-        anew, self.place_anew = self.place_anew or self._scene.viewpoint.untouched, False
-        if loaded is None or (loaded is self._loaded and self._painted == state.paint_key):
-            return
-        self._colors = colors = frame_colors(state.colors, loaded, state.roles, state.dark)
-        self._painted = state.paint_key
-        if loaded is self._loaded:
-            self._scene.recolor(colors)
-            return
-        self._loaded = loaded
-        self._scene.set_frame(loaded, colors)
-        self._show_context()
-        if anew:
-            self._scene.viewpoint.place(state.camera)
-        self._post(lambda: self._complete(state))
+        self._draw_grid(loaded if state.flags.grid else None, state.dark)
+        if loaded is None:
+            self.ctx.page.call("scale", None)
+            self.ctx.page.call("measure", None)
+            return []
+        self.ctx.page.call("scale", self._looked_at(state, loaded))
+        frame = loaded.context.frame
+        ends = [self.ctx.scene.to_show @ surface_point(frame.depth, frame.camera, mark) for mark in state.marks]
+        self.ctx.page.call("measure", {"on": state.picking == "measure", "points": [_rounded(end) for end in ends]})
+        found = state.measured
+        if found is None:
+            return []
+        half = np.abs(ends[1] - ends[0]) / 2
+        parts = ", ".join(word.replace(" m ", " ") for word in found.words)
+        return [
+            Tag(
+                self.ctx.client.anchor(TAG, (ends[0] + ends[1]) / 2),
+                f"{found.distance:.3f} m",
+                parts,
+                INK[state.dark],
+                True,
+                extent=triple(half),
+            )
+        ]
 
-    def _complete(self, state: State) -> None:
-        """Send the rest of a frame's cloud, unless another one is shown already."""
-        loaded = state.loaded
-        if loaded is not None and loaded is self._loaded:
-            self._scene.complete(self._colors)
+    def _looked_at(self, state: State, loaded: LoadedFrame) -> dict[str, object]:
+        """The point whose depth the scale is of: the middle of the chosen pair, else of the cloud."""
+        ends = [] if state.pair is None else [state.shown.objects[i].lifted.box for i in state.pair[:2]]
+        centers = [self.ctx.scene.to_show @ box.center for box in ends if box is not None]
+        if centers and state.pair is not None:
+            return {"center": _rounded(np.mean(centers, axis=0)), "name": state.shown.names[state.pair[0]]}
+        points = loaded.cloud.points
+        middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
+        return {"center": _rounded(middle), "name": "the middle"}
+
+    def _draw_grid(self, loaded: LoadedFrame | None, dark: bool) -> None:
+        wanted = None if loaded is None or not len(loaded.cloud.points) else (loaded.cloud, dark)
+        if wanted == self._gridded:
+            return
+        self.ctx.client.clear("/grid/")
+        self._gridded = wanted
+        if loaded is None or wanted is None:
+            return
+        low, high = np.percentile(loaded.cloud.points, [1, 99], axis=0)
+        low[2] = high[2] = floor_height(loaded)
+        height = over_floor(loaded.cloud.points, low, high) + GRID_LIFT
+        for name, color, width, lines in zip(
+            ("cells", "fine"), GRID_COLORS[dark], (1.6, 0.8), grid_lines(low[:2], high[:2], height), strict=True
+        ):
+            self.ctx.client.lines(f"/grid/{name}", lines, color, width)
+
+
+def floor_height(loaded: LoadedFrame) -> float:
+    """How high the floor lies, metres along up from the camera: the annotated one, else that of the lowest points."""
+    frame, viewer = loaded.context.frame, loaded.context.viewer
+    for annotation in frame.annotations:
+        if annotation.label == "floor" and annotation.mask is not None:
+            v, u = np.nonzero(annotation.mask & (frame.depth > 0))
+            if len(v):
+                return float(np.median(lift_pixels(frame.depth[v, u], frame.camera, v, u) @ viewer.up))
+    heights = loaded.cloud.points[:, 2]
+    lowest = np.percentile(heights, 1)
+    near = heights[(heights > lowest - FLOOR_LOW) & (heights < lowest + FLOOR_HIGH)]
+    return float(np.median(near))
+
+
+def grid_lines(low: np.ndarray, high: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 2, 3) float32 each: lines at whole metres, and the fine ones between, over the cells from low to high."""
+    first, last = np.floor(low / CELL) * CELL, np.ceil(high / CELL) * CELL
+    made = []
+    for axis in (0, 1):
+        steps = np.arange(round((last[axis] - first[axis]) / FINE) + 1)
+        lines = np.full((len(steps), 2, 3), height, np.float32)
+        lines[..., axis] = (first[axis] + steps * FINE)[:, None]
+        lines[:, 0, 1 - axis], lines[:, 1, 1 - axis] = first[1 - axis], last[1 - axis]
+        made.append((lines, steps % round(CELL / FINE) == 0))
+    cells, fine = (np.concatenate([lines[whole == which] for lines, whole in made]) for which in (True, False))
+    return cells, fine
+
+
+def _rounded(v: np.ndarray) -> list[float]:
+    return [round(float(x), 4) for x in v]

@@ -1,7 +1,8 @@
-"""Frames that several clients may look at: loaded once, a few kept, with small pictures of the rest."""
+"""Frames that several clients may look at: loaded once, a few kept, with clouds and pictures."""
 
 from __future__ import annotations
 
+import hashlib
 import threading
 import time
 from collections import OrderedDict
@@ -22,9 +23,9 @@ from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.datasets.settings import Vector
 from pipeline.datasets.up import with_frame_up
+from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.lifting import flying_pixels
 from pipeline.system.errors import InputError
-from spatialviz.app.cloud import Cloud, cloud_of
-from spatialviz.app.images import IMAGES, jpeg
 
 KEPT_FRAMES = 8
 """The frames used last, of 15 to 25 MB each at 640x480; those that a page shows are kept beside."""
@@ -260,3 +261,146 @@ def object_thumb(rgb: np.ndarray, bbox: np.ndarray, pixels: int = 68) -> bytes:
     scale = pixels / max(crop.shape[:2])
     size = (max(1, round(crop.shape[1] * scale)), max(1, round(crop.shape[0] * scale)))
     return jpeg(cv2.resize(crop, size, interpolation=cv2.INTER_AREA), 78)
+
+
+MAX_POINTS = 320_000
+BAND_RATIO = 1.3
+"""Points are drawn in bands of depth, each with its own point size, so that near
+and far surfaces look equally closed from the sensor."""
+FAR = 12.0
+SPAN = 64
+"""More than the bands between a millimetre (-27) and FAR (9)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Points that are sent as one: of one band of depth, either of the first cloud or of the rest.
+
+    Attributes
+    ----------
+    first : bool
+        Of the first cloud: one point in four, evenly spread.
+    at : slice
+        Its points in the cloud.
+    center : (3,) float32
+        Shown frame, metres.
+    offsets : (M, 3) float16
+        From the centre, metres: to within 1 mm where a part reaches less than 4 m from it.
+    size : float
+        Of a point, metres, once all points are there.
+    """
+
+    first: bool
+    at: slice
+    center: np.ndarray
+    offsets: np.ndarray
+    size: float
+
+    @property
+    def name(self) -> str:
+        """Of its node in the scene."""
+        return f"/cloud/{'first' if self.first else 'rest'}-{self.at.start}"
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """The points of a frame.
+
+    Attributes
+    ----------
+    v, u : (N,) int32
+        Pixels.
+    points : (N, 3) float32
+        In the shown frame: x right, y forward, z up, metres.
+    parts : tuple of Part
+        Those of the first cloud come first.
+    """
+
+    v: np.ndarray
+    u: np.ndarray
+    points: np.ndarray
+    parts: tuple[Part, ...]
+
+    def painted(self, colors: np.ndarray) -> np.ndarray:
+        """(N, 3) uint8 of its points in the colours of the frame's pixels, (H, W, 3)."""
+        return colors.reshape(-1, 3).take(self.v * colors.shape[1] + self.u, axis=0)
+
+
+def cloud_of(context: PreparedFrame) -> Cloud:
+    """The cloud of a frame, without pixels that fly between two surfaces."""
+    frame, viewer = context.frame, context.viewer
+    to_show = np.stack([viewer.right, viewer.forward, viewer.up])
+    stride = max(1, int(np.ceil(np.sqrt(frame.width * frame.height / MAX_POINTS))))
+    depth = frame.depth[::stride, ::stride]
+    keep = (depth > 0) & (depth < FAR) & ~flying_pixels(frame.depth)[::stride, ::stride]
+    level = np.floor(np.log(np.maximum(depth, np.float32(1e-3))) * np.float32(1 / np.log(BAND_RATIO))).astype(np.int8)
+    # Bands of the rest lie behind all of the first; eight bits are sorted by counting.
+    level[1::2] += SPAN
+    level[::2, 1::2] += SPAN
+    pixels, group = np.flatnonzero(keep), level[keep]
+    order = np.argsort(group, kind="stable")
+    pixels, group = pixels[order].astype(np.int32), group[order]
+    v, u = pixels // depth.shape[1], pixels % depth.shape[1]
+    points = lift_pixels(depth.ravel()[pixels], frame.camera, v * stride, u * stride)
+    points = cv2.transform(points[:, None], to_show.astype(np.float32))[:, 0] if len(points) else points
+    starts = np.flatnonzero(np.diff(group, prepend=group[:1] - 1)) if len(group) else []
+    size = 1.15 * stride / frame.camera.fx
+    return Cloud(v * stride, u * stride, points, tuple(_part(points, group, int(a), size) for a in starts))
+
+
+def _part(points: np.ndarray, group: np.ndarray, start: int, size: float) -> Part:
+    number = int(group[start])
+    at = slice(start, int(np.searchsorted(group, number, side="right")))
+    center = cv2.reduce(points[at], 0, cv2.REDUCE_MIN)[0] / 2 + cv2.reduce(points[at], 0, cv2.REDUCE_MAX)[0] / 2
+    first = number < SPAN // 2
+    level = number if first else number - SPAN
+    return Part(first, at, center, (points[at] - center).astype(np.float16), float(BAND_RATIO ** (level + 0.6) * size))
+
+
+KEPT_BYTES = 96 * 2**20
+"""The pictures used last are kept up to so much; one that is gone is made again with the next drawing."""
+
+
+class Images:
+    """Encoded pictures by a name that is made from their bytes."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[str, bytes] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def url(self, data: bytes, kind: str) -> str:
+        """Keep a picture, and say where the page finds it; `kind` is "jpg" or "png"."""
+        name = f"{hashlib.sha256(data).hexdigest()[:32]}.{kind}"
+        with self._lock:
+            if name not in self._kept:
+                self._bytes += len(data)
+                self._kept[name] = data
+            self._kept.move_to_end(name)
+            while self._bytes > KEPT_BYTES and len(self._kept) > 1:
+                self._bytes -= len(self._kept.popitem(last=False)[1])
+        return f"/app/image/{name}"
+
+    def get(self, name: str) -> bytes | None:
+        """The picture of a name."""
+        with self._lock:
+            return self._kept.get(name)
+
+
+IMAGES = Images()
+"""Of this program. A name says nothing of what it shows, and nobody finds one without having the picture."""
+
+
+def jpeg(rgb: np.ndarray, quality: int = 82) -> bytes:
+    """A picture ((H, W, 3) uint8, RGB), encoded."""
+    return cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def jpeg_url(rgb: np.ndarray, quality: int = 82) -> str:
+    """Where the page finds a picture ((H, W, 3) uint8, RGB)."""
+    return IMAGES.url(jpeg(rgb, quality), "jpg")
+
+
+def png_url(bgra: np.ndarray) -> str:
+    """Where the page finds a picture with transparency ((H, W, 4) uint8, BGRA)."""
+    return IMAGES.url(cv2.imencode(".png", bgra, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes(), "png")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from pipeline.answering.ask import Trace
@@ -13,10 +13,10 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.scene import answered_case, effective_mark, effective_truth, withdrawn_by
 from pipeline.diagnosis.asking import annotated_truth, judge_trace, labelled_case, labelled_truth
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.evaluation.run_folder import Run
 from pipeline.labels.cases import FrameCases
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
+from spatialviz.app.context import Shared
 from spatialviz.app.state import OtherAnswer
 
 
@@ -25,30 +25,19 @@ class Judge:
 
     Parameters
     ----------
-    runs : mapping of str to Run
-        By name of the source that the run was made with.
-    others : mapping of str to Run
-        Runs to compare with, by the same names.
-    labels : mapping of str to Labels, optional
-        What is true where there is no run, by name of the source.
-    corrected : callable, optional
+    shared : Shared
+    corrected : callable
         Gives the corrected labels of a frame of a source; None where nobody has corrected any.
     """
 
-    def __init__(
-        self,
-        runs: Mapping[str, Run],
-        others: Mapping[str, Run],
-        labels: Mapping[str, Labels] | None = None,
-        corrected: Callable[[str, str], EffectiveFrame | None] = lambda source, frame: None,
-    ) -> None:
-        self._runs, self._others, self._labels, self._corrected = runs, others, labels or {}, corrected
+    def __init__(self, shared: Shared, corrected: Callable[[str, str], EffectiveFrame | None]) -> None:
+        self._shared, self._corrected = shared, corrected
         self._kept: tuple[tuple[str, str, bytes], EffectiveFrame | None, FrameCases | None] | None = None
 
     def labels(self, name: str) -> Labels | None:
         """Those that say what is true in a source: the run's, or those that were named."""
-        run = self._runs.get(name)
-        return self._labels.get(name) if run is None else run.labels
+        run = self._shared.runs.get(name)
+        return self._shared.labels.get(name) if run is None else run.labels
 
     def truth(self, name: str, source: Pipeline, context: PreparedFrame) -> FrameCases | None:
         """What is true in a frame: by the run's labels or those that were named, else by the frame's annotations.
@@ -107,7 +96,7 @@ class Judge:
         self, name: str, context: PreparedFrame, truth: FrameCases | None, expression: str | None
     ) -> dict[str, Any]:
         """What a run knows of a labelled expression: its case, mark and confidence, as arguments of `judge_trace`."""
-        run, corrected = self._runs.get(name), self._corrected(name, context.frame.id)
+        run, corrected = self._shared.runs.get(name), self._corrected(name, context.frame.id)
         mark = None if run is None else run.spec.marks.get((context.frame.id, expression or ""))
         if corrected is not None and expression is not None:
             mark = effective_mark(corrected, expression, mark)
@@ -119,7 +108,7 @@ class Judge:
 
     def other(self, name: str, context: PreparedFrame, text: str, expression: str | None) -> OtherAnswer | None:
         """What the run to compare with answers now, with its verdict by the same truth; None where there is none."""
-        run = self._others.get(name)
+        run = self._shared.others.get(name)
         if run is None:
             return None
         try:

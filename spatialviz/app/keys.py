@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
-from spatialviz.app.dialog import Dialog
-from spatialviz.app.layout import Page
+from spatialviz.app.context import Context, Part, command
 from spatialviz.app.markup import Element, h
 
 Rows = tuple[tuple[str, str, str], ...]
@@ -167,62 +166,40 @@ def meant(message: str, correcting: bool) -> str:
     return next((m for rows in groups for key, _, m in rows if key == pressed), "")
 
 
-class Keys:
-    """The keys of one client: the page listens for them and sends "key:T"; two dialogs say what they do.
+class Keys(Part):
+    """The keys of one client: the page listens for them and sends "key:T"; two dialogs say what they do."""
 
-    Parameters
-    ----------
-    page : Page
-    dialog : Dialog
-    handle : callable
-        Handles a message.
-    labelling : callable
-        Whether labels are shown.
-    moving, correcting, beside : bool
-        Whether there are moves, labels to correct, a second detector.
-    """
-
-    def __init__(
-        self,
-        page: Page,
-        dialog: Dialog,
-        handle: Callable[[str], None],
-        labelling: Callable[[], bool],
-        *,
-        moving: bool,
-        correcting: bool,
-        beside: bool,
-    ) -> None:
-        self._dialog, self._handle, self._labelling = dialog, handle, labelling
-        self._always, self._labels = keys_of(moving, beside), LABEL_KEYS if correcting else {}
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
+        self._always = keys_of(ctx.shared.moving, ctx.shared.second)
+        self._labels = LABEL_KEYS if ctx.shared.journals else {}
         every = (*self._always.values(), *self._labels.values())
-        page.call("keys", list(dict.fromkeys(key for rows in every for key, _, message in rows if message)))
+        ctx.page.call("keys", list(dict.fromkeys(key for rows in every for key, _, message in rows if message)))
 
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {"help": lambda _: self.toggle(), "commands": lambda _: self.search(), "run": self.run}
-
+    @command("help")
     def toggle(self) -> None:
         """Show the list of keys, or hide it where it is shown."""
-        if self._dialog.title == LIST:
-            self._dialog.close()
+        if self.ctx.dialog.title == LIST:
+            self.ctx.dialog.close()
         else:
-            self._dialog.show(LIST, help_html(self._general, self._labels, self._labelling()))
+            self.ctx.dialog.show(LIST, help_html(self._general, self._labels, self.state.labels is not None))
 
+    @command("commands")
     def search(self) -> None:
         """Show every command, to be found by its name or key."""
-        now = {**(self._labels if self._labelling() else {}), **self._general}
-        self._dialog.show(SEARCH, commands_html(now))
+        now = {**(self._labels if self.state.labels is not None else {}), **self._general}
+        self.ctx.dialog.show(SEARCH, commands_html(now))
 
+    @command("run")
     def run(self, key: str) -> None:
         """Carry out the command of a key."""
-        self._dialog.close()
-        self._handle(f"key:{key}")
+        self.ctx.dialog.close()
+        self.ctx.handle(f"key:{key}")
 
     @property
     def _general(self) -> dict[str, Rows]:
         """Keys that mean now what they mean without labels."""
-        labels = self._labels.values() if self._labelling() else ()
+        labels = self._labels.values() if self.state.labels is not None else ()
         taken = {key for rows in labels for key, _, _ in rows}
         return {group: tuple(r for r in rows if r[0] not in taken) for group, rows in self._always.items()}
 

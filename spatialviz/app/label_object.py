@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from threading import Lock
 
 import numpy as np
 
@@ -22,87 +21,36 @@ from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, box_numbers, with
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.palette import palette
 from pipeline.system.errors import InputError
+from spatialviz.app.context import Context, Part, command
 from spatialviz.app.correct import Correct
-from spatialviz.app.gizmo import BoxGizmo
-from spatialviz.app.label_object_html import STATUS_WORDS, numbers_said, object_html, rejected_html, saved_html
+from spatialviz.app.edit_panel import STATUS_WORDS, numbers_said, object_html, rejected_html, saved_html
+from spatialviz.app.edit_scene import BoxGizmo
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.layout import Page
-from spatialviz.app.markup import h
+from spatialviz.app.markup import h, panel
 from spatialviz.app.review_html import pair_html
-from spatialviz.app.scene import SceneView
-from spatialviz.app.scene_client import SceneClient
-from spatialviz.app.state import State
-from spatialviz.app.text import panel
 
 FARTHEST = 1000.0
 """Metres: no typed side or place of a box is beyond; a number that slipped would otherwise be saved."""
 
 
-class LabelObject:
-    """Shows and corrects the selected labelled object of one client.
+class LabelObject(Part):
+    """Shows and corrects the selected labelled object of one client."""
 
-    Parameters
-    ----------
-    client : SceneClient
-    page : Page
-    scene : SceneView
-    correct : Correct
-        Saves.
-    state : callable
-        Gives the client's state.
-    take : callable
-        Takes a new one.
-    draw : callable
-        Draws all of the page; with True what follows a drag.
-    note : callable
-        Writes a line of the log.
-    post : callable
-        Runs something later, on the client's own thread.
-    """
-
-    def __init__(
-        self,
-        client: SceneClient,
-        page: Page,
-        scene: SceneView,
-        correct: Correct,
-        *,
-        state: Callable[[], State],
-        take: Callable[[State], None],
-        draw: Callable[[bool], None],
-        note: Callable[[str], None],
-        post: Callable[[Callable[[], None]], None],
-    ) -> None:
-        self._page, self._scene, self._correct, self._post = page, scene, correct, post
-        self._state, self._take, self._draw, self._note = state, take, draw, note
+    def __init__(self, ctx: Context, correct: Correct) -> None:
+        super().__init__(ctx)
+        self._correct = correct
         self._words: dict[str, Vocabulary] = {}
         self._asked: tuple[str, int, str] | None = None
         self._rejected: list[tuple[str, int]] = []
         self._moving: MovingBox | None = None
         self._held: int | None = None
-        self._drag: tuple[Box3D, bool] | None = None
         self._follows = False
-        self._lock = Lock()
-        self._gizmo = BoxGizmo(client, self._dragged, "/label")
-
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "class": self.name_class,
-            "class-typed": self._complete,
-            "class-focus": lambda _: self._page.call("focusClass"),
-            "object-status": self.set_status,
-            "object-back": self.bring_back,
-            "box-set": self._set_number,
-            "box-fit": lambda _: self._fit(),
-            "box-snap": self._snap,
-            "field-back": self._give_back,
-        }
+        self._gizmo = BoxGizmo(ctx, self._dragged, "/label")
 
     @property
     def _selected(self) -> tuple[LabelView, int] | None:
         """The labels that are shown, and the number of the selected object."""
-        state = self._state()
+        state = self.state
         view = state.labels
         if view is None or state.selected is None or state.selected >= len(view.numbers):
             return None
@@ -119,7 +67,7 @@ class LabelObject:
     # ---- class ------------------------------------------------------------------------
 
     def _vocabulary(self, desk: LabelEditor) -> Vocabulary:
-        source = self._state().source
+        source = self.state.source
         if source not in self._words:
             labels, dataset = desk.labels, desk.corrector.dataset
             try:
@@ -129,6 +77,7 @@ class LabelObject:
                 return vocabulary_of(labels, dataset)
         return self._words[source]
 
+    @command("class-typed")
     def _complete(self, typed: str) -> None:
         """Offer the classes that may be meant by what is being typed."""
         desk = self._correct.desk
@@ -136,8 +85,13 @@ class LabelObject:
             return
         self._asked = None
         found = completions(typed, self._vocabulary(desk))
-        self._page.call("offer", {"typed": typed, "offers": [c.record() for c in found]})
+        self.ctx.page.call("offer", {"typed": typed, "offers": [c.record() for c in found]})
 
+    @command("class-focus")
+    def _focus_class(self) -> None:
+        self.ctx.page.call("focusClass")
+
+    @command("class")
     def name_class(self, name: str) -> None:
         """Save another class name; one that no class has is asked for twice."""
         chosen, desk = self._selected, self._correct.desk
@@ -148,20 +102,21 @@ class LabelObject:
         words = self._vocabulary(desk)
         asked = (view.frame.frame, number, name)
         if name == view.frame.objects[number]["label"]:
-            self._draw(False)
+            self.ctx.draw()
             return
         if name not in words and self._asked != asked:
             self._asked = asked
             said = f"No class is called “{name}” yet: Enter again makes it one."
             offers = [c.record() for c in completions(name, words) if c.known]
-            self._page.call("offer", {"offers": offers, "note": said})
+            self.ctx.page.call("offer", {"offers": offers, "note": said})
             return
         self._asked = None
         if self._edit(lambda f, n, c: set_class(f, n, name)):
-            self._words[self._state().source] = words.with_names([name])
+            self._words[self.state.source] = words.with_names([name])
 
     # ---- status -----------------------------------------------------------------------
 
+    @command("object-status")
     def set_status(self, status: str) -> None:
         """Accept, reject or doubt the object; what it is already is taken off again."""
         chosen, desk = self._selected, self._correct.desk
@@ -173,37 +128,41 @@ class LabelObject:
         if self._edit(lambda f, n, c: set_status(f, cell, wanted, author=author)) and wanted == "rejected":
             self._rejected.append((view.frame.frame, number))
 
+    @command("object-back")
     def bring_back(self, said: str) -> None:
         """Bring a rejected object back, by its number, else the one that was rejected last, and select it."""
-        view, desk = self._state().labels, self._correct.desk
+        view, desk = self.state.labels, self._correct.desk
         if view is None or desk is None:
             return
         gone = [n for frame, n in self._rejected if frame == view.frame.frame and n in view.frame.left_out]
         number = int(said) if said.isdecimal() else next(reversed(gone or sorted(view.frame.left_out)), None)
         if number is None or number not in view.frame.left_out:
-            self._note("no rejected object to bring back")
+            self.ctx.note("no rejected object to bring back")
             return
         self._correct.save(lambda frame: bring_back(frame, number, desk.author))
-        view = self._state().labels
+        view = self.state.labels
         place = None if view is None else view.place(number)
         if place is not None:
-            self._take(replace(self._state(), selected=place))
-            self._draw(False)
+            self.ctx.show(selected=place)
 
     # ---- box --------------------------------------------------------------------------
 
+    @command("box-fit")
     def _fit(self) -> None:
         self._edit(fit_to_points)
 
+    @command("box-snap")
     def _snap(self, way: str) -> None:
         self._edit(lambda f, n, c: snap_to_support(f, n, c, "move" if way == "move" else "extend"))
 
+    @command("field-back")
     def _give_back(self, field: str) -> None:
         self._edit(lambda f, n, c: back_to_automatic(f, n, field))
 
+    @command("box-set")
     def _set_number(self, said: str) -> None:
         """center:AXIS:METRES, size:AXIS:METRES, yaw:DEGREES."""
-        state, chosen = self._state(), self._selected
+        state, chosen = self.state, self._selected
         box = None if state.selected is None else state.shown.objects[state.selected].lifted.box
         what, *rest = said.split(":")
         try:
@@ -229,27 +188,16 @@ class LabelObject:
         self._edit(lambda f, n, c: set_box(f, n, changed))
 
     def _dragged(self, box: Box3D, ended: bool) -> None:
-        """A handle has moved. Only the latest place counts where the session is still busy with one before."""
-        with self._lock:
-            waiting = self._drag is not None
-            self._drag = box, ended or (waiting and self._drag is not None and self._drag[1])
-        if not waiting:
-            self._post(self._follow_drag)
-
-    def _follow_drag(self) -> None:
-        with self._lock:
-            drag, self._drag = self._drag, None
-        chosen, state, desk = self._selected, self._state(), self._correct.desk
-        if drag is None or chosen is None or desk is None or chosen[1] != self._held or state.selected is None:
+        chosen, state, desk = self._selected, self.state, self._correct.desk
+        if chosen is None or desk is None or chosen[1] != self._held or state.selected is None:
             self._moving = None
             return
-        (view, number), (shown, ended) = chosen, drag
-        box = self._scene.camera_box(shown)
+        view, number = chosen
         if ended:
             self._moving = None
             if self._correct.save(lambda frame: set_box(frame, number, box)) is None:
                 self._correct.renew()
-                self._draw(False)
+                self.ctx.draw()
             return
         try:
             if self._moving is None or self._moving.frame is not view.frame or self._moving.number != number:
@@ -257,20 +205,20 @@ class LabelObject:
                 self._moving = MovingBox(view.frame, desk.corrector, number, pair)
             moved = self._moving.moved(box)
         except InputError as error:
-            self._note(f"not moved: {error}")
+            self.ctx.note(f"not moved: {error}")
             return
         objects = list(state.shown.objects)
         entry = objects[state.selected]
         objects[state.selected] = replace(entry, lifted=replace(entry.lifted, box=box))
         there = replace(state.shown, objects=tuple(objects))
-        self._take(replace(state, shown=there, labels=replace(view, moved=moved)))
-        self._draw(True)
+        self.state = replace(state, shown=there, labels=replace(view, moved=moved))
+        self.ctx.draw(live=True)
 
     # ---- drawing ----------------------------------------------------------------------
 
     def follow(self, live: bool = False) -> None:
         """Bring the handles and the Edit tab up to the state; `live` follows a drag."""
-        state, view, desk = self._state(), self._state().labels, self._correct.desk
+        state, view, desk = self.state, self.state.labels, self._correct.desk
         if view is None or desk is None:
             self._gizmo.show(None, "off")
             return
@@ -278,24 +226,24 @@ class LabelObject:
         box = None if state.selected is None else state.shown.objects[state.selected].lifted.box
         if not self._gizmo.held:
             self._held = None if chosen is None else chosen[1]
-        self._gizmo.show(None if box is None else self._scene.shown_box(box), state.mode)
-        self._page.show("cost", saved_html(desk.author, view.said, view.bad, view.moved))
+        self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
+        self.ctx.page.show("cost", saved_html(desk.author, view.said, view.bad, view.moved))
         if live or self._follows:
             # A drag that comes to nothing leaves the tab as it was: the fields go back.
             self._follows = live
             if box is not None and state.loaded is not None:
-                self._page.call("numbers", numbers_said(box_numbers(box, state.loaded.context.viewer)))
+                self.ctx.page.call("numbers", numbers_said(box_numbers(box, state.loaded.context.viewer)))
         if live:
             if view.moved is not None and view.moved.card is not None:
                 now = replace(state, labels=replace(view, card=view.moved.card))
-                self._page.show("review-pair", pair_html(now))
+                self.ctx.page.show("review-pair", pair_html(now))
             return
         gone = rejected_html(view.frame.left_out)
         if chosen is None or state.selected is None:
             hint = "Select an object: click its row, its pixels or its box."
-            self._page.show("edit", panel(h.div(hint, cls="dim")), gone)
+            self.ctx.page.show("edit", panel(h.div(hint, cls="dim")), gone)
             return
         card = object_card(view.frame, chosen[1])
         color = palette(state.dark)[state.roles.get(state.selected, "other")]
         name = state.shown.names[state.selected]
-        self._page.show("edit", object_html(card, name, color, state.mode, desk.author), gone)
+        self.ctx.page.show("edit", object_html(card, name, color, state.mode, desk.author), gone)

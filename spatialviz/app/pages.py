@@ -24,9 +24,9 @@ from viser._messages import (
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from spatialviz.app.access import Access
-from spatialviz.app.messages import Hello, read
+from spatialviz.app.channel import Hello, read
+from spatialviz.app.context import Shared
 from spatialviz.app.session import Session
-from spatialviz.app.shared import Shared
 from spatialviz.app.site import PAGE_ID
 
 MAX_CLIENTS = 24

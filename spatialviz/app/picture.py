@@ -1,4 +1,4 @@
-"""The picture with what is drawn over it, the small pictures of the frames, and the log."""
+"""The picture with what is drawn over it, the objects with their pictures, the frames, the log."""
 
 from __future__ import annotations
 
@@ -10,16 +10,13 @@ from pipeline.answering.objects import SceneObject
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.palette import hex_color, palette
-from spatialviz.app.beside_html import name_tag, second_overlay
-from spatialviz.app.frames import FrameStore
-from spatialviz.app.images import jpeg_url
-from spatialviz.app.legend import depth_bar
-from spatialviz.app.markup import Child, Element, h
-from spatialviz.app.paint import frame_colors
+from pipeline.geometry.palette import depth_colors, depth_ends, hex_color, palette
+from spatialviz.app.beside import name_tag, second_overlay
+from spatialviz.app.frame_cloud import frame_colors
+from spatialviz.app.frames import FrameStore, jpeg_url, png_url
+from spatialviz.app.markup import Child, Element, chosen, h, heading, named, note, panel
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
-from spatialviz.app.text import chosen, note, panel
 from spatialviz.report.picture import box_edges_2d, tinted
 
 IMAGE_WIDTH = 720
@@ -179,3 +176,75 @@ def log_html(entries: Sequence[tuple[str, str]]) -> Element:
     """What happened, latest first."""
     rows = [h.li(h.span(time, cls="dim"), " ", text) for time, text in reversed(entries)]
     return h.ol(rows or h.li("nothing yet", cls="dim"), cls="log")
+
+
+STEPS = 128
+"""Colours of the bar."""
+
+
+def depth_bar(state: State) -> Element | None:
+    """The colours of depths with their ends and their middle, metres, while these are shown."""
+    if state.loaded is None or state.colors != "depth":
+        return None
+    depth = state.loaded.context.frame.depth
+    low, high = depth_ends(depth)
+    measured = depth[depth > 0]
+    colors = depth_colors(np.linspace(low, high, STEPS, dtype=np.float32)[None], (low, high))
+    bar = np.concatenate([colors[..., ::-1], np.full((1, STEPS, 1), 255, np.uint8)], axis=2)
+    nearest, farthest = float(measured.min()), float(measured.max())
+    return h.figure(
+        h.figcaption("Depth"),
+        h.img(src=png_url(bar), alt=f"colours from {low:.2f} m, red, to {high:.2f} m, blue", draggable="false"),
+        h.div((h.span(f"{at:.2f} m") for at in (low, (low + high) / 2, high)), cls="ticks"),
+        cls="depthbar",
+        title=f"Nearer and farther ones have the colours of the ends: {nearest:.2f} to {farthest:.2f} m were measured.",
+    )
+
+
+def objects_html(state: State) -> Element | None:
+    """The objects as they are numbered, and above them those of the chosen pair once more; a click selects one."""
+    if state.loaded is None:
+        return None
+    if not state.shown.objects:
+        reason = state.loaded.problem or "Nothing is annotated or detected in this frame."
+        return panel(heading("Objects"), note(reason), cls="objects")
+    count = len(state.shown.objects)
+    # Rows that change places would be sent again, all of them.
+    pair = [_row(state, i, "of-pair") for i in dict.fromkeys(state.pair or ())]
+    head = [h.tr(h.th(words, colspan=4)) for words in ("of the pair", "all")] if pair else [None, None]
+    every = (_row(state, i, "object") for i in range(count))
+    table = h.table(h.tbody(head[0], pair, id="of-pair"), h.tbody(head[1], every), cls="objects")
+    return panel(heading(f"Objects{' of A' if state.beside else ''} ({count})"), table)
+
+
+def _row(state: State, i: int, kind: str) -> Element:
+    assert state.loaded is not None
+    in_pair = kind == "object" and i in (state.pair or ())
+    marks = chosen(i == state.selected, "r")
+    # The page scrolls to the first of two rows of the same object.
+    marks |= {"data_shown": None} if in_pair else {}
+    entry, color = state.shown.objects[i], palette(state.dark)[state.roles.get(i, "other")]
+    box, quality = entry.lifted.box, entry.lifted.quality
+    size = "no depth" if box is None else " × ".join(f"{s * 100:.0f}" for s in box.size) + " cm"
+    doubts = "; ".join(quality.concerns)
+    return h.tr(
+        h.td(thumb(state, i)),
+        h.td(named(color, state.shown.names[i]), h.div(size, cls="dim"), cls="w"),
+        h.td("" if box is None else f"{quality.distance:.1f} m", cls="n dim"),
+        h.td(score(entry.score), h.span("!", cls="low", title=doubts, aria_label=doubts) if doubts else "", cls="n"),
+        id=f"{kind}-{i}",
+        do=f"object:{i}",
+        hover=f"hover:{i}",
+        **marks,
+    )
+
+
+def thumb(state: State, i: int) -> Element:
+    """The small picture of an object; an empty place where it has none."""
+    url = "" if state.loaded is None else state.loaded.thumb(state.shown.objects[i].bbox)
+    return h.img(src=url, alt="", cls="thumb", loading="lazy") if url else h.span(cls="thumb")
+
+
+def score(value: float) -> str:
+    """A detector's score; nothing where the objects are the dataset's own."""
+    return "" if value >= 0.9995 else f"{value:.2f}"

@@ -23,14 +23,11 @@ from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError
+from spatialviz.app.context import Context, Part, command
 from spatialviz.app.correct import Correct
-from spatialviz.app.images import jpeg_url
+from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.layout import Page
-from spatialviz.app.pixels_html import PART_COLORS, around, mask_url, outlines, told_of
-from spatialviz.app.pixels_scene import PixelScene
-from spatialviz.app.scene import SceneView
-from spatialviz.app.scene_client import SceneClient
+from spatialviz.app.pixels_html import PART_COLORS, PixelScene, around, mask_url, outlines, told_of
 from spatialviz.app.selection import Selection
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
@@ -40,37 +37,12 @@ LONGEST = 400_000
 """Characters of a message."""
 
 
-class Pixels:
-    """Draws the pixels of one object after the other.
+class Pixels(Part):
+    """Draws the pixels of one object after the other."""
 
-    Parameters
-    ----------
-    client : SceneClient
-    page : Page
-    scene : SceneView
-    correct : Correct
-        Saves.
-    selection : Selection
-    state, take, draw, note : callable
-        As of `Correct`.
-    """
-
-    def __init__(
-        self,
-        client: SceneClient,
-        page: Page,
-        scene: SceneView,
-        correct: Correct,
-        selection: Selection,
-        *,
-        state: Callable[[], State],
-        take: Callable[[State], None],
-        draw: Callable[[], None],
-        note: Callable[[str], None],
-    ) -> None:
-        self._page, self._correct, self._selection = page, correct, selection
-        self._state, self._take, self._draw, self._note = state, take, draw, note
-        self._scene = PixelScene(client, scene)
+    def __init__(self, ctx: Context, correct: Correct, selection: Selection) -> None:
+        super().__init__(ctx)
+        self._correct, self._selection, self._scene = correct, selection, PixelScene(ctx)
         self._drafts: dict[tuple[str, str], Draft] = {}
         self._open: tuple[str, str] | None = None
         self._canvas: tuple[tuple[str, str], Canvas] | None = None
@@ -83,45 +55,28 @@ class Pixels:
         self._disputed: tuple[tuple[str, str], Conflict] | None = None
         correct.on_saved(self._decided)
 
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "px-tool": self.choose,
-            "px-new": self.new,
-            "px-select": self.select,
-            "px-draw": self.drawn,
-            "px-hand": self.hand,
-            "px-undo": lambda _: self._stepped("undo"),
-            "px-redo": lambda _: self._stepped("redo"),
-            "px-apart": lambda _: self._changed(lambda draft, canvas: with_depth_split(draft, canvas)),
-            "px-apply": self.apply,
-            "px-cancel": lambda _: self.close(),
-            "px-view": self.look,
-            "px-picture": self.paint,
-            "px-merge": lambda _: self.merge(),
-        }
-
     # ---- which object, which tool -----------------------------------------------------
 
     @property
     def _key(self) -> tuple[str, str]:
-        return self._state().source, self._state().frame_id
+        return self.state.source, self.state.frame_id
 
     @property
     def _draft(self) -> Draft | None:
         return self._drafts.get(self._key) if self._open == self._key else None
 
     def _selected(self) -> int | None:
-        state = self._state()
+        state = self.state
         return None if state.labels is None or state.selected is None else state.labels.numbers[state.selected]
 
     def _labels(self) -> LabelView | None:
         """What labels are shown; says so where there are none."""
-        view = self._state().labels
+        view = self.state.labels
         if view is None:
-            self._note("not done: show the labels first")
+            self.ctx.note("not done: show the labels first")
         return view
 
+    @command("px-tool")
     def choose(self, tool: str) -> None:
         """Take a tool; where nothing is open yet, begin on the selected object."""
         view = self._labels()
@@ -133,6 +88,7 @@ class Pixels:
             self._begin(view, self._selected(), resume=True)
         self.follow()
 
+    @command("px-new")
     def new(self, where: str) -> None:
         """Begin a new object: drawn, by clicks in the scene ("scene"), or in a rectangle of the picture (fractions)."""
         view = self._labels()
@@ -141,8 +97,7 @@ class Pixels:
         draft = self._drafts.get(self._key)
         if draft is not None and draft.changed:
             self._open = self._key
-            self._tell("apply or cancel this one first", True)
-            self.follow()
+            self._say("apply or cancel this one first", True)
             return
         self._tool, self._view = ("depth", "scene") if where == "scene" else ("rectangle", "picture")
         self._tell("")
@@ -162,15 +117,20 @@ class Pixels:
         if number is None and self._tool == "cut":
             self._tool = "brush"
 
+    @command("px-select")
     def select(self, fractions: str) -> None:
         """Draw on the object at a place of the picture."""
         draft = self._draft
         if draft is not None and draft.changed:
-            self._tell("apply or cancel this one first", True)
-            self.follow()
+            self._say("apply or cancel this one first", True)
             return
         self._selection.select_at(fractions)
 
+    @command("px-apart")
+    def _split(self) -> None:
+        self._changed(with_depth_split)
+
+    @command("px-cancel")
     def close(self) -> None:
         """Drop the draft."""
         self._drafts.pop(self._key, None)
@@ -179,6 +139,7 @@ class Pixels:
 
     # ---- drawing ----------------------------------------------------------------------
 
+    @command("px-draw")
     def drawn(self, said: str) -> None:
         """A movement of the hand: "7:{...}"; 7 is told back, so that the page knows what is done."""
         number, _, text = said.partition(":")
@@ -196,6 +157,7 @@ class Pixels:
 
         self._changed(lambda draft, canvas: with_gesture(draft, gesture(draft), canvas))
 
+    @command("px-hand")
     def hand(self, said: str) -> None:
         """How clicks in the scene count: "true:0.015", adding or removing, and how alike a surface must be."""
         adds, _, tolerance = said.partition(":")
@@ -210,8 +172,7 @@ class Pixels:
         if self._draft is None or self._view != "scene":
             return False
         if pixel is None:
-            self._tell("no point of the cloud is there", True)
-            self.follow()
+            self._say("no point of the cloud is there", True)
             return True
         at = [[pixel[0] + 0.5, pixel[1] + 0.5]]
 
@@ -238,9 +199,10 @@ class Pixels:
             desk = self._correct.desk
             if desk is None or desk.corrector.relifter is None:
                 raise InputError("the pictures are not at hand")
-            self._canvas = self._key, Canvas(desk.corrector.relifter.context(self._state().frame_id))
+            self._canvas = self._key, Canvas(desk.corrector.relifter.context(self.state.frame_id))
         return self._canvas[1]
 
+    @command("px-undo=undo", "px-redo=redo")
     def _stepped(self, which: str) -> None:
         draft = self._draft
         if draft is None:
@@ -252,13 +214,14 @@ class Pixels:
             self.follow()
         else:
             self._correct.taken_back(which)
-            view = self._state().labels
+            view = self.state.labels
             if view is not None:
                 self._tell(view.said, view.bad)
             self.follow()
 
     # ---- saving -----------------------------------------------------------------------
 
+    @command("px-apply")
     def apply(self, said: str) -> None:
         """Save the draft as one action: {"stay", "label"}; with "stay" the editor remains open."""
         view, draft = self._labels(), self._draft
@@ -273,34 +236,32 @@ class Pixels:
             made = edits_of_draft(draft, view.frame, label)
         except InputError as error:
             self._drafts[self._key] = rebased(draft, view.frame)
-            self._tell(str(error), True)
-            self.follow()
+            self._say(str(error), True)
             return
         self._label, self._saving = label, True
         if not stay:
             # Closed at once: drawing the whole page takes longer than saving.
-            self._page.call("pixels", {"on": False})
+            self.ctx.page.call("pixels", {"on": False})
         try:
             outcome = self._correct.save(lambda _: made)
         finally:
             self._saving = False
-        after = self._state().labels
+        after = self.state.labels
         if isinstance(outcome, Conflict):
             self._disputed = self._key, outcome
         if outcome is None or isinstance(outcome, Conflict) or after is None:
-            self._tell("not saved" if after is None else after.said, True)
-            self.follow()
+            self._say("not saved" if after is None else after.said, True)
             return
         number, self._label, self._disputed = made[0].ref.numbers[0], "", None
         self._drafts.pop(self._key, None)
-        state = self._state()
-        self._take(replace(state, selected=after.place(number)))
+        state = self.state
+        self.state = replace(state, selected=after.place(number))
         self._tell(after.said, after.bad)
         if stay:
             self._begin(after, None if draft.number is None else number)
         else:
             self._open = None
-        self._draw()
+        self.ctx.draw()
 
     def _decided(self, events: tuple[Event, ...]) -> None:
         """Drop the draft that was in dispute, once it was saved after all."""
@@ -311,37 +272,42 @@ class Pixels:
             self._disputed = None
             self.close()
 
+    @command("px-merge")
     def merge(self) -> None:
         """Make the selected object a part of the one that was selected before it."""
         view = self._labels()
         if view is None:
             return
-        pair = self._state().pair
+        pair = self.state.pair
         if pair is None or pair[0] == pair[1]:
-            self._page.toast("Not done", "Select two objects, one after the other.")
+            self.ctx.page.toast("Not done", "Select two objects, one after the other.")
             return
         numbers = view.numbers[pair[1]], view.numbers[pair[0]]
         if self._correct.save(lambda frame: merge_objects(frame, numbers)) is None:
             return
-        after = self._state().labels
+        after = self.state.labels
         if after is not None:
-            self._take(replace(self._state(), selected=after.place(numbers[0])))
-            self._draw()
+            self.ctx.show(selected=after.place(numbers[0]))
 
     # ---- what is shown ----------------------------------------------------------------
 
+    @command("px-view")
     def look(self, view: str) -> None:
         """Draw on the "picture", or by clicks in the "scene"."""
         if view in ("picture", "scene"):
             self._view = view
-            self._tell("")
-            self.follow()
+            self._say("")
 
+    @command("px-picture")
     def paint(self, kind: str) -> None:
         """Show the picture's "rgb" or its "depth"."""
         if kind in ("rgb", "depth"):
             self._kind = kind
             self.follow()
+
+    def _say(self, said: str, bad: bool = False) -> None:
+        self._tell(said, bad)
+        self.follow()
 
     def _tell(self, said: str, bad: bool = False) -> None:
         self._said, self._bad = said, bad
@@ -350,19 +316,19 @@ class Pixels:
         """Bring the editor up to the state and the draft."""
         if self._saving:
             return
-        state = self._state()
+        state = self.state
         view = state.labels
         if self._open is not None and (view is None or self._open != self._key):
             self._open = None
         draft = self._draft
         if draft is None or view is None or state.loaded is None:
             self._scene.clear()
-            self._page.call("pixels", {"on": False})
+            self.ctx.page.call("pixels", {"on": False})
             return
         selected = self._selected()
         if draft.number is not None and draft.number not in view.frame.objects:
             self._drafts.pop(self._key)
-            self._note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
+            self.ctx.note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
             self._open = None
             self.follow()
             return
@@ -384,7 +350,7 @@ class Pixels:
         else:
             self._scene.clear()
             picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
-            self._page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
+            self.ctx.page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
         fresh = draft.number is None
         row = None if draft.number is None else view.frame.objects[draft.number]
         data: dict[str, Any] = {
@@ -413,7 +379,7 @@ class Pixels:
             "bad": self._bad,
             "info": told_of(draft, lifted, parts),
         }
-        self._page.call("pixels", data)
+        self.ctx.page.call("pixels", data)
 
 
 def _rectangle(corners: list[str], draft: Draft) -> Gesture:

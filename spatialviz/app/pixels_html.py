@@ -1,4 +1,4 @@
-"""What the page shows of drawing pixels: the row of tools above the picture, and the draft for the large editor."""
+"""What is shown of drawing pixels: the row of tools, the draft for the large editor, and the draft in the scene."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.draft import Draft
+from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import decode_crop
-from pipeline.geometry.palette import ON_DARK, RGB, instance_colors
-from spatialviz.app.images import png_url
-from spatialviz.app.markup import Element, h
+from pipeline.geometry.palette import ON_DARK, RGB, instance_colors, palette
+from spatialviz.app.context import Part
+from spatialviz.app.frames import png_url
+from spatialviz.app.markup import BAD, IDLE, Element, h, note
 from spatialviz.app.state import State
-from spatialviz.app.text import BAD, IDLE, note
 
 TOOLS = {
     "brush": "paint pixels (Shift+I)",
@@ -103,3 +106,34 @@ def told_of(draft: Draft, lifted: LiftedObject | None, parts: Sequence[np.ndarra
         return f"{pixels} · no 3D box: too little depth"
     width, height, depth = lifted.box.size
     return f"{pixels} · {lifted.quality.points:,} points · box {width:.2f} × {height:.2f} × {depth:.2f} m"
+
+
+POINT = 0.004
+MOST_POINTS = 60_000
+
+
+class PixelScene(Part):
+    """Draws into one client's scene, beside what `SceneView` draws."""
+
+    def clear(self) -> None:
+        """Show nothing."""
+        self.ctx.client.clear("/draft/")
+
+    def draw(self, frame: Frame, mask: np.ndarray, box: Box3D | None, dark: bool) -> None:
+        """Show a mask's points, towards the viewer of the cloud they lie in, and a box (camera frame)."""
+        with self.ctx.client.atomic():
+            self.clear()
+            color = palette(dark)["edited"]
+            v, u = np.nonzero(mask & (frame.depth > 0))
+            step = max(1, -(-len(v) // MOST_POINTS))
+            v, u = v[::step], u[::step]
+            if len(v):
+                points = lift_pixels(frame.depth[v, u] * np.float32(0.995), frame.camera, v, u)
+                shown = (points @ self.ctx.scene.to_show.T.astype(np.float32)).astype(np.float32)
+                self.ctx.client.scene.add_point_cloud(
+                        "/draft/points", shown, color, point_size=POINT, precision="float32", point_shading="flat",
+                        point_shape="square",
+                    )  # fmt: skip
+            if box is not None:
+                lines = self.ctx.scene.shown_box(box).corners[EDGES].astype(np.float32)
+                self.ctx.client.lines("/draft/box", lines, color, 2.6)

@@ -1,125 +1,79 @@
-"""Retraining on the labels as they are corrected, in a process of its own that all clients see."""
+"""Retraining on the labels as they are corrected, in a process that all clients see, and what it was worth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
-from pipeline.answering.opening import Pipeline
-from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.review.label_jobs import CANCELLED, RetrainingJob, TrainingProgress
-from pipeline.evaluation.run_folder import Run
+from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import InputError
-from spatialviz.app.layout import Page
+from spatialviz.app.context import Context, Part, command
+from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel
 from spatialviz.app.place import Place
-from spatialviz.app.retrain_html import retrain_html
-from spatialviz.app.state import State
 
 
-class RetrainPanel:
-    """Trains, compares, makes the run again, and installs by choice.
+class RetrainPanel(Part):
+    """Trains, compares, makes the run again, and installs by choice."""
 
-    Parameters
-    ----------
-    page : Page
-    sources : mapping of str to Source
-    runs : mapping of str to Run
-    journals : mapping of str to JournalPlace
-        By name of the source.
-    folder : Path
-        Where trained networks are written.
-    state : callable
-    go : callable
-        Looks at a place.
-    use : callable
-        Answers the question that is asked with an installed network.
-    note : callable
-    post : callable
-        Runs something later, on the client's own thread.
-    """
-
-    def __init__(
-        self,
-        page: Page,
-        sources: Mapping[str, Pipeline],
-        runs: Mapping[str, Run],
-        journals: Mapping[str, JournalLocation],
-        folder: Path,
-        *,
-        state: Callable[[], State],
-        go: Callable[[Place], None],
-        use: Callable[[str], None],
-        note: Callable[[str], None],
-        post: Callable[[Callable[[], None]], None],
-    ) -> None:
-        self._page, self._sources, self._runs = page, sources, runs
-        self._journals, self._folder = journals, folder
-        self._state, self._go, self._use, self._note, self._post = state, go, use, note, post
+    def __init__(self, ctx: Context, folder: Path) -> None:
+        super().__init__(ctx)
+        self._folder, journals = folder, ctx.shared.journals
         self._last = {name: place.jobs.training.seen for name, place in journals.items()}
-        self._leave = [
-            place.jobs.training.listen(lambda name=name: post(lambda: self._follow(name)))
+        ctx.leave += [
+            place.jobs.training.listen(lambda name=name: ctx.post(lambda: self._follow(name)))
             for name, place in journals.items()
         ]
 
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "retrain": lambda _: self.start(),
-            "stop-training": lambda _: self.stop(),
-            "install": self.install,
-            "replayed": self.open_expression,
-        }
-
-    def close(self) -> None:
-        """Listen no more; what runs goes on, for those who stay or come back."""
-        for leave in self._leave:
-            leave()
-
     @property
     def _training(self) -> TrainingProgress:
-        place = self._journals.get(self._state().source)
+        place = self.ctx.shared.journals.get(self.state.source)
         return TrainingProgress() if place is None else place.jobs.training.seen
 
     def _follow(self, name: str) -> None:
         """Say what has begun or ended, whoever began it, and draw."""
-        was, now = self._last[name], self._journals[name].jobs.training.seen
+        was, now = self._last[name], self.ctx.shared.journals[name].jobs.training.seen
         self._last[name] = now
         if now.running and not was.running:
-            self._note(f"retraining on the labels of {name}")
+            self.ctx.note(f"retraining on the labels of {name}")
         elif was.running and not now.running:
             done = f"not retrained: {now.problem}" if now.record is None else (
                 f"retrained in {now.seconds:.0f} s: {now.record['folder']}"
             )  # fmt: skip
-            self._note("retraining was stopped" if now.problem == CANCELLED else done)
+            self.ctx.note("retraining was stopped" if now.problem == CANCELLED else done)
         self.draw()
 
+    @command("retrain")
     def start(self) -> None:
         """Train on the labels of the source that is looked at, as they are now."""
-        name = self._state().source
-        place = self._journals.get(name)
+        name = self.state.source
+        place = self.ctx.shared.journals.get(name)
         if place is None or self._training.running:
             return
-        run = self._runs.get(name)
+        run = self.ctx.shared.runs.get(name)
         place.jobs.train(
             RetrainingJob(
                 place.labels.root,
                 self._folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}",
                 None if place.where is None else str(place.where),
                 place.project,
-                str(self._sources[name].dataset.root),
+                str(self.ctx.shared.store.sources[name].dataset.root),
                 run=None if run is None else run.folder,
             )
         )
 
+    @command("stop-training")
     def stop(self) -> None:
         """End a training, whoever began it; nothing of it stays."""
-        place = self._journals.get(self._state().source)
+        place = self.ctx.shared.journals.get(self.state.source)
         if place is not None:
             place.jobs.training.stop()
 
+    @command("install")
     def install(self, name: str) -> None:
         """Install the trained network under a name, and answer the question that is asked with it."""
         training = self._training
@@ -128,22 +82,25 @@ class RetrainPanel:
         try:
             done = install_network(Path(training.record["network"]), name.strip())
         except InputError as error:
-            self._page.toast("Not installed", str(error), bad=True)
-            self._note(f"not installed: {error}")
+            self.ctx.page.toast("Not installed", str(error), bad=True)
+            self.ctx.note(f"not installed: {error}")
             return
-        self._note(f"installed: --srm {done.name} is {done.path}")
-        self._journals[self._state().source].jobs.training.change(lambda now: replace(now, installed=done.name))
-        self._use(done.name)
+        self.ctx.note(f"installed: --srm {done.name} is {done.path}")
+        self.ctx.shared.journals[self.state.source].jobs.training.change(lambda now: replace(now, installed=done.name))
+        if self.state.labels is None:
+            # While labels are shown nothing is asked that it could answer.
+            self.ctx.handle(f"edit:set:scorer:{done.name}")
 
+    @command("replayed")
     def open_expression(self, said: str) -> None:
         """Ask an expression of the comparison: "frame|text"."""
         frame, _, text = said.partition("|")
-        self._go(Place(self._state().source, frame, text))
+        self.ctx.go(Place(self.state.source, frame, text))
 
     def draw(self) -> None:
         """Bring the section up to what is known."""
-        name = self._state().source
-        place = self._journals.get(name)
+        name = self.state.source
+        place = self.ctx.shared.journals.get(name)
         if place is None:
             return
         try:
@@ -151,4 +108,169 @@ class RetrainPanel:
             corrections = 0 if journal is None else journal.count()
         except InputError:
             corrections = None
-        self._page.show("review-train", retrain_html(self._training, corrections, name in self._runs))
+        self.ctx.page.show("review-train", retrain_html(self._training, corrections, name in self.ctx.shared.runs))
+
+
+STEPS = {
+    "labels": "applying the corrections",
+    "before": "learning the labels before",
+    "after": "learning the labels after",
+    "replay": "making the run again",
+}
+LISTED = 6
+
+
+def retrain_html(training: TrainingProgress, corrections: int | None, with_run: bool) -> Element:
+    """The section of the Review tab; `corrections` is None where the journal cannot be read."""
+    return panel(heading("Retrain", _action(training, corrections)), _state(training, corrections, with_run))
+
+
+def _state(training: TrainingProgress, corrections: int | None, with_run: bool) -> Child:
+    if training.running:
+        what, done, of = training.step
+        share = done / of if of else 0.0
+        bar = h.div(
+            h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
+            aria_label="Training",
+        )  # fmt: skip
+        return bar, h.div(f"{STEPS.get(what, what)} · {training.seconds:.0f} s", cls="dim")
+    if training.problem and training.problem != CANCELLED:
+        return note(f"Not trained: {training.problem}", BAD)
+    if training.record is None:
+        run = ", and makes the run again with it" if with_run else ""
+        said = "Nothing corrected yet."
+        if corrections is None:
+            said = "The journal cannot be read now: what was corrected is not known."
+        elif corrections:
+            said = f"Learns the relations from the labels as they are now{run}."
+        return h.div(said, cls="dim")
+    return _figures(training), _replayed(training.record), _install(training)
+
+
+def _action(training: TrainingProgress, corrections: int | None) -> Element:
+    if training.running:
+        return h.button("stop", cls="try", do="stop-training")
+    if not corrections:
+        return h.button("retrain", cls="try", disabled=True)
+    return h.button("retrain", cls="try", do="retrain", title=f"{corrections} events in the journal (Shift+G)")
+
+
+def _figures(training: TrainingProgress) -> Child:
+    """F1 by relation: learnt from the labels before, after, and of the network in use, on pairs that none has seen."""
+    record = training.record
+    assert record is not None
+    trained, in_use = record["retraining"], record["in_use"]
+    held, events = trained["held_out"], record["corrections"]["events"]
+    rows = []
+    names = list(trained["after"]["f1"])
+    for name in [*names, "all"]:
+        before, after = (_f1(trained[k], name) for k in ("before", "after"))
+        now = None if in_use is None else _f1(in_use["before"], name)
+        gain = None if before is None or after is None else (after - before) * 100
+        kind = "" if gain is None or abs(gain) < 0.05 else " good" if gain > 0 else " bad"
+        rows.append(
+            h.tr(
+                h.td("all" if name == "all" else PHRASE[name]),
+                (h.td("–" if v is None else f"{v * 100:.1f}", cls="n") for v in (now, before, after)),
+                h.td("–" if gain is None else f"{gain:+.1f}", cls=f"n{kind}"),
+                cls="sum" if name == "all" else "",
+            )
+        )
+    right, wrong = trained["became_right"]["cells"], trained["became_wrong"]["cells"]
+    gain = trained["gain"]["micro_f1"]
+    ends = (gain["low"], gain["high"])
+    interval = "–" if None in ends else f"[{ends[0] * 100:+.1f}, {ends[1] * 100:+.1f}]"
+    counts = f"{events} events · F1 on {held['pairs']} held-out pairs of {held['frames']} frames"
+    head = h.tr(
+        h.td(),
+        h.th("in use", cls="n", title="the network in use"),
+        h.th("before", cls="n", title="learnt from the labels before"),
+        h.th("after", cls="n", title="learnt from the labels with the corrections"),
+        h.th("gain", cls="n"),
+    )
+    return (
+        h.div(f"{counts} · {training.seconds:.0f} s", cls="dim"),
+        h.table(head, rows, cls="slices"),
+        h.div(f"{right} held-out cells became right, {wrong} wrong; gain {interval}", cls="dim"),
+        _cells("became right", trained["became_right"]["listed"]),
+        _cells("became wrong", trained["became_wrong"]["listed"]),
+    )
+
+
+def _f1(figures: Mapping[str, Any], name: str) -> float | None:
+    found = figures["micro_f1"] if name == "all" else figures["f1"].get(name)
+    return None if found is None else found["value"]
+
+
+def _cells(title: str, cells: Sequence[Mapping[str, Any]]) -> Element | None:
+    """The cells that changed most; a click shows the pair."""
+    if not cells:
+        return None
+    rows = (
+        h.div(
+            h.span(f"{c['a']} {PHRASE[c['relation']]} {c['b']} is {c['label']}"), h.span(c["frame"], cls="dim"),
+            h.span(f"{c['before']:.2f} → {c['after']:.2f}", cls="n"), cls="cellrow", title=c["frame"],
+            do=f"labels-at:{c['a']},{c['b']},{c['relation']},{c['frame']}",
+        )
+        for c in cells[:LISTED]
+    )  # fmt: skip
+    return h.details(h.summary(f"{title}, the largest changes"), rows)
+
+
+def _replayed(record: Mapping[str, Any]) -> Child:
+    parts = []
+    for title, key in (("mended labels alone", "mended"), ("new network on them", "replay")):
+        found = record[key]
+        if found is None:
+            continue
+        gain = found["differences"][found["measure"]]
+        fixed, broken = found["fixed"], found["broken"]
+        interval = f"{gain['value'] * 100:+.1f} [{gain['low'] * 100:+.1f}, {gain['high'] * 100:+.1f}]"
+        parts += [
+            h.div(
+                h.b(title),
+                h.span(f"{len(fixed)} became right", cls="good"),
+                h.span(f"{len(broken)} became wrong", cls="bad"),
+                h.span(interval, cls="dim"),
+                cls="vrow2",
+            ),
+            _expressions("became right", fixed),
+            _expressions("became wrong", broken),
+        ]
+    return (heading("The run again"), parts) if parts else None
+
+
+def _expressions(title: str, rows: Sequence[Mapping[str, Any]]) -> Element | None:
+    if not rows:
+        return None
+    listed = (
+        h.div(
+            h.span(r["text"]), h.span(r["frame"], cls="dim"), cls="cellrow", do=f"replayed:{r['frame']}|{r['text']}"
+        )
+        for r in rows[:LISTED]
+    )  # fmt: skip
+    more = h.div(f"and {len(rows) - LISTED} more", cls="dim") if len(rows) > LISTED else None
+    return h.details(h.summary(title), listed, more)
+
+
+def _install(training: TrainingProgress) -> Child:
+    record = training.record
+    assert record is not None
+    # Cut at its left: written from right to left, where its ends must not move.
+    where = h.div(h.bdi(record["folder"]), cls="dim path", title=record["folder"])
+    if training.installed:
+        said = f"Installed: --srm {training.installed}; in the Edit tab it answers any question."
+        return note(said, GOOD), where
+    warning = None
+    in_use = record["in_use"]
+    if in_use is not None:
+        now, new = (in_use[k]["micro_f1"]["value"] for k in ("before", "after"))
+        if None not in (now, new) and new < now:
+            said = f"The network in use has {now * 100:.1f} on these pairs, more than the new one ({new * 100:.1f})."
+            said += "".join(f" {caveat.removeprefix('before: ')}." for caveat in in_use.get("caveats", ()))
+            warning = note(said, DOUBT)
+    field = h.input(
+        cls="find name", placeholder="name", maxlength=64, enter="install", aria_label="Name of the network"
+    )  # fmt: skip
+    button = h.button("install", cls="try go", local="send:install:")
+    return warning, h.div(field, button, cls="inst"), where

@@ -1,17 +1,37 @@
-"""The Review tab: what is to be looked at next, the labels of the pair, and how they came to be."""
+"""The Review tab: the queue of what may be wrong, the labels of the pair, and how they came to be."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
 from pipeline.corrections.label_editor import LabelEditor
+from pipeline.corrections.review.items import ItemKey
+from pipeline.corrections.review.label_jobs import CANCELLED, QueueProgress
+from pipeline.corrections.review.worklist import Worklist
 from pipeline.corrections.scene import PairCard, RelationLine
 from pipeline.geometry.palette import palette
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U, letter
 from spatialviz.app.keys import KEYS_OF_ONE
-from spatialviz.app.markup import Element, h
+from spatialviz.app.markup import (
+    BAD,
+    DOUBT,
+    GOOD,
+    Child,
+    Element,
+    button,
+    chosen,
+    dot,
+    h,
+    heading,
+    note,
+    panel,
+    segments,
+)
 from spatialviz.app.state import State
-from spatialviz.app.text import BAD, DOUBT, GOOD, button, chosen, dot, heading, note, panel
 
 STATES = {T: ("T", GOOD, "true"), U: ("U", DOUBT, "undecided"), F: ("F", "#8a919c", "false")}
 MARKS = {"auto": "", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
@@ -116,3 +136,182 @@ def doubt_html(card: PairCard, line: RelationLine, state: int) -> Element:
         h.div(f"{said} once more saves it all the same, Escape leaves the label as it is.", cls="dim"),
         cls="dispute",
     )
+
+
+ROWS, STEP = 40, 20
+SKIPPED = 8
+"""Frames that a hint names."""
+STATUS_MARKS = {
+    "unreviewed": ("", "inherit"),
+    "accepted": ("✓", GOOD),
+    "corrected": ("✎", GOOD),
+    "rejected": ("✗", "#8a919c"),
+    "unsure": ("?", DOUBT),
+}
+KINDS = {"all": "all", "relation": "relations", "object": "objects", "expression": "sentences"}
+Names = Mapping[tuple[str, int], str]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a queue that is made next is made of, besides the rules and the linter.
+
+    Attributes
+    ----------
+    networks : bool
+    detector : bool
+    named : str
+        The detector that can be asked; empty without one.
+    """
+
+    networks: bool = False
+    detector: bool = True
+    named: str = ""
+
+
+def item_html(work: Worklist, names: Names, item: ItemKey) -> Element:
+    """The item that is looked at: what the label says, how probably it is wrong, and every reason; and the progress."""
+    row, counts = work.row(item), work.counts
+    network = "" if row["probability"] is None else f" · networks: {row['probability']:.2f} that it holds"
+    ways = "T U F settle it, Y accepts" if item.kind == "relation" else "Y accepts, Shift+Y rejects"
+    return h.div(
+        h.div(
+            h.b(said(row, names)),
+            h.span(f"{row['score']:.0%}", cls="p", title="how probably the label is wrong"),
+            button("×", "leave-item", "leave the item: the keys act on what is selected again", aria_label="leave"),
+            cls="big",
+        ),
+        h.div((h.div(reason) for reason in row["reasons"]), cls="why"),
+        h.div(
+            h.span(f"{ways}, Shift+U unsure{network}"),
+            h.span(f"{counts['settled']:,} of {counts['items']:,}", title=_settled(counts)),
+            cls="ways dim",
+        ),
+        cls="item",
+    )
+
+
+def queue_html(
+    work: Worklist | None, making: QueueProgress, asked: Asked, kind: str, item: ItemKey | None, names: Names
+) -> Element:
+    """What the queue is made of, how far that is, and the list from the current item on."""
+    again = "make again" if work is not None else "make"
+    stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
+    make = button(again, "make-queue", "ranks the labels by what is switched on here")
+    head = heading("Queue", stop if making.running else make).with_(id="queue-head")
+    parts = [head, _asked(asked), h.div(_busy(making), id="queue-busy")]
+    if work is None:
+        return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
+    counts = work.counts
+    tally = [f" · {counts[state]:,} {state}" for state in STATUS_MARKS if state != "unreviewed" and counts[state]]
+    rows = [_row(work, place, names, item) for place in shown_places(work, kind, item)]
+    return panel(
+        parts,
+        _known(making.made),
+        h.div(_settled(counts), tally, id="queue-settled", cls="dim"),
+        segments("queue-kind", KINDS, kind, "Items of one kind"),
+        h.div(rows or "nothing of this kind", id="queue-rows", cls="queue"),
+    )
+
+
+def _asked(asked: Asked) -> Element:
+    """What goes into the next queue: switches."""
+    hint = f"what the detector {asked.named} sees otherwise in the labelled frames"
+    return h.div(
+        h.span("rules and linter", cls="try fixed", title="always in it"),
+        _switch("networks", "networks", asked.networks, "networks that have not learnt from a label"),
+        asked.named and _switch("detector", f"detector {asked.named}", asked.detector, hint),
+        id="queue-asks",
+        cls="asks",
+    )
+
+
+def _switch(name: str, label: str, on: bool, hint: str) -> Element:
+    return button(label, f"queue-from:{name}", hint, role="switch", aria_checked=str(on).lower())
+
+
+def _busy(making: QueueProgress) -> Child:
+    """How far a queue that is made is, or why there is none."""
+    if not making.running:
+        failed = making.problem and making.problem != CANCELLED
+        stays = "was not made" if making.work is None else "stays as it is"
+        return note(f"The queue {stays}: {making.problem}", BAD) if failed else None
+    share, what = 0.0, "ranking the labels"
+    if making.step is not None:
+        kind, done, of = making.step
+        share = done / of if of else 0.0
+        if done < of:
+            what = f"asking network {done + 1} of {of}" if kind == "networks" else f"detector: frame {done + 1} of {of}"
+    bar = h.div(
+        h.i(css={"width": f"{share:.0%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
+        aria_label=what,
+    )  # fmt: skip
+    return bar, h.div(what, cls="dim")
+
+
+def _known(made: Mapping[str, Any] | None) -> Element | None:
+    """What the queue was made of: what networks and a detector said; and how far reviewers agreed by then."""
+    if made is None:
+        return None
+    parts, hint = ["rules and linter"], "what this queue was made of"
+    if made["estimated_wrong"] is not None:
+        parts.append(f"networks: {made['estimated_wrong']:.0f} relations wrong")
+    if (said := made["detector"]) is not None:
+        skipped = said["skipped"]
+        left_out = f", {len(skipped)} skipped" if skipped else ""
+        parts.append(f"{said['name']}: {counted(said['frames'], 'frame')}{left_out}")
+        hint += "".join(f"\n{frame}: {why}" for frame, why in list(skipped.items())[:SKIPPED])
+        hint += f"\nand {len(skipped) - SKIPPED} more" if len(skipped) > SKIPPED else ""
+    for pair in made["agreement"]:
+        kappa = "–" if pair["kappa"] is None else f"{pair['kappa']:.2f}"
+        parts.append(f"{' and '.join(pair['reviewers'])}: κ {kappa} on {counted(pair['items'], 'item')}")
+    return h.div(f"made of {' · '.join(parts)}", cls="dim", title=hint)
+
+
+def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[int]:
+    """The rows around the current one; the list moves on by `STEP`, so that the next item sends few of them."""
+    at = 0 if item is None else work.indices.get(item.plain, 0)
+    start = max(0, at - 3) // STEP * STEP
+    places = []
+    for place in range(start, len(work)):
+        if kind in ("all", work.keys[place].kind) and not work.gone[place]:
+            places.append(place)
+        if len(places) == ROWS:
+            break
+    return places
+
+
+def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> Element:
+    key = work.keys[place]
+    row = work.queue.slice(place, 1).to_pylist()[0]
+    mark, color = STATUS_MARKS[work.state(key)]
+    reason = row["reasons"][0] if row["reasons"] else ""
+    return h.div(
+        h.i(css={"--v": f"{row['score']:.2f}"}),
+        h.span(said(row, names)),
+        h.b(mark, css={"color": color}),
+        # It is cut at its left, written from right to left, where its ends must not move.
+        h.em(f"\u200e{row['frame']}\u200e"),
+        id=f"item-{place}",
+        **chosen(item is not None and key == item.plain, "q"),
+        do=f"item:{place}",
+        title=reason or None,
+    )
+
+
+def said(row: Mapping[str, Any], names: Names) -> str:
+    """What the label says, in words."""
+    frame, kind = row["frame"], row["kind"]
+
+    def named(number: int) -> str:
+        return f"{names.get((frame, number), 'object')}·{number}"
+
+    if kind == "relation":
+        return f"{named(row['a'])} {PHRASE[row['relation']]} {named(row['b'])}: {row['label']}"
+    if kind == "object":
+        return f"no {row['label']} labelled here" if row["a"] < 0 else named(row["a"])
+    return f"“{row['label']}”"
+
+
+def _settled(counts: Mapping[str, int]) -> str:
+    return f"{counts['settled']:,} of {counts['items']:,} settled"

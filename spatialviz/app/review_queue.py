@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 
 from pipeline.corrections.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref
-from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.review.detector_evidence import second_setup
 from pipeline.corrections.review.items import BLOCK, ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
@@ -19,56 +16,24 @@ from pipeline.corrections.scene import PairCard, RelationLine, labelled_objects
 from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError
+from spatialviz.app.context import Context, Part, command
 from spatialviz.app.correct import Correct
-from spatialviz.app.dialog import Dialog
-from spatialviz.app.frames import FrameStore, LoadedFrame
+from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_view import Target
-from spatialviz.app.layout import Page
-from spatialviz.app.markup import h
-from spatialviz.app.queue_html import KINDS, Asked, item_html, queue_html
-from spatialviz.app.review_html import doubt_html
-from spatialviz.app.state import State
-from spatialviz.app.text import panel
+from spatialviz.app.markup import h, panel
+from spatialviz.app.review_html import KINDS, Asked, doubt_html, item_html, queue_html
 
 LETTERS = {"T": T, "U": U, "F": F}
 DOUBT_TITLE = "Against geometry"
 
 
-class ReviewQueue:
-    """Walks through the queue of the source that a client looks at.
+class ReviewQueue(Part):
+    """Walks through the queue of the source that a client looks at."""
 
-    Parameters
-    ----------
-    page : Page
-    store : FrameStore
-    journals : mapping of str to JournalPlace
-        By name of the source.
-    correct : Correct
-    dialog : Dialog
-    state : callable
-        Gives the client's state.
-    note : callable
-        Writes a line of the log.
-    post : callable
-        Runs something later, on the client's own thread.
-    """
-
-    def __init__(
-        self,
-        page: Page,
-        store: FrameStore,
-        journals: Mapping[str, JournalLocation],
-        correct: Correct,
-        dialog: Dialog,
-        *,
-        state: Callable[[], State],
-        note: Callable[[str], None],
-        post: Callable[[Callable[[], None]], None],
-    ) -> None:
-        self._page, self._store, self._journals, self._correct = page, store, journals, correct
-        self._dialog = dialog
-        self._state, self._note, self._post = state, note, post
+    def __init__(self, ctx: Context, correct: Correct) -> None:
+        super().__init__(ctx)
+        self._correct = correct
         self._works: dict[str, Worklist] = {}
         self._newest: dict[str, Mark] = {}
         self._makings: dict[str, QueueProgress] = {}
@@ -78,53 +43,32 @@ class ReviewQueue:
         self._kind = "all"
         self._ahead: tuple[str, str] | None = None
         self._doubted: tuple[str, str] | None = None
-        correct.on_saved(self._saved)
+        correct.on_saved(lambda _: self._caught_up())
         correct.on_doubt = self._doubt
-        self._leave = [
-            place.jobs.queue.listen(lambda name=name: post(lambda: self._made(name)))
-            for name, place in journals.items()
+        ctx.leave += [
+            place.jobs.queue.listen(lambda name=name: ctx.post(lambda: self._made(name)))
+            for name, place in ctx.shared.journals.items()
         ]
-
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "settle": self.settle,
-            "settle-sure": lambda _: self._sure(),
-            "leave-item": lambda _: self.leave(),
-            "next-item": lambda step: self.step(int(step)),
-            "item": lambda place: self.open(int(place)),
-            "queue-kind": self.choose_kind,
-            "make-queue": lambda _: self.make(),
-            "stop-queue": lambda _: self.stop(),
-            "queue-from": self.switch,
-            "accept-item": lambda _: self.say("accepted"),
-            "reject-item": lambda _: self.say("rejected"),
-            "unsure-item": lambda _: self.say("unsure"),
-        }
-
-    def close(self) -> None:
-        """Listen no more; what is being made goes on, for those who stay or come back."""
-        for leave in self._leave:
-            leave()
 
     @property
     def _work(self) -> Worklist | None:
-        return self._works.get(self._state().source)
+        return self._works.get(self.state.source)
 
     @property
     def _item(self) -> ItemKey | None:
-        view = self._state().labels
+        view = self.state.labels
         return None if view is None else view.item
 
     # ---- the queue --------------------------------------------------------------------
 
+    @command("make-queue")
     def make(self) -> None:
         """Make the queue of the source that is looked at, of what is switched on."""
-        name = self._state().source
-        place, asked = self._journals.get(name), self._asks(name)
+        name = self.state.source
+        place, asked = self.ctx.shared.journals.get(name), self._asks(name)
         if place is None or place.jobs.queue.running:
             return
-        source = self._store.sources[name]
+        source = self.ctx.shared.store.sources[name]
         second = second_setup(source, place.labels) if asked.detector else None
         place.jobs.make(
             lambda out: QueueJob(
@@ -139,15 +83,17 @@ class ReviewQueue:
             )
         )
 
+    @command("stop-queue")
     def stop(self) -> None:
         """End what makes the queue, whoever began it; the one that there is stays."""
-        place = self._journals.get(self._state().source)
+        place = self.ctx.shared.journals.get(self.state.source)
         if place is not None:
             place.jobs.queue.stop()
 
+    @command("queue-from")
     def switch(self, what: str) -> None:
         """Put networks or the detector into the next queue, or leave them out."""
-        name = self._state().source
+        name = self.state.source
         asked = self._asks(name)
         if what in ("networks", "detector"):
             self._asked[name] = replace(asked, **{what: not getattr(asked, what)})
@@ -155,7 +101,7 @@ class ReviewQueue:
 
     def _asks(self, name: str) -> Asked:
         if name not in self._asked:
-            second = second_setup(self._store.sources[name], self._journals[name].labels)
+            second = second_setup(self.ctx.shared.store.sources[name], self.ctx.shared.journals[name].labels)
             self._asked[name] = Asked(named="" if second is None else second[0])
         return self._asked[name]
 
@@ -165,16 +111,16 @@ class ReviewQueue:
         self.follow()
 
     def _taken(self, name: str) -> QueueProgress:
-        was, now = self._makings.get(name, QueueProgress()), self._journals[name].jobs.queue.seen
+        was, now = self._makings.get(name, QueueProgress()), self.ctx.shared.journals[name].jobs.queue.seen
         self._makings[name] = now
         if now.work is not None and now.work is not was.work:
             self._works[name], self._newest[name] = now.work, (now.made or {}).get("last", NOTHING)
             self._behind.add(name)
-            self._note(f"review queue: {counted(len(now.work), 'item')}")
+            self.ctx.note(f"review queue: {counted(len(now.work), 'item')}")
             self._note_skipped(now)
         if now.problem and now.problem != was.problem:
             stopped = now.problem == CANCELLED
-            self._note("the review queue is not made" if stopped else f"no review queue: {now.problem}")
+            self.ctx.note("the review queue is not made" if stopped else f"no review queue: {now.problem}")
         return now
 
     def _note_skipped(self, making: QueueProgress) -> None:
@@ -182,11 +128,11 @@ class ReviewQueue:
         if asked is not None and (skipped := asked["skipped"]):
             frame, why = next(iter(skipped.items()))
             number = counted(len(skipped), "frame")
-            self._note(f"the detector {asked['name']} could not look at {number}, as {frame}: {why}")
+            self.ctx.note(f"the detector {asked['name']} could not look at {number}, as {frame}: {why}")
 
     def _caught_up(self) -> Worklist | None:
         """The list of the source that is looked at, with what anybody has saved by now."""
-        name, work, desk = self._state().source, self._work, self._correct.desk
+        name, work, desk = self.state.source, self._work, self._correct.desk
         if work is None or desk is None:
             return work
         self._behind.discard(name)
@@ -200,11 +146,9 @@ class ReviewQueue:
                 self._works[name] = work
         return work
 
-    def _saved(self, _: tuple[Event, ...]) -> None:
-        self._caught_up()
-
     # ---- walking ----------------------------------------------------------------------
 
+    @command("next-item")
     def step(self, step: int) -> None:
         """Look at the next item that is open, or at the one above."""
         work = self._caught_up()
@@ -212,7 +156,7 @@ class ReviewQueue:
             return
         if step < 0:
             found = self._item
-            while (found := work.previous(found)) is not None and not self._fits(found):
+            while (found := work.previous(found)) is not None and self._kind not in ("all", found.kind):
                 pass
         else:
             found = self._next(work, self._item)
@@ -222,9 +166,7 @@ class ReviewQueue:
     def _next(self, work: Worklist, after: ItemKey | None) -> ItemKey | None:
         return work.next_item(after, kind=None if self._kind == "all" else self._kind)
 
-    def _fits(self, key: ItemKey) -> bool:
-        return self._kind in ("all", key.kind)
-
+    @command("item")
     def open(self, place: int) -> None:
         """Look at the item of a row."""
         work = self._work
@@ -235,7 +177,7 @@ class ReviewQueue:
         """Show an item: its pair, its object, or the ends of its sentence."""
         work, desk = self._work, self._correct.open_desk
         try:
-            if desk is not None and self._state().labels is not None:
+            if desk is not None and self.state.labels is not None:
                 desk.events(key.frame)
         except InputError as error:
             # Better stay where labels are seen than go where they are not.
@@ -252,7 +194,7 @@ class ReviewQueue:
 
     def _prefetch(self, key: ItemKey | None) -> None:
         """Make the next frame of the queue ready, while this item is looked at."""
-        name, work, desk = self._state().source, self._work, self._correct.desk
+        name, work, desk = self.state.source, self._work, self._correct.desk
         if work is None or desk is None:
             return
         after = self._next(work, key)
@@ -269,8 +211,9 @@ class ReviewQueue:
             for entry in labelled_objects(desk.saved(frame)):
                 loaded.thumb(entry.bbox)
 
-        self._store.prepare(name, [frame], draw)
+        self.ctx.shared.store.prepare(name, [frame], draw)
 
+    @command("queue-kind")
     def choose_kind(self, kind: str) -> None:
         """Walk through items of one kind only."""
         if kind in KINDS:
@@ -280,13 +223,14 @@ class ReviewQueue:
 
     # ---- settling ---------------------------------------------------------------------
 
+    @command("settle")
     def settle(self, said: str, sure: bool = False) -> None:
         """Settle a relation: "left:T" of the pair that is shown, "T" of the open item, or without one of that pair.
 
         A key belongs to the open item, whatever is looked at beside it. From
         there it goes on to the next one.
         """
-        view, item = self._state().labels, self._item
+        view, item = self.state.labels, self._item
         *named, letter = said.split(":")
         if view is None or letter not in LETTERS:
             return
@@ -302,41 +246,44 @@ class ReviewQueue:
         work = self._work
         last_word = work is not None and item is not None and work.is_disputed(item)
         # The key that was answered by a question answers it when it is pressed again.
-        sure = sure or (self._doubted == (view.frame.frame, said) and self._dialog.title == DOUBT_TITLE)
+        sure = sure or (self._doubted == (view.frame.frame, said) and self.ctx.dialog.title == DOUBT_TITLE)
         self._doubted = view.frame.frame, said
         if not self._correct.settle(ends, relation, LETTERS[letter], last_word=last_word, sure=sure):
             return
         if sure:
-            self._dialog.close()
+            self.ctx.dialog.close()
         own = item is not None and (item.what, item.a, item.b) == (relation, *ends)
         if not (own and item is not None and self._go_on(item)):
-            self._correct.redraw()
+            self.ctx.draw()
 
     def _doubt(self, card: PairCard, line: RelationLine, state: int) -> None:
         """Ask before a judgement is saved that geometry contradicts."""
-        self._dialog.show(
+        self.ctx.dialog.show(
             DOUBT_TITLE, doubt_html(card, line, state), h.button(f"Save {letter(state)} all the same", do="settle-sure")
         )
 
+    @command("settle-sure")
     def _sure(self) -> None:
         """Save what was asked about."""
-        view, doubted = self._state().labels, self._doubted
-        self._dialog.close()
+        view, doubted = self.state.labels, self._doubted
+        self.ctx.dialog.close()
         if view is not None and doubted is not None and doubted[0] == view.frame.frame:
             self.settle(doubted[1], sure=True)
 
+    @command("leave-item")
     def leave(self) -> None:
         """Look at the item no longer; the keys act on what is selected again."""
-        view = self._state().labels
+        view = self.state.labels
         if view is not None and view.item is not None:
-            self._correct.leave_item()
+            self.ctx.show(labels=replace(view, item=None))
 
+    @command("accept-item=accepted", "reject-item=rejected", "unsure-item=unsure")
     def say(self, status: str) -> None:
         """Say of the item that is looked at, else of the selected object, that it is right, wrong, or unclear."""
-        view, desk, item = self._state().labels, self._correct.desk, self._item
+        view, desk, item = self.state.labels, self._correct.desk, self._item
         if view is None or desk is None:
             return
-        selected = self._state().selected
+        selected = self.state.selected
         if item is None and selected is None:
             return
         number = None if selected is None else view.numbers[selected]
@@ -352,11 +299,11 @@ class ReviewQueue:
             return set_status(frame, cell, status, author=desk.author)
 
         if self._correct.save(made, draw=False) and (item is None or not self._go_on(item)):
-            self._correct.redraw()
+            self.ctx.draw()
 
     def _go_on(self, item: ItemKey) -> bool:
-        work = self._work
-        after = None if work is None or self._correct.waits else self._next(work, item)
+        work, desk = self._work, self._correct.desk
+        after = None if work is None or desk is None or desk.waiting else self._next(work, item)
         if after is None or after.plain == item.plain:
             return False
         self.look_at(after)
@@ -366,11 +313,11 @@ class ReviewQueue:
 
     def follow(self) -> None:
         """Bring the list and the item up to the state; the first time, make the queue."""
-        name, page = self._state().source, self._page
-        if name not in self._journals:
+        name, page = self.state.source, self.ctx.page
+        if name not in self.ctx.shared.journals:
             return
         making = self._taken(name)
-        if self._state().labels is not None:
+        if self.state.labels is not None:
             if name in self._behind:
                 self._caught_up()
                 self._prefetch(self._item)
@@ -387,10 +334,10 @@ class ReviewQueue:
     def _known_names(self, name: str) -> dict[tuple[str, int], str]:
         """Class names of the labelled objects, as the labels were made."""
         if name not in self._names:
-            objects = self._journals[name].labels.objects
+            objects = self.ctx.shared.journals[name].labels.objects
             columns = (objects.column(c).to_pylist() for c in ("frame", "object", "label"))
             self._names[name] = {(f, n): label for f, n, label in zip(*columns, strict=True)}
-        view = self._state().labels
+        view = self.state.labels
         if view is not None:
             frame = view.frame
             self._names[name].update({(frame.frame, n): r["label"] for n, r in frame.objects.items()})

@@ -1,16 +1,22 @@
-"""Paging through the expressions of a run: which of them match, which are shown, which one is open."""
+"""A run: its figures, worked out once for all clients, and which of its expressions are found and shown."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.evaluation.search import complete, find_rows
+from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
+from pipeline.evaluation.loss_plots import MOST_SHOWN
+from pipeline.evaluation.run_folder import Run
+from pipeline.evaluation.search import Field, complete, completions, find_rows
+from pipeline.evaluation.slices import Slices, slice_by
+from pipeline.evaluation.summary import RunSummary, summarise_run
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
-from spatialviz.app.run_figures import RunFigures
 
 PAGE = 20
 COLUMNS = ("id", "frame", "text", "verdict", "detail", "lucky", "margin", "said", "target", "relation", "reference")
@@ -61,6 +67,11 @@ class Listing:
     def pages(self) -> int:
         """How many pages there are; at least one."""
         return max(1, -(-len(self.keys) // PAGE))
+
+    @property
+    def open_row(self) -> dict[str, Any]:
+        """That of the open one, where its page is shown."""
+        return next((r for r in self.rows if (r["frame"], r["id"]) == self.at), {})
 
     @property
     def place(self) -> int | None:
@@ -115,3 +126,71 @@ class RunBrowser:
             return listing
         moved = listing if place // PAGE == listing.page else self.turned(listing, place // PAGE)
         return replace(moved, at=listing.keys[place])
+
+
+STANDS_IN = "stands_in"
+"""The column, and the field of a search, that says in which relation an answer stands."""
+
+
+class RunFigures:
+    """The figures of one run; each is made when it is first read, or says why it cannot be.
+
+    Parameters
+    ----------
+    run : Run
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        self._slices: dict[str, Slices | str] = {}
+
+    @cached_property
+    def summary(self) -> RunSummary | str:
+        """Verdicts, and what each module costs."""
+        try:
+            return summarise_run(self.run.records)
+        except InputError as error:
+            return str(error)
+
+    def slices(self, dimension: str) -> Slices | str:
+        """The run cut by a dimension; of texts the most frequent ones."""
+        if dimension not in self._slices:
+            try:
+                found: Slices | str = slice_by({self.run.name: self.run.records}, dimension, most=MOST_SHOWN)
+            except InputError as error:
+                found = str(error)
+            self._slices[dimension] = found
+        return self._slices[dimension]
+
+    @cached_property
+    def confusion(self) -> Confusion | str:
+        """The relation that was asked against the one in which the answer stands."""
+        return self._standings if isinstance(self._standings, str) else count_standings(self._standings)
+
+    @cached_property
+    def records(self) -> pa.Table:
+        """The run's records, with the column `stands_in` where the labels are at hand."""
+        records = self.run.records
+        if isinstance(self._standings, str) or STANDS_IN in records.column_names:
+            return records
+
+        return records.append_column(STANDS_IN, pa.array(self._standings.column()))
+
+    @cached_property
+    def fields(self) -> tuple[Field, ...]:
+        """What the run can be searched by, with the values that occur."""
+        return completions(self.records)
+
+    @cached_property
+    def _standings(self) -> Standings | str:
+        try:
+            made_with = self.run.manifest.get("labels") or {}
+            return answer_standings(self.run.records, self.run.labels, made_with.get("content_hash"))
+        except InputError as error:
+            return str(error)
+
+
+@lru_cache(maxsize=8)
+def figures_of(run: Run) -> RunFigures:
+    """The figures of a run, the same for every client."""
+    return RunFigures(run)

@@ -6,22 +6,22 @@ the camera at the origin, so that the floor is level whatever the camera's pitch
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import viser
 import viser.transforms as vtf
 
-from pipeline.answering.objects import SceneObject
-from pipeline.datasets.scene_mesh import ContextMesh
+from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import EDGES, Box3D, ray_entry
+from pipeline.geometry.camera import Camera
 from pipeline.geometry.palette import RGB, Role, hex_color, palette
-from spatialviz.app.cloud import Cloud, Part
-from spatialviz.app.frames import LoadedFrame
-from spatialviz.app.glb import unlit_glb
-from spatialviz.app.scene_client import Node, SceneClient
-from spatialviz.app.viewpoint import Viewpoint
+from spatialviz.app.frames import Cloud
+from spatialviz.app.scene_client import Node, SceneClient, triple
+from spatialviz.app.state import NOTHING, Ghost, Shown, State
 
 CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], np.float32)
 CUBE_FACES = np.array(
@@ -61,42 +61,6 @@ class Tag:
     extent: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Ghost:
-    """A box beside the answer's: of the label, or of another run's answer.
-
-    Attributes
-    ----------
-    key, text : str
-    box : Box3D
-        Camera frame.
-    role : str
-        "truth" for the label's, "edited" for the other run's.
-    """
-
-    key: str
-    text: str
-    box: Box3D
-    role: Role
-
-
-@dataclass(frozen=True)
-class SceneFlags:
-    """What is shown."""
-
-    cloud: bool = True
-    boxes: bool = False
-    labels: bool = False
-    pairs: bool = True
-    truth: bool = False
-    axes: bool = False
-    context: bool = False
-    camera: bool = False
-    ghosts: bool = True
-    region: bool = False
-    grid: bool = False
-
-
 class SceneView:
     """Draws into one client's scene."""
 
@@ -107,177 +71,51 @@ class SceneView:
     ) -> None:
         self.viewpoint = Viewpoint(client)
         self._client = client
-        self._flags = SceneFlags()
         self._boxed: dict[int, Box3D] = {}
-        self._cloud: Cloud | None = None
-        self._parts: list[Node] = []
-        self._point_scale = 1.0
-        self._lines: dict[str, Any] = {}
-        self._faces: Any = None
-        self._anchors: list[Node] = []
-        self._ghost_anchors: dict[str, Node] = {}
-        self._frustum: Any = None
-        self._axes: list[Any] = []
+        self._faces: Node | None = None
         self._axes_at: tuple[Any, list[Tag]] = (None, [])
-        self._context: Any = None
+        self.cloud: Cloud | None = None
         self.to_show = np.eye(3)
 
         @client.scene.on_click()
         def _(event: Any) -> None:
             origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
-            hit = self._pixel_on_ray(origin, direction) if self._flags.cloud else None
-            on_ray(hit, self._boxes_on_ray(origin, direction))
+            on_ray(self._pixel_on_ray(origin, direction), self._boxes_on_ray(origin, direction))
 
-    def set_frame(self, loaded: LoadedFrame, colors: np.ndarray) -> None:
-        """Show another frame, of its points the first cloud; `colors` is (H, W, 3) uint8."""
-        frame, viewer = loaded.context.frame, loaded.context.viewer
-        self.to_show = np.stack([viewer.right, viewer.forward, viewer.up])
-        cloud = self._cloud = loaded.cloud
-        self.viewpoint.set_frame(cloud.points, self.to_show, frame.camera)
-        painted = cloud.painted(colors)
+    def draw(self, state: State) -> list[Tag]:
+        """Draw boxes and pair lines, and return the names to show."""
+        colors, flags, lines = palette(state.dark), state.flags, self._client.lines
+        shown = state.shown if state.own_layer else NOTHING
+        boxes = {i: entry.lifted.box for i, entry in enumerate(shown.objects)}
+        self._boxed = {i: self.shown_box(box) for i, box in boxes.items() if box is not None}
+        roles = state.roles
+        role_of: dict[int, Role] = {i: roles.get(i, "other") for i in self._boxed}
         with self._client.atomic():
-            for handle in self._parts:
-                handle.remove()
-            # Until the rest is there, one point stands for four.
-            self._parts = [self._add(p, painted, 2 * p.size) for p in cloud.parts if p.first]
-            if self._frustum is not None:
-                self._frustum.remove()
-            self._frustum = self._client.scene.add_camera_frustum(
-                "/camera",
-                fov=float(2 * np.arctan(frame.height / 2 / frame.camera.fy)),
-                aspect=frame.width / frame.height,
-                scale=0.15,
-                thickness=1.5,
-                thickness_units="screen",
-                color=(130, 138, 150),
-                wxyz=vtf.SO3.from_matrix(self.to_show).wxyz,
-                visible=False,
-            )
-
-    def complete(self, colors: np.ndarray) -> None:
-        """Add what is not of the first cloud."""
-        cloud = self._cloud
-        if cloud is None:
-            return
-        painted = cloud.painted(colors)
-        with self._client.atomic():
-            rest = [self._add(part, painted, part.size) for part in cloud.parts[len(self._parts) :]]
-            self._parts += rest
-            self._size_points()
-
-    def _add(self, part: Part, painted: np.ndarray, size: float) -> Node:
-        return self._client.scene.add_point_cloud(
-            part.name,
-            part.offsets,
-            painted[part.at],
-            point_size=size * self._point_scale,
-            precision="float16",
-            point_shading="flat",
-            point_shape="square",
-            position=triple(part.center),
-            visible=self._flags.cloud,
-        )
-
-    def show_context(self, mesh: ContextMesh | None, dark: bool) -> None:
-        """Show the room around the frame, dimmed toward the background; None shows none."""
-        if self._context is not None:
-            self._context.remove()
-            self._context = None
-        if mesh is None or not len(mesh.faces):
-            return
-        background = 20 if dark else 250
-        dimmed = (mesh.colors * 0.45 + background * 0.55).astype(np.uint8)
-        vertices = mesh.vertices @ self.to_show.T.astype(np.float32)
-        data = unlit_glb(vertices, mesh.faces, dimmed)
-        self._context = self._client.scene.add_glb("/context", data, cast_shadow=False, receive_shadow=False)
-
-    def clear(self) -> None:
-        """Show nothing: the frame is broken."""
-        with self._client.atomic():
-            handles = [*self._parts, *self._lines.values(), *self._axes, self._faces, self._frustum, self._context]
-            for handle in handles:
-                if handle is not None:
-                    handle.remove()
-        self._parts, self._lines, self._axes, self._axes_at = [], {}, [], (None, [])
-        self._faces = self._frustum = self._cloud = self._context = None
-        self._boxed = {}
-
-    def recolor(self, colors: np.ndarray) -> None:
-        """Paint the cloud with (H, W, 3) uint8 colours."""
-        if self._cloud is None:
-            return
-        painted = self._cloud.painted(colors)
-        with self._client.atomic():
-            for handle, part in zip(self._parts, self._cloud.parts, strict=False):
-                handle.colors = painted[part.at]
-
-    def scale_points(self, factor: float) -> None:
-        """Draw the points of the cloud larger, or smaller; they are not sent again."""
-        if factor != self._point_scale:
-            self._point_scale = factor
-            with self._client.atomic():
-                self._size_points()
-
-    def _size_points(self) -> None:
-        parts = () if self._cloud is None else self._cloud.parts
-        whole = len(self._parts) == len(parts)
-        for handle, part in zip(self._parts, parts, strict=False):
-            handle.point_size = part.size * self._point_scale * (1 if whole else 2)
-
-    def draw(
-        self,
-        objects: Sequence[SceneObject],
-        names: Sequence[str],
-        roles: Mapping[int, Role],
-        selected: int | None,
-        pairs: Sequence[tuple[int, int]],
-        truth: Sequence[Box3D],
-        ghosts: Sequence[Ghost],
-        flags: SceneFlags,
-        dark: bool,
-    ) -> list[Tag]:
-        """Draw boxes, the chosen pair first in `pairs`, and return the names to show.
-
-        `truth` are the dataset's exact boxes, `ghosts` those of a label or of another run's answer.
-        """
-        colors = palette(dark)
-        boxed = [i for i, o in enumerate(objects) if o.lifted.box is not None]
-        self._flags = flags
-        self._boxed = {i: self._box(objects, i) for i in boxed}
-        role_of: dict[int, Role] = {i: roles.get(i, "other") for i in boxed}
-        with self._client.atomic():
-            for handle in self._parts:
-                handle.visible = flags.cloud
-            if self._frustum is not None:
-                self._frustum.visible = flags.camera
             for role in ("other", "reference", "target"):
-                shown = flags.boxes or role != "other"
-                members = [self._boxed[i] for i in boxed if shown and role_of[i] == role]
-                self._set_lines(f"/boxes/{role}", _edges(members), colors[role], LINE_WIDTH[role], True)
-            chosen = [self._box(objects, selected)] if selected in role_of else []
-            self._set_lines("/boxes/selected", _edges(chosen), (255, 255, 255) if dark else (20, 22, 26), 2.0, True)
-            shown_truth = [self.shown_box(b) for b in truth]
-            self._set_lines("/boxes/truth", _edges(shown_truth), colors["truth"], LINE_WIDTH["truth"], flags.truth)
-            ghost_tags = self._draw_ghosts(ghosts if flags.ghosts else (), colors)
-            self._draw_faces(objects, boxed, role_of, colors, flags)
-            self._draw_pairs(pairs, colors, flags)
-            axes = self._draw_axes(pairs, dark)
-            return axes + ghost_tags + self._draw_tags(objects, names, boxed, role_of, selected, flags, colors)
+                members = [box for i, box in self._boxed.items() if role_of[i] == role]
+                wanted = state.boxes_shown or role != "other"
+                lines(f"/boxes/{role}", edges(members if wanted else ()), colors[role], LINE_WIDTH[role])
+            selected = state.selected if state.hovered is None else state.hovered
+            chosen = [self._boxed[selected]] if selected in self._boxed else []
+            lines("/boxes/selected", edges(chosen), (255, 255, 255) if state.dark else (20, 22, 26), 2.0)
+            annotated = () if state.loaded is None or not flags.truth else state.loaded.context.frame.annotations
+            truth = [self.shown_box(a.box) for a in annotated if a.box is not None]
+            lines("/boxes/truth", edges(truth), colors["truth"], LINE_WIDTH["truth"])
+            self._draw_faces([i for i in self._boxed if state.boxes_shown or role_of[i] != "other"], role_of, colors)
+            self._draw_pairs(state.pair_lines if flags.pairs else (), colors)
+            tags = self._draw_axes(state) + self._draw_ghosts(state.ghosts if flags.ghosts else (), colors)
+            return tags + self._draw_tags(shown, role_of, selected, flags.labels, colors)
 
     def _draw_ghosts(self, ghosts: Sequence[Ghost], colors: Mapping[Role, RGB]) -> list[Tag]:
         """Boxes beside the answer's, in lines of their own and a little larger."""
         tags = []
         shown = [(g, self.shown_box(g.box)) for g in ghosts]
         for role in ("truth", "edited"):
-            grown = [Box3D(b.center, b.R, b.size + GHOST_GROWTH) for g, b in shown if g.role == role]
-            self._set_lines(f"/boxes/ghosts-{role}", _edges(grown), colors[role], 2.4, True)
+            members = [box for ghost, box in shown if ghost.role == role]
+            self._client.lines(f"/boxes/ghosts-{role}", edges(members, GHOST_GROWTH), colors[role], 2.4)
         for ghost, box in shown:
-            if ghost.key not in self._ghost_anchors:
-                anchor = self._client.scene.add_frame(f"/tags/ghost-{ghost.key}", show_axes=False)
-                self._ghost_anchors[ghost.key] = anchor
-            self._ghost_anchors[ghost.key].position = triple(box.center)
-            color = hex_color(colors[ghost.role])
-            tags.append(Tag(f"/tags/ghost-{ghost.key}", ghost.text, "", color, False, extent=half_size(box)))
+            anchor = self._client.anchor(f"/tags/ghost-{ghost.key}", box.center)
+            tags.append(Tag(anchor, ghost.text, "", hex_color(colors[ghost.role]), False, extent=half_size(box)))
         return tags
 
     def shown_box(self, box: Box3D) -> Box3D:
@@ -288,147 +126,77 @@ class SceneView:
         """A shown box in the camera frame."""
         return Box3D(self.to_show.T @ box.center, self.to_show.T @ box.R, box.size)
 
-    def _box(self, objects: Sequence[SceneObject], i: int | None) -> Box3D:
-        assert i is not None
-        box = objects[i].lifted.box
-        assert box is not None
-        return self.shown_box(box)
-
-    def _set_lines(self, name: str, points: np.ndarray, color: RGB, width: float, visible: bool) -> None:
-        handle = self._lines.get(name)
-        if not len(points):
-            if handle is not None:
-                handle.visible = False
-            return
-        if handle is None:
-            self._lines[name] = self._client.scene.add_line_segments(
-                name, points, color, thickness=width, thickness_units="screen", visible=visible
-            )
-            return
-        handle.points = points
-        handle.colors = np.array(color, np.uint8)
-        handle.visible = visible
-
-    def _draw_faces(
-        self,
-        objects: Sequence[SceneObject],
-        boxed: Sequence[int],
-        role_of: Mapping[int, Role],
-        colors: Mapping[Role, RGB],
-        flags: SceneFlags,
-    ) -> None:
-        shown = [i for i in boxed if flags.boxes or role_of[i] != "other"]
-        if self._faces is not None and (not shown or len(self._faces.batched_positions) != len(shown)):
+    def _draw_faces(self, shown: Sequence[int], role_of: Mapping[int, Role], colors: Mapping[Role, RGB]) -> None:
+        if self._faces is not None and len(self._faces.batched_positions) != len(shown):
             self._faces.remove()
             self._faces = None
         if not shown:
             return
         boxes = [self._boxed[i] for i in shown]
         values = {
+            "batched_wxyzs": vtf.SO3.from_matrix(np.stack([b.R for b in boxes])).wxyz.astype(np.float32),
+            "batched_positions": np.stack([b.center for b in boxes]).astype(np.float32),
             "batched_scales": np.stack([np.maximum(b.size, 0.005) for b in boxes]).astype(np.float32),
             "batched_colors": np.array([colors[role_of[i]] for i in shown], np.uint8),
             "batched_opacities": np.array([FACE_OPACITY[role_of[i]] for i in shown], np.float32),
         }
-        wxyzs = vtf.SO3.from_matrix(np.stack([b.R for b in boxes])).wxyz.astype(np.float32)
-        centers = np.stack([b.center for b in boxes]).astype(np.float32)
         if self._faces is None:
             self._faces = self._client.scene.add_batched_meshes_simple(
-                "/boxes/faces", CUBE, CUBE_FACES, wxyzs, centers, lod="off", cast_shadow=False, receive_shadow=False,
-                **values,
-            )  # fmt: skip
+                "/boxes/faces", CUBE, CUBE_FACES, lod="off", cast_shadow=False, receive_shadow=False, **values
+            )
             return
         # A box that is dragged changes a few numbers; only these are sent.
-        for name, value in (("batched_wxyzs", wxyzs), ("batched_positions", centers), *values.items()):
+        for name, value in values.items():
             if not np.array_equal(getattr(self._faces, name), value):
                 setattr(self._faces, name, value)
 
-    def _draw_pairs(
-        self,
-        pairs: Sequence[tuple[int, int]],
-        colors: Mapping[Role, RGB],
-        flags: SceneFlags,
-    ) -> None:
-        lines = [
-            np.array([[self._boxed[a].center, self._boxed[b].center]], np.float32)
-            if a in self._boxed and b in self._boxed
-            else np.zeros((0, 2, 3), np.float32)
-            for a, b in pairs
-        ]
-        none = np.zeros((0, 2, 3), np.float32)
-        chosen, others = (lines or [none])[0], np.concatenate([none, *lines[1:]])
-        blend = np.array([[colors["target"], colors["reference"]]], np.uint8)
-        for name, segment, width in (("/pairs/chosen", chosen, 5.0), ("/pairs/others", others, 1.6)):
-            handle, shown = self._lines.get(name), len(segment) > 0 and flags.pairs
-            tint = np.repeat(blend, len(segment), axis=0)
-            if name == "/pairs/others":
-                tint = (tint * 0.6).astype(np.uint8)
-            if handle is not None and len(handle.points) == len(segment):
-                handle.points, handle.colors, handle.visible = segment, tint, shown
-                continue
-            if handle is not None:
-                self._lines.pop(name).remove()
-            if shown:
-                self._lines[name] = self._client.scene.add_line_segments(
-                    name, segment, tint, thickness=width, thickness_units="screen"
-                )
+    def _draw_pairs(self, pairs: Sequence[tuple[int, int]], colors: Mapping[Role, RGB]) -> None:
+        """Lines between the boxes of pairs, the chosen one first."""
+        known = [pair for pair in pairs if self._boxed.keys() >= set(pair)]
+        ends = [[self._boxed[a].center, self._boxed[b].center] for a, b in known]
+        segments = np.array(ends, np.float32).reshape(-1, 2, 3)
+        tint = np.array([[colors["target"], colors["reference"]]], np.uint8).repeat(len(segments), axis=0)
+        first = 1 if known[:1] == list(pairs[:1]) else 0
+        self._client.lines("/pairs/chosen", segments[:first], tint[:first], 5.0)
+        self._client.lines("/pairs/others", segments[first:], (tint[first:] * 0.6).astype(np.uint8), 1.6)
 
-    def _draw_axes(self, pairs: Sequence[tuple[int, int]], dark: bool) -> list[Tag]:
+    def _draw_axes(self, state: State) -> list[Tag]:
         """The viewer's right, forward and up at the reference: the frame in which the relation is judged."""
+        pairs = state.pair_lines if state.flags.axes or state.flags.region else ()
         reference = self._boxed.get(pairs[0][1]) if pairs else None
-        shown = reference is not None and (self._flags.axes or self._flags.region)
-        marks = None if reference is None or not shown else (reference.center.tobytes(), reference.size.tobytes(), dark)
+        marks = None if reference is None else (reference.center.tobytes(), reference.size.tobytes(), state.dark)
         if marks == self._axes_at[0]:
             return self._axes_at[1]
-        for handle in self._axes:
-            handle.remove()
-        self._axes, self._axes_at = [], (marks, [])
-        if reference is None or not shown:
-            return []
-        length = float(np.clip(np.linalg.norm(reference.size), 0.25, 0.8))
-        center, scene = reference.center, self._client.scene
-        tags = []
-        for name, direction in (("right", np.eye(3)[0]), ("forward", np.eye(3)[1]), ("up", np.eye(3)[2])):
-            tip = center + direction * length
-            color = (245, 247, 250) if dark else (24, 26, 30)
-            self._axes.append(
-                scene.add_arrows(
-                    f"/axes/{name}",
-                    np.array([[center, tip]], np.float32),
-                    color,
-                    shaft_radius=0.006,
-                    head_radius=0.016,
-                    head_length=0.05,
-                )
-            )
-            x, y, z = (float(v) for v in tip)
-            self._axes.append(scene.add_frame(f"/axes/tip-{name}", show_axes=False, position=(x, y, z)))
-            tags.append(Tag(f"/axes/tip-{name}", name, "", "#5b6472", False))
+        self._client.clear("/axes/")
+        tags: list[Tag] = []
         self._axes_at = marks, tags
+        if reference is None:
+            return tags
+        length = float(np.clip(np.linalg.norm(reference.size), 0.25, 0.8))
+        for name, direction in zip(("right", "forward", "up"), np.eye(3), strict=True):
+            tip = reference.center + direction * length
+            self._client.scene.add_arrows(
+                f"/axes/{name}",
+                np.array([[reference.center, tip]], np.float32),
+                (245, 247, 250) if state.dark else (24, 26, 30),
+                shaft_radius=0.006,
+                head_radius=0.016,
+                head_length=0.05,
+            )
+            tags.append(Tag(self._client.anchor(f"/axes/tip-{name}", tip), name, "", "#5b6472", False))
         return tags
 
     def _draw_tags(
-        self,
-        objects: Sequence[SceneObject],
-        names: Sequence[str],
-        boxed: Sequence[int],
-        role_of: Mapping[int, Role],
-        selected: int | None,
-        flags: SceneFlags,
-        colors: Mapping[Role, RGB],
+        self, shown: Shown, role_of: Mapping[int, Role], selected: int | None, every: bool, colors: Mapping[Role, RGB]
     ) -> list[Tag]:
-        while len(self._anchors) < len(objects):
-            self._anchors.append(self._client.scene.add_frame(f"/tags/{len(self._anchors)}", show_axes=False))
         tags = []
-        for i in boxed:
-            if not (role_of[i] != "other" or i == selected or flags.labels):
-                continue
-            box = self._box(objects, i)
-            self._anchors[i].position = triple(box.center)
+        for i, box in self._boxed.items():
             strong = role_of[i] != "other" or i == selected
-            score = objects[i].score
-            detail = "" if score >= 0.9995 else f"{score:.2f}"
-            color = hex_color(colors[role_of[i]])
-            tags.append(Tag(f"/tags/{i}", names[i], detail, color, strong, extent=half_size(box)))
+            if strong or every:
+                score = shown.objects[i].score
+                detail = "" if score >= 0.9995 else f"{score:.2f}"
+                anchor, color = self._client.anchor(f"/tags/{i}", box.center), hex_color(colors[role_of[i]])
+                tags.append(Tag(anchor, shown.names[i], detail, color, strong, extent=half_size(box)))
         # Names of the answer are put last so that they lie on top of the others.
         return sorted(tags, key=lambda t: t.strong)
 
@@ -439,9 +207,9 @@ class SceneView:
 
     def _pixel_on_ray(self, origin: np.ndarray, direction: np.ndarray) -> tuple[int, int] | None:
         """(u, v) of the nearest surface point close to a ray; exact, because points are pixels."""
-        if self._cloud is None or not len(self._cloud.points):
+        if self.cloud is None or not len(self.cloud.points):
             return None
-        offset = self._cloud.points - origin
+        offset = self.cloud.points - origin
         along = offset @ direction
         aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
         close = (along > 0.05) & (aside < 0.012 * np.maximum(along, 0.3))
@@ -449,12 +217,7 @@ class SceneView:
             return None
         index = np.flatnonzero(close)
         best = index[np.argmin(along[index] + 3 * aside[index])]
-        return int(self._cloud.u[best]), int(self._cloud.v[best])
-
-
-def triple(v: np.ndarray) -> tuple[float, float, float]:
-    """A vector as viser and JSON take it."""
-    return float(v[0]), float(v[1]), float(v[2])
+        return int(self.cloud.u[best]), int(self.cloud.v[best])
 
 
 def half_size(box: Box3D) -> tuple[float, float, float]:
@@ -462,7 +225,178 @@ def half_size(box: Box3D) -> tuple[float, float, float]:
     return triple((box.corners.max(axis=0) - box.corners.min(axis=0)) / 2)
 
 
-def _edges(boxes: Sequence[Box3D]) -> np.ndarray:
-    if not boxes:
-        return np.zeros((0, 2, 3), np.float32)
-    return np.concatenate([b.corners[EDGES] for b in boxes]).astype(np.float32)
+def edges(boxes: Sequence[Box3D], growth: float = 0.0) -> np.ndarray:
+    """(N, 2, 3) float32: the edges of boxes, grown by so many metres."""
+    grown = [Box3D(b.center, b.R, b.size + growth).corners[EDGES] for b in boxes]
+    return np.concatenate([np.zeros((0, 2, 3)), *grown]).astype(np.float32)
+
+
+SAMPLE = 20_000
+"""Points of a cloud that say where it lies."""
+AROUND, NEAREST = 1.12, 0.9
+"""A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
+
+
+class Viewpoint:
+    """Moves one client's camera in the level frame of the shown cloud."""
+
+    def __init__(self, client: SceneClient) -> None:
+        self._client = client
+        self._points: np.ndarray | None = None
+        self._to_show = np.eye(3)
+        self._camera: Camera | None = None
+        self._placed: tuple[str, float, np.ndarray] | None = None
+        self._reached = False
+        self._moved = False
+        self._about: np.ndarray | None = None
+
+        @client.camera.on_update
+        async def _(camera: viser.CameraHandle) -> None:
+            if self._placed is None or self._points is None:
+                return
+            kind, aspect, eye = self._placed
+            there = np.linalg.norm(np.array(camera.position) - eye) < 0.02
+            if self._reached and not there:
+                self._placed, self._moved = None, True
+                return
+            # Until the browser has taken the pose over it reports an older one.
+            self._reached = self._reached or bool(there)
+            if abs(self._aspect - aspect) > 0.02:
+                self.place(kind)
+
+    def set_frame(self, points: np.ndarray, R_show_camera: np.ndarray, camera: Camera) -> None:
+        """Take over another cloud ((N, 3), shown frame, metres) and its camera."""
+        self._points, self._to_show, self._camera = points[:: len(points) // SAMPLE + 1], R_show_camera, camera
+
+    def look_about(self, corners: np.ndarray | None) -> bool:
+        """Have "pair" show these points ((N, 3), shown frame, metres); whether they are others than before."""
+        before, self._about = self._about, corners
+        if before is None or corners is None:
+            return before is not corners
+        return not np.array_equal(before, corners)
+
+    def fly(self, kind: str) -> None:
+        """Move the camera to "pair", "sensor", "orbit" or "top", smoothly."""
+        eye, look, fov = self._pose(kind)
+        self._placed = None
+        camera = self._client.camera
+        camera.up_direction = self._up(kind)
+        p0, l0, f0 = np.array(camera.position), np.array(camera.look_at), float(camera.fov)
+        for k in range(1, 13):
+            t = k / 12
+            t = t * t * (3 - 2 * t)
+            with self._client.atomic():
+                camera.position = p0 * (1 - t) + eye * t
+                camera.look_at = l0 * (1 - t) + look * t
+                camera.fov = f0 * (1 - t) + fov * t
+            self._client.flush()
+            time.sleep(1 / 40)
+        self._placed, self._reached, self._moved = (kind, self._aspect, eye), False, False
+
+    @property
+    def untouched(self) -> bool:
+        """Whether the view is as it was placed, nobody having turned it since."""
+        return not self._moved
+
+    @property
+    def _aspect(self) -> float:
+        return float(np.clip(self._client.camera.aspect or 1.3, 0.4, 3.0))
+
+    def place(self, kind: str) -> None:
+        """The same at once; repeated when the shape of the page changes before anybody has turned the view."""
+        eye, look, fov = self._pose(kind)
+        self._placed = (kind, self._aspect, eye)
+        self._reached = self._moved = False
+        with self._client.atomic():
+            self._client.camera.up_direction = self._up(kind)
+            self._client.camera.position = eye
+            self._client.camera.look_at = look
+            self._client.camera.fov = fov
+
+    def turned_to(self) -> tuple[CameraView, float] | None:
+        """Where the camera was turned to, in the frame's camera frame, and its field of view; None where it was not."""
+        if self.untouched or self._points is None:
+            return None
+        camera, back = self._client.camera, self._to_show.T
+        vectors = (camera.position, camera.look_at, camera.up_direction)
+        eye, look, up = ([round(float(x), 4) for x in back @ np.array(v)] for v in vectors)
+        view = CameraView((eye[0], eye[1], eye[2]), (look[0], look[1], look[2]), (up[0], up[1], up[2]))
+        return view, float(camera.fov)
+
+    def turn_to(self, view: CameraView, fov: float | None) -> None:
+        """Turn the camera to where it was turned before."""
+        eye, look, up = (self._to_show @ np.array(v) for v in (view.position, view.look_at, view.up))
+        if np.linalg.norm(look - eye) < 1e-4 or np.linalg.norm(np.cross(look - eye, up)) < 1e-6:
+            return  # No way to look.
+        self._placed, self._moved = None, True
+        with self._client.atomic():
+            self._client.camera.up_direction = up
+            self._client.camera.position = eye
+            self._client.camera.look_at = look
+            if fov is not None and 0.05 < fov < 3.0:
+                self._client.camera.fov = fov
+
+    def focus(self, box: Box3D) -> None:
+        """Turn around an object: look at it from where the camera stands, nearer."""
+        center = self._to_show @ box.center
+        # The next frame is shown as a whole again.
+        self._placed, self._moved = None, False
+        camera = self._client.camera
+        away = np.array(camera.position) - center
+        distance = max(float(np.linalg.norm(box.size)) * 1.9, 0.5)
+        away *= distance / max(float(np.linalg.norm(away)), 1e-6)
+        with self._client.atomic():
+            camera.position = center + away
+            camera.look_at = center
+
+    def _up(self, kind: str) -> tuple[float, float, float]:
+        """The sensor's own up in its view, so that the picture stands as it was taken; the world's elsewhere."""
+        up = self._to_show @ np.array([0.0, -1.0, 0.0]) if kind == "sensor" else np.array([0.0, 0.0, 1.0])
+        return float(up[0]), float(up[1]), float(up[2])
+
+    def _pose(self, kind: str) -> tuple[np.ndarray, np.ndarray, float]:
+        assert self._points is not None
+        assert self._camera is not None
+        points = self._points
+        middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
+        if not len(points):
+            kind = "sensor"
+        forward = self._to_show @ np.array([0.0, 0.0, 1.0])
+        distance = float(np.linalg.norm(middle))
+        if kind == "sensor":
+            # The whole picture is in view, with a little air, whatever the shape of the page.
+            tall = self._camera.height / 2 / self._camera.fy
+            wide = self._camera.width / 2 / self._camera.fx / self._aspect
+            return np.zeros(3) - forward * 0.01, forward * distance, float(2 * np.arctan(max(tall, wide) * 1.04))
+        if kind == "top":
+            low, high = np.percentile(points, [3, 97], axis=0)
+            span = float(max(high[0] - low[0], high[1] - low[1]))
+            center = (low + high) / 2
+            return center + np.array([0.0, -0.02, span * 1.25]), center, float(np.deg2rad(50))
+        if kind == "pair" and self._about is not None:
+            eye, look, fov = self._fitting_pose(self._about, np.deg2rad(44))
+            # What stands around the pair is in view, too.
+            return look + (eye - look) * max(AROUND, NEAREST / max(float(np.linalg.norm(eye - look)), 1e-6)), look, fov
+        return self._fitting_pose(points, np.deg2rad(44))
+
+    def _fitting_pose(self, points: np.ndarray, fov: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """From the right, above and behind the sensor, as near as shows nearly all of the cloud."""
+        low, high = np.percentile(points, [2, 98], axis=0)
+        center = (low + high) / 2
+        toward = np.array([-0.36, 0.84, -0.42])
+        toward /= np.linalg.norm(toward)
+        across = np.cross(toward, [0.0, 0.0, 1.0])
+        across /= np.linalg.norm(across)
+        axes = np.stack([across, np.cross(across, toward), toward])
+        sample = points[:: max(1, len(points) // 4000)]
+        tangent = np.tan(fov / 2)
+        distance = 1.0
+        for _ in range(4):
+            x, y, z = ((sample - center) @ axes.T).T
+            # A point is in view from as far away as its offset over the tangent, less its own depth.
+            needed = np.maximum(np.abs(x) / (tangent * self._aspect), np.abs(y) / tangent) - z
+            distance = max(float(np.percentile(needed, 99.3)) * 1.03, 0.2)
+            seen = np.stack([x, y]) / np.maximum(distance + z, 0.05)
+            shift = np.percentile(seen, [0.7, 99.3], axis=1).mean(axis=0) * distance
+            center = center + axes[0] * shift[0] + axes[1] * shift[1]
+        return center - toward * distance, center, float(fov)

@@ -9,7 +9,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import viser
+
+from pipeline.geometry.palette import RGB
 
 CAMERA = ("up_direction", "position", "look_at", "fov")
 
@@ -166,6 +169,33 @@ class SceneClient:
         if self._client is not None:
             self._client.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
+    def lines(self, name: str, points: np.ndarray, color: RGB | np.ndarray, width: float) -> None:
+        """Show segments ((N, 2, 3), metres) of a name, in a colour or one for each end; made once, and then changed."""
+        node = self.scene.nodes.get(name)
+        if node is not None and isinstance(color, np.ndarray) and len(node.points) != len(points):
+            node.remove()
+            node = None
+        if node is not None:
+            node.visible = bool(len(points))
+            if len(points):
+                node.points, node.colors = points, np.asarray(color, np.uint8)
+        elif len(points):
+            self.scene.add_line_segments(name, points, color, thickness=width, thickness_units="screen")
+
+    def anchor(self, name: str, position: np.ndarray) -> str:
+        """Put a point of a name, which a tag may follow, somewhere; returns its name."""
+        node = self.scene.nodes.get(name)
+        if node is None:
+            self.scene.add_frame(name, show_axes=False, position=triple(position))
+        else:
+            node.position = triple(position)
+        return name
+
+    def clear(self, root: str) -> None:
+        """Remove the nodes whose names begin so."""
+        for name in [name for name in self.scene.nodes if name.startswith(root)]:
+            self.scene.nodes[name].remove()
+
     @contextmanager
     def atomic(self) -> Iterator[None]:
         """As viser's."""
@@ -180,3 +210,8 @@ class SceneClient:
         """As viser's."""
         if self._client is not None:
             self._client.flush()
+
+
+def triple(v: np.ndarray) -> tuple[float, float, float]:
+    """A vector as viser and JSON take it."""
+    return float(v[0]), float(v[1]), float(v[2])

@@ -1,65 +1,42 @@
-"""What a client has selected, an object or a pair: by a row, a word, a pixel of the picture, a click in the scene."""
+"""What a click is for: an object or a pair is selected, a level surface named, a length measured."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import get_args
 
-from pipeline.geometry.boxes import Box3D
+from pipeline.datasets import write_settings
+from pipeline.datasets.demo import demo_path
+from pipeline.geometry.camera import depth_at
+from pipeline.geometry.level_plane import level_normal_at
+from pipeline.system.errors import InputError
+from spatialviz.app.context import Context, Part, command
+from spatialviz.app.frames import LoadedFrame, ToldUp
 from spatialviz.app.label_view import paired
 from spatialviz.app.picture import object_at, second_at
-from spatialviz.app.state import State
+from spatialviz.app.state import Tool
 
 
-class Selection:
-    """Selects objects of one client.
+class Selection(Part):
+    """Selects objects of one client."""
 
-    Parameters
-    ----------
-    state : callable
-        Gives the client's state.
-    take : callable
-        Takes a new one.
-    draw : callable
-    look_at : callable
-        Turns the view around a box.
-    taken : callable
-        Whether a click on a pixel (u, v) was meant for something else.
-    """
+    def __init__(self, ctx: Context, taken: Callable[[int, int], bool]) -> None:
+        super().__init__(ctx)
+        self._taken = taken
 
-    def __init__(
-        self,
-        state: Callable[[], State],
-        take: Callable[[State], None],
-        draw: Callable[[], None],
-        look_at: Callable[[Box3D], None],
-        taken: Callable[[int, int], bool],
-    ) -> None:
-        self._state, self._take, self._draw, self._look_at, self._taken = state, take, draw, look_at, taken
-
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "object": lambda place: self.select(int(place)),
-            "chip": self.select_role,
-            "image": self.select_at,
-            "focus": lambda _: self.focus(),
-            "pair": lambda place: self.choose_pair(int(place)),
-            "next-pair": lambda step: self.step_pair(int(step)),
-        }
-
+    @command("object")
     def select(self, i: int) -> None:
         """Select an object, or nothing where it is selected already."""
-        state = self._state()
+        state = self.state
         if 0 <= i < len(state.shown.objects):
             now = None if i == state.selected else i
             pair = state.pair if state.labels is None else paired(state.pair, now, state.selected)
-            self._take(replace(state, selected=now, pair=pair, second=None))
-            self._draw()
+            self.ctx.show(selected=now, pair=pair, second=None)
 
     def select_on_ray(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
         """A click in the scene: the object whose pixel was hit, else the smallest box on the way."""
-        state = self._state()
+        state = self.state
         if state.loaded is None:
             return
         found = None
@@ -75,19 +52,21 @@ class Selection:
             found = boxes[0]
         self._select_other(found)
 
+    @command("chip")
     def select_role(self, role: str) -> None:
         """A click on a word of the expression: the object that fills it."""
-        pair = self._state().pair
+        pair = self.state.pair
         if pair is not None:
             self._select_other(pair[0 if role == "target" else 1])
 
+    @command("image")
     def select_at(self, fractions: str) -> None:
         """A click in the picture: "0.25,0.5" is a quarter from the left, half way down."""
         try:
             x, y = (float(part) for part in fractions.split(","))
         except ValueError:
             return
-        state = self._state()
+        state = self.state
         if state.loaded is not None:
             height, width = state.loaded.context.frame.depth.shape
             if self._taken(min(int(x * width), width - 1), min(int(y * height), height - 1)):
@@ -99,40 +78,123 @@ class Selection:
 
     def _select_second(self, x: float, y: float) -> bool:
         """Select what only the second detector has at a point of the picture."""
-        state = self._state()
+        state = self.state
         found = second_at(state, x, y)
         if found is not None:
-            self._take(replace(state, selected=None, second=found))
-            self._draw()
+            self.ctx.show(selected=None, second=found)
         return found is not None
 
     def _select_other(self, found: int | None) -> None:
-        if found is not None and found != self._state().selected:
+        if found is not None and found != self.state.selected:
             self.select(found)
 
+    @command("pair")
     def choose_pair(self, place: int) -> None:
         """Choose a ranked pair by its place; the target is selected."""
-        state = self._state()
+        state = self.state
         if not 0 <= place < len(state.ranked):
             return  # A click on a row that a newer answer has replaced.
         pair = state.at(state.ranked[place])
-        self._take(replace(state, pair=pair, selected=pair[0], second=None))
-        self._draw()
+        self.ctx.show(pair=pair, selected=pair[0], second=None)
 
+    @command("next-pair")
     def step_pair(self, step: int) -> None:
         """Choose the next ranked pair, or the one before."""
-        state = self._state()
+        state = self.state
         if state.ranked:
             pairs = [state.at(p) for p in state.ranked]
             at = pairs.index(state.pair) if state.pair in pairs else 0
             self.choose_pair((at + step) % len(pairs))
 
+    @command("focus")
     def focus(self) -> None:
         """Look at the selected object."""
-        state = self._state()
+        state = self.state
         chosen = None if state.selected is None else state.shown.objects[state.selected]
         if chosen is None and state.beside is not None and state.second_selected is not None:
             chosen = state.beside.objects[state.second_selected]
         box = None if chosen is None else chosen.lifted.box
         if box is not None:
-            self._look_at(box)
+            self.ctx.scene.viewpoint.focus(box)
+
+
+class Pointing(Part):
+    """Gives clicks of one client on pixels, in the picture or in the scene, to the tool that is on."""
+
+    def __init__(self, ctx: Context, tools: Mapping[Tool, Callable[[LoadedFrame, int, int], None]]) -> None:
+        super().__init__(ctx)
+        self._tools = {**tools, "measure": self._mark}
+
+    @command("pick")
+    def turn_to(self, name: str) -> None:
+        """Turn a tool on; the one that is on, or "", turns it off, and what was measured goes."""
+        state = self.state
+        tool = next((t for t in get_args(Tool) if t == name and t != state.picking), "")
+        if state.loaded is None or (tool == "level" and state.labels is not None):
+            return
+        if tool or state.picking or state.marks:
+            self.ctx.show(picking=tool, marks=())
+
+    def on_pixel(self, u: int, v: int) -> bool:
+        """A click on a pixel; whether a tool has taken it."""
+        state = self.state
+        if not state.picking or state.loaded is None or (state.picking == "level" and state.labels is not None):
+            return False
+        self._tools[state.picking](state.loaded, u, v)
+        return True
+
+    def _mark(self, loaded: LoadedFrame, u: int, v: int) -> None:
+        """One end of a length; a third begins anew."""
+        state = self.state
+        try:
+            depth_at(loaded.context.frame.depth, u, v)
+        except InputError as error:
+            self.ctx.page.toast("Not measured", str(error), bad=True)
+            return
+        self.ctx.show(marks=(*(state.marks if len(state.marks) < 2 else ()), (u, v)))
+
+
+class LevelSurface(Part):
+    """Takes a click of one client as a pixel of a level surface.
+
+    Up is a fact of the data: what one client says holds for all of them, until the program ends or it is saved.
+    """
+
+    def on_pixel(self, loaded: LoadedFrame, u: int, v: int) -> None:
+        """A click on a pixel of a level surface."""
+        state, frame = self.state, loaded.context.frame
+        try:
+            x, y, z = level_normal_at(frame.depth, frame.camera, u, v).tolist()
+        except InputError as error:
+            self._tell("Not a level surface", str(error))
+            return
+        self.ctx.shared.store.tell_up(state.source, ToldUp(frame.id, (u, v), (x, y, z)))
+        self.ctx.note(f"frame {frame.id}: the surface at {u},{v} is level, up {x:.3f}, {y:.3f}, {z:.3f} in the camera")
+        self.state = replace(state, picking="")
+        self.ctx.reopen()
+
+    @command("level-keep")
+    def keep(self) -> None:
+        """Write what was said into the settings beside the data."""
+        source = self.state.source
+        told = self.ctx.shared.store.told.get(source)
+        if told is not None:
+            root = self.ctx.shared.store.sources[source].dataset.root
+            try:
+                if root.resolve() == demo_path().resolve():
+                    raise InputError("the built-in demo stays as it is", path=root)
+                self._tell("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
+            except InputError as error:
+                self._tell("Up is not kept", str(error))
+
+    @command("level-back")
+    def take_back(self) -> None:
+        """Up as it was before anything was said."""
+        state = self.state
+        if state.source in self.ctx.shared.store.told:
+            self.ctx.shared.store.tell_up(state.source, None)
+            self.ctx.reopen()
+
+    def _tell(self, title: str, text: str) -> None:
+        self.ctx.note(text)
+        self.ctx.page.toast(title, text)

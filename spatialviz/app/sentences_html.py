@@ -8,10 +8,9 @@ from pipeline.corrections.wording import ref_text, value_text
 from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.markup import Child, Element, h
+from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, button, chosen, dot, h, heading, joined, note, panel
 from spatialviz.app.state import State
-from spatialviz.app.text import BAD, DOUBT, GOOD, button, chosen, dot, heading, joined, note, panel
-from spatialviz.app.up_html import up_chip
+from spatialviz.app.toolbar import up_chip
 
 ORIGINS = {"auto": "auto", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
 MARKED = {"BAD_LABEL": "label wrong", "BAD_BOX": "box wrong"}

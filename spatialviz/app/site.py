@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib import resources
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, quote, urlsplit
 
 import viser
@@ -25,7 +25,10 @@ from websockets.extensions.permessage_deflate import ServerPerMessageDeflateFact
 from websockets.http11 import Request, Response
 
 from spatialviz.app.access import Access
-from spatialviz.app.images import IMAGES
+from spatialviz.app.frames import IMAGES
+
+if TYPE_CHECKING:
+    from spatialviz.app.pages import Pages
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
 """Whose scene a socket of viser's shows, while its connection is handled."""
@@ -56,46 +59,6 @@ SCENE_STYLE = (
     "{ display: none !important }</style>"
 )
 """Hides viser's panels: the page has its own."""
-
-
-class Pages(Protocol):
-    """What the pages are served by."""
-
-    async def socket(self, page_id: str, connection: Any) -> None:
-        """Serve the socket of a page until its browser goes away."""
-        ...
-
-    async def scene(self, page_id: str, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
-        """Serve viser's socket of a page's scene."""
-        ...
-
-    def has(self, page_id: str) -> bool:
-        """Whether a page is open, or kept for one that may come back."""
-        ...
-
-    def log(self, problem: str) -> None:
-        """Say what was wrong with what came, seldom."""
-        ...
-
-    def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
-        """Name and content of a file that a page was told to fetch, once."""
-        ...
-
-
-class Answers(Protocol):
-    """What a websocket server answers by."""
-
-    async def answer(self, request: Request) -> Response | None:
-        """The answer to a request; None lets a socket be opened."""
-        ...
-
-    async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
-        """Serve an open socket."""
-        ...
-
-    def log(self, problem: str) -> None:
-        """Say what was wrong with what came, seldom."""
-        ...
 
 
 class Nobody:
@@ -198,7 +161,7 @@ def _response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: dict
 
 
 @contextmanager
-def served_by(site: Answers) -> Iterator[None]:
+def served_by(site: Site | Nobody) -> Iterator[None]:
     """While this is open, a websocket server that is started answers as the site does."""
     original = ws.serve
 

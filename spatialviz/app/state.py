@@ -4,26 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
+
+import numpy as np
 
 from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif import Edits
-from pipeline.geometry.boxes import iou_2d
+from pipeline.diagnosis.whatif import Edits, Outcome
+from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.palette import Role
-from spatialviz.app.edited import Edited
 from spatialviz.app.frames import LoadedFrame
-from spatialviz.app.gizmo import EditMode
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.place import Place, Task
 from spatialviz.app.run_browser import Listing
-from spatialviz.app.scene import Ghost, SceneFlags
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
+EditMode = Literal["off", "move", "turn", "resize"]
 Layers = Literal["both", "a", "b"]
 CameraMode = Literal["pair", "sensor", "orbit", "top"]
 Tool = Literal["", "level", "measure"]
@@ -76,6 +77,42 @@ class OtherAnswer:
         if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
             return None
         return self.trace.ranking.pairs[0]
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """A box beside the answer's: of the label, or of another run's answer.
+
+    Attributes
+    ----------
+    key, text : str
+    box : Box3D
+        Camera frame.
+    role : str
+        "truth" for the label's, "edited" for the other run's.
+    """
+
+    key: str
+    text: str
+    box: Box3D
+    role: Role
+
+
+@dataclass(frozen=True)
+class SceneFlags:
+    """What is shown."""
+
+    cloud: bool = True
+    boxes: bool = False
+    labels: bool = False
+    pairs: bool = True
+    truth: bool = False
+    axes: bool = False
+    context: bool = False
+    camera: bool = False
+    ghosts: bool = True
+    region: bool = False
+    grid: bool = False
 
 
 @dataclass(frozen=True)
@@ -168,6 +205,13 @@ class State:
     def task(self) -> Task:
         """What the page is for now."""
         return "label" if self.labels is not None else "evaluate" if self.evaluating else "explain"
+
+    def expression_id(self, text: str) -> str | None:
+        """The id of the run's expression that is open, where it is the one that is asked."""
+        listing = self.listing
+        if listing is None or listing.at is None or listing.at[0] != self.frame_id:
+            return None
+        return listing.at[1] if listing.open_row.get("text") == text else None
 
     @property
     def unasked(self) -> State:
@@ -279,6 +323,17 @@ class State:
         return found
 
     @property
+    def about(self) -> np.ndarray | None:
+        """(N, 3) corners of the chosen pair's boxes, and of those of the labels in their place; shown frame."""
+        if self.loaded is None:
+            return None
+        boxes = [self.shown.objects[i].lifted.box for i in self.roles] + [ghost.box for ghost in self.ghosts]
+        viewer = self.loaded.context.viewer
+        to_show = np.stack([viewer.right, viewer.forward, viewer.up])
+        corners = [box.corners @ to_show.T for box in boxes if box is not None]
+        return np.concatenate(corners) if corners else None
+
+    @property
     def measured(self) -> Measurement | None:
         """What lies between the two marked pixels."""
         if self.loaded is None or len(self.marks) < 2:
@@ -326,3 +381,58 @@ def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before:
         place[i] = at
     names = tuple(o.name(i, exact) for i, o in enumerate(objects))
     return Shown(tuple(objects), names, place)
+
+
+_Names = tuple[str | None, ...]
+
+
+@dataclass(frozen=True)
+class Edited:
+    """Both answers.
+
+    Attributes
+    ----------
+    before, after : Outcome
+    judged : Diagnosis or str or None
+        The verdict on the one before.
+    seconds : float
+        What answering again took the core.
+    """
+
+    before: Outcome
+    after: Outcome
+    judged: Diagnosis | str | None
+    seconds: float
+
+    def rank_before(self, pair: ScoredPair) -> int | None:
+        """The place that a pair of the answer had, from 1; None where it was no candidate."""
+        found = self._ranked.get(_named(self.after, pair))
+        return None if found is None else found[0]
+
+    def pair_before(self, pair: ScoredPair) -> ScoredPair | None:
+        """A pair of the answer as it was."""
+        found = self._ranked.get(_named(self.after, pair))
+        return None if found is None else found[1]
+
+    def relation_before(self, a: int, b: int, relation: str) -> float | None:
+        """P("a RELATION b") as it was, for places in the objects of the answer."""
+        places = [self._places.get(self.after.keys[i]) for i in (a, b)]
+        scores = self.before.trace.scores
+        if None in places or relation not in scores.relations:
+            return None
+        return float(scores.of(relation)[places[0], places[1]])
+
+    @cached_property
+    def _ranked(self) -> dict[_Names, tuple[int, ScoredPair]]:
+        ranking = self.before.trace.ranking
+        pairs = () if ranking is None else ranking.pairs
+        return {_named(self.before, pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {key: at for at, key in enumerate(self.before.keys)}
+
+
+def _named(outcome: Outcome, pair: ScoredPair) -> _Names:
+    ends = (pair.target, pair.reference, pair.second_reference)
+    return tuple(None if i is None else outcome.keys[i] for i in ends)

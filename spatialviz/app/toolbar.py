@@ -1,16 +1,19 @@
-"""What is pressed around the scene: how it is painted and looked at, steps between frames, examples, what to keep."""
+"""What stands around the scene and the answer: the bar with Ask and what it offers, tools, steps, how up is known."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
+from pipeline.datasets.settings import ASSUMED, SOURCES
+from pipeline.geometry.camera import UpSource
 from pipeline.geometry.palette import DROPPED
-from spatialviz.app.beside_html import layers_html
+from pipeline.language.relation_names import PHRASE
+from spatialviz.app.beside import layers_html
 from spatialviz.app.keys import KEYS, MOVE_KEYS
-from spatialviz.app.markup import Element, h
+from spatialviz.app.layout import listed
+from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, note, panel, segments, words
 from spatialviz.app.state import State
-from spatialviz.app.text import dot, panel, segments, words
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
 CAMERAS = {"pair": "Pair", "sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
@@ -127,3 +130,148 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
         for i, text in enumerate(suggestions)
     )
     return panel(h.ul(tries, cls="suggestions"))
+
+
+TOOLS = (
+    ("share", "Copy link", "the address of this view, into the clipboard", {"local": "share"}),
+    ("copy-state", "Copy view", "the view with its edits as a string (Shift+C)", {"do": "copy-state"}),
+    ("paste-state", "Open view", "open a view from its string (Shift+V)", {"do": "paste-state"}),
+    ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)", {"do": "keep-case"}),
+    ("report", "Report", "one page of this answer, as a download (Shift+P)", {"do": "report"}),
+    ("theme", "Dark or light", "M", {"do": "theme"}),
+    ("help", "Keys", "all keys (?)", {"do": "help"}),
+)
+
+
+def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list[Element]:
+    """Which dataset and which frame of it, with steps to its neighbours."""
+    place = ids.index(state.frame_id)
+    made = []
+    if len(sources) > 1:
+        options = (h.option(name, value=name, selected=name == state.source) for name in sources)
+        made.append(h.select(options, aria_label="Dataset", change="data:"))
+    else:
+        made.append(h.span(state.source, cls="dataset"))
+    field = h.input(
+        type="text", value=state.frame_id, list="frame-ids", aria_label="Frame", change="open:", cls="frame-id",
+        autocomplete="off", spellcheck="false",
+    )  # fmt: skip
+    offered = h.datalist((h.option(value=one) for one in listed(ids, state.frame_id)), id="frame-ids")
+    return [*made, field, offered, frame_nav_html(place, len(ids))]
+
+
+def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | None:
+    """What the page is for: only what it can be for here."""
+    tasks = {"explain": "Explain"} | ({"evaluate": "Evaluate"} if with_run else {})
+    tasks |= {"label": "Label"} if with_labels else {}
+    return segments("task", tasks, state.task, "What the page is for") if len(tasks) > 1 else None
+
+
+def tools_html() -> Element:
+    """What one may want to keep or change, in one menu."""
+    items = (
+        h.button(name, h.small(hint), title=hint, role="menuitem", id=f"tool-{key}", **how)
+        for key, name, hint, how in TOOLS
+    )
+    return h.details(
+        h.summary("⋯", aria_label="Tools", title="share, keep, look"), h.div(items, role="menu"), cls="menu"
+    )
+
+
+def problem_html(state: State) -> Element | None:
+    """Why the frame cannot be shown."""
+    return note(f"This frame is broken: {state.problem}", BAD) if state.problem else None
+
+
+def refusal_html(state: State) -> Element | None:
+    """Beside the field: why the question could not be asked, and what is in this frame."""
+    if not state.error:
+        return None
+    names = sorted({o.label for o in state.shown.objects})
+    there = h.p("In this frame: ", ", ".join(names)) if names else None
+    close = h.button("×", cls="close", local="dismiss", aria_label="close", title="close")
+    return h.div(note(state.error, BAD), close, there, cls="refusal", role="alert")
+
+
+OFFERED = 8
+
+
+def offers(typed: str, state: State, suggestions: Sequence[str], asked: Sequence[str]) -> list[dict[str, str]]:
+    """What may come next, the best first.
+
+    {"text", "kind", "detail"}: a "question" stands for all that is typed, a "name" or a "relation" ends it.
+    """
+    text = typed.lower()
+    sources = (("asked before", asked), ("example", suggestions))
+    whole = [{"text": t, "kind": "question", "detail": detail} for detail, found in sources for t in found]
+    if not text.strip():
+        return _distinct(whole)
+    found = [o for o in whole if o["text"].lower().startswith(text) and o["text"].lower() != text]
+    names = sorted({o.label for o in state.shown.objects}, key=lambda n: (len(n), n))
+    for kind, vocabulary in (("name", names), ("relation", list(dict.fromkeys(PHRASE.values())))):
+        for word in vocabulary:
+            if _begins(text, word.lower()) or (text.endswith(" ") and kind == _next(text, names)):
+                found.append({"text": word, "kind": kind, "detail": "in this frame" if kind == "name" else kind})
+    return _distinct(found)
+
+
+def _begins(text: str, word: str) -> bool:
+    """Whether the end of a text, from the beginning of a word of it, begins this word."""
+    starts = (k for k in range(max(0, len(text) - len(word) + 1), len(text)) if k == 0 or text[k - 1] == " ")
+    return any(word.startswith(text[k:]) for k in starts)
+
+
+def _next(text: str, names: Sequence[str]) -> str:
+    """What follows a text that ends with a whole word: a relation after a name, else a name."""
+    return "relation" if any(text.rstrip().endswith(name.lower()) for name in names) else "name"
+
+
+def _distinct(found: list[dict[str, str]]) -> list[dict[str, str]]:
+    return list({o["text"].strip().lower(): o for o in reversed(found)}.values())[::-1][:OFFERED]
+
+
+PICK = "Click a level surface, a floor or a table-top, in the picture or in the scene. Shift+U leaves it as it is."
+MADE_WITH = "The labels were made with it."
+HOW = "Click here (Shift+U), then a surface that is level: up is then known."
+
+
+def up_chip(state: State) -> Element | None:
+    """How up is known, small; loud where it is only assumed. A click asks for a level surface.
+
+    Of labels that are shown it is the up that they were made with, which no click changes.
+    """
+    if state.loaded is None:
+        return None
+    labels = state.labels
+    source: UpSource | None = state.loaded.context.viewer.up_source if labels is None else labels.frame.row["up_source"]
+    if source is None:
+        return None
+    loud = source == "assumed"
+    said = f"{ASSUMED[0].upper()}{ASSUMED[1:]}." if loud else f"Up: {SOURCES[source]}."
+    chip = h.button if labels is None else h.span
+    made = chip(
+        f"up {source}",
+        cls=f"upchip{' loud' if loud else ''}",
+        css={"--c": DOUBT if loud else IDLE},
+        title=f"{said} {HOW if labels is None else MADE_WITH}",
+    )
+    on = str(state.picking == "level").lower()
+    return made if labels is not None else made.with_(do="pick:level", aria_pressed=on)
+
+
+def level_html(state: State) -> Element | None:
+    """What to click while a level surface is asked for; afterwards, how to keep what was said."""
+    if state.picking == "level":
+        return note(PICK)
+    loaded = state.loaded
+    if loaded is None or loaded.told is None or loaded.context.viewer.up_source != "given":
+        return None
+    return h.div(
+        "Up as you said, until the program ends; it is said again by ",
+        h.code(f"--level-at {loaded.told.words}"),
+        " ",
+        button("save", "level-keep", "keep it in spatialviz.toml beside the data"),
+        " ",
+        button("take back", "level-back", "as it was before"),
+        cls="dim uptold",
+    )

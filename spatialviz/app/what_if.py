@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from threading import Lock
 from time import perf_counter
 
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, rerun
@@ -19,61 +17,22 @@ from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
+from spatialviz.app.context import Context, Part, command
 from spatialviz.app.edit_messages import edited_by
 from spatialviz.app.edit_panel import cost_html, edit_html
-from spatialviz.app.edit_scene import EditScene
-from spatialviz.app.edited import Edited
-from spatialviz.app.gizmo import MODES, BoxGizmo
-from spatialviz.app.layout import Page
-from spatialviz.app.legend import map_legend
-from spatialviz.app.scene import SceneView
-from spatialviz.app.scene_client import SceneClient
-from spatialviz.app.state import Shown, State, shown_objects
+from spatialviz.app.edit_scene import MODES, BoxGizmo, EditScene, map_legend
+from spatialviz.app.state import Edited, Shown, State, shown_objects
 
 UNDOS = 200
 Judge = Callable[[Trace, RankConfig | None], Diagnosis | str | None]
 
 
-class WhatIf:
-    """Edits what a client has asked.
+class WhatIf(Part):
+    """Edits what a client has asked."""
 
-    Parameters
-    ----------
-    client : SceneClient
-    page : Page
-    scene : SceneView
-    source : callable
-        Gives the source that is looked at.
-    state : callable
-        Gives the client's state.
-    take : callable
-        Takes a new one.
-    draw : callable
-        Draws all of the page; with True what follows a drag.
-    judge : callable
-        The verdict on a trace, and the weights it was ranked with where they are not the source's.
-    note : callable
-        Writes a line of the log.
-    post : callable
-        Runs something later, on the client's own thread.
-    """
-
-    def __init__(
-        self,
-        client: SceneClient,
-        page: Page,
-        scene: SceneView,
-        source: Callable[[], Pipeline],
-        state: Callable[[], State],
-        take: Callable[[State], None],
-        draw: Callable[[bool], None],
-        judge: Judge,
-        note: Callable[[str], None],
-        post: Callable[[Callable[[], None]], None],
-    ) -> None:
-        self._page, self._scene, self._source = page, scene, source
-        self._state, self._take, self._draw, self._judge = state, take, draw, judge
-        self._note, self._post = note, post
+    def __init__(self, ctx: Context, judge: Judge) -> None:
+        super().__init__(ctx)
+        self._judge = judge
         self._baseline: Baseline | None = None
         self._judged: Diagnosis | str | None = None
         self._of: tuple[str, str, str] | None = None
@@ -81,22 +40,8 @@ class WhatIf:
         self._live_since: Edits | None = None
         self._map: DecisionMap | None = None
         self._held: str | None = None
-        self._drag: tuple[Box3D, bool] | None = None
-        self._lock = Lock()
-        self._gizmo = BoxGizmo(client, self._dragged)
-        self._shown = EditScene(client, scene)
-
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {
-            "edit": lambda said: self._edit(said, live=False),
-            "edit-live": lambda said: self._edit(said, live=True),
-            "edit-mode": self._set_mode,
-            "edit-remove": self._remove,
-            "edit-undo": lambda _: self._undo_last(),
-            "edit-reset": lambda _: self._reset(),
-            "edit-map": lambda _: self._toggle_map(),
-        }
+        self._gizmo = BoxGizmo(ctx, self._dragged)
+        self._shown = EditScene(ctx)
 
     # ---- questions ------------------------------------------------------------------
 
@@ -105,110 +50,108 @@ class WhatIf:
         asked = self._asked()
         if self._of is None or asked == self._of:
             return
-        state = self._state()
+        state = self.state
         if state.edits:
             count = len(each_edit(state.edits))
-            self._note(f"{counted(count, 'edit')} dropped: of “{self._of[2]}” in frame {self._of[1]}")
-        self._take(replace(state, edits=Edits(), edited=None))
+            self.ctx.note(f"{counted(count, 'edit')} dropped: of “{self._of[2]}” in frame {self._of[1]}")
+        self.state = replace(state, edits=Edits(), edited=None)
         self._undo, self._of, self._baseline, self._map, self._live_since = [], None, None, None, None
 
     def answered(self) -> None:
         """An answer has come in: where it is to the question that was edited, edit it again."""
         self.check()
-        if self._state().edits:
-            self._judged = self._state().judged
-            self._apply(self._state().edits)
+        if self.state.edits:
+            self._judged = self.state.judged
+            self._apply(self.state.edits)
 
     def _asked(self) -> tuple[str, str, str] | None:
-        state = self._state()
+        state = self.state
         return None if state.trace is None else (state.source, state.frame_id, state.trace.query.text)
 
     def _base(self) -> Baseline:
         """The question without edits, read once."""
-        state, asked = self._state(), self._asked()
+        state, asked = self.state, self._asked()
         if asked is None or state.loaded is None:
             raise InputError("nothing is asked: edits are of a question")
         if self._baseline is None or self._of != asked:
-            self._baseline, self._of = Baseline(self._source(), state.loaded.context, asked[2]), asked
+            self._baseline, self._of = Baseline(self.ctx.source, state.loaded.context, asked[2]), asked
             # Nothing of this question is edited yet: what is shown is the answer without edits.
             self._judged = state.judged
         return self._baseline
 
     # ---- edits ----------------------------------------------------------------------
 
-    def _edit(self, said: str, live: bool) -> None:
+    @command("edit-live")
+    def _edit_live(self, said: str) -> None:
+        self._edit(said, live=True)
+
+    @command("edit")
+    def _edit(self, said: str, live: bool = False) -> None:
         """Carry out an edit such as "size:1:0.2"; a live one is followed by others of the same hand."""
 
         def change() -> Edits:
-            baseline, state = self._base(), self._state()
-            return edited_by(said, state, self._source(), self.keys(baseline))
+            baseline, state = self._base(), self.state
+            return edited_by(said, state, self.ctx.source, self.keys(baseline))
 
         self._try(change, live)
 
     def _try(self, change: Callable[[], Edits], live: bool = False) -> None:
         try:
             edits = change()
-            before = self._state().edits if self._live_since is None else self._live_since
+            before = self.state.edits if self._live_since is None else self._live_since
             self._live_since = before if live else None
             if not live and edits != before:
                 self._undo = [*self._undo, before][-UNDOS:]
             self._apply(edits)
         except InputError as error:
             self._live_since = None
-            self._note(f"not edited: {error}")
-            self._page.toast("Not edited", str(error))
-        self._draw(live)
+            self.ctx.note(f"not edited: {error}")
+            self.ctx.page.toast("Not edited", str(error))
+        self.ctx.draw(live)
 
+    @command("edit-remove")
     def _remove(self, id: str) -> None:
-        self._try(lambda: without_edit(self._state().edits, id))
+        self._try(lambda: without_edit(self.state.edits, id))
 
+    @command("edit-undo")
     def _undo_last(self) -> None:
         if self._undo:
             edits, self._undo = self._undo[-1], self._undo[:-1]
             self._apply(edits)
-            self._draw(False)
+            self.ctx.draw()
 
+    @command("edit-reset")
     def _reset(self) -> None:
-        if self._state().edits:
+        if self.state.edits:
             self._try(Edits)
 
     def _apply(self, edits: Edits) -> None:
         """Answer again, and take the answer into the state."""
-        baseline, state = self._base(), self._state()
+        baseline, state = self._base(), self.state
         start = perf_counter()
         outcome = rerun(baseline, edits)
         seconds = perf_counter() - start
         rank = replace(baseline.source.config.rank, **edits.rank) if edits.rank else None
         judged = self._judge(outcome.trace, rank) if edits else self._judged
         edited = Edited(baseline.outcome, outcome, self._judged, seconds)
-        self._take(_taken(state, edits, edited, judged, self.keys(baseline)))
+        self.state = _taken(state, edits, edited, judged, self.keys(baseline))
 
     def keys(self, baseline: Baseline) -> tuple[str, ...]:
         """Keys of the objects of the answer that is shown."""
-        edited = self._state().edited
+        edited = self.state.edited
         return baseline.outcome.keys if edited is None else edited.after.keys
 
     # ---- dragging -------------------------------------------------------------------
 
     def _dragged(self, box: Box3D, ended: bool) -> None:
-        """A handle has moved. Only the latest place counts where the session is still busy with one before."""
-        with self._lock:
-            waiting, self._drag = self._drag is not None, (box, ended)
-        if not waiting:
-            self._post(self._follow_drag)
-
-    def _follow_drag(self) -> None:
-        with self._lock:
-            drag, self._drag = self._drag, None
         key = self._held
-        if drag is None or key is None or self._state().loaded is None:
-            return
-        box, ended = drag
-        self._try(lambda: self._state().edits.with_box(key, self._scene.camera_box(box)), live=not ended)
+        if key is not None and self.state.loaded is not None:
+            self._try(lambda: self.state.edits.with_box(key, box), live=not ended)
 
+    @command("edit-mode")
     def _set_mode(self, mode: str) -> None:
         modes = dict(zip(MODES, MODES, strict=True))
-        state = self._state()
+        state = self.state
         if mode == "next":
             mode = MODES[(MODES.index(state.mode) + 1) % len(MODES)]
         if mode not in modes:
@@ -216,41 +159,41 @@ class WhatIf:
         selected = state.selected
         if selected is None and state.pair is not None:
             selected = state.pair[0]
-        self._take(replace(state, mode=modes[mode], selected=selected))
-        self._draw(False)
+        self.ctx.show(mode=modes[mode], selected=selected)
 
     # ---- map ------------------------------------------------------------------------
 
+    @command("edit-map")
     def _toggle_map(self) -> None:
         if self._map is not None:
             self._map = None
-            self._draw(False)
+            self.ctx.draw()
             return
         try:
             key = self._selected_key()
             if key is None:
                 raise InputError("no candidate of the question is selected")
-            self._map = decision_map(self._base(), self._state().edits, key)
-            self._note(f"decision map of {self._state().named(key)}: {self._map.seconds * 1000:.0f} ms")
+            self._map = decision_map(self._base(), self.state.edits, key)
+            self.ctx.note(f"decision map of {self.state.named(key)}: {self._map.seconds * 1000:.0f} ms")
         except InputError as error:
-            self._page.toast("No decision map", str(error))
-        self._draw(False)
+            self.ctx.page.toast("No decision map", str(error))
+        self.ctx.draw()
 
     def _renewed_map(self) -> None:
         """The map is of the edits; where they have changed it is made anew, or given up."""
         if self._map is None or self._baseline is None:
             return
         try:
-            self._map = decision_map(self._baseline, self._state().edits, self._map.key)
+            self._map = decision_map(self._baseline, self.state.edits, self._map.key)
         except InputError as error:
             self._map = None
-            self._note(f"no decision map: {error}")
+            self.ctx.note(f"no decision map: {error}")
 
     # ---- drawing --------------------------------------------------------------------
 
     def _selected_key(self) -> str | None:
         """The key of the selected object, where it is a candidate."""
-        state = self._state()
+        state = self.state
         if state.selected is None or state.selected not in state.shown.place.values():
             return None
         entry = state.shown.objects[state.selected]
@@ -258,7 +201,7 @@ class WhatIf:
 
     def follow(self, live: bool = False) -> None:
         """Bring the handles, what is drawn of the edits, and the Edit tab up to the state."""
-        state = self._state()
+        state = self.state
         if state.labels is not None:
             self._gizmo.show(None, "off")
             return
@@ -268,16 +211,16 @@ class WhatIf:
         if selected is not None and candidate and state.mode != "off" and state.loaded is not None:
             box = state.shown.objects[selected].lifted.box
             self._held = self._selected_key()
-        self._gizmo.show(None if box is None else self._scene.shown_box(box), state.mode)
+        self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
         if not live and self._map is not None:
             self._renewed_map()
         self._shown.draw(state, None if live else self._map, keep_map=live)
         # Where there is no object there is nothing to edit.
-        self._page.show("cost", cost_html(state, len(self._undo)) if state.shown.objects else None)
+        self.ctx.page.show("cost", cost_html(state, len(self._undo)) if state.shown.objects else None)
         if not live:
             hidden = selected is not None and f"#{state.shown.objects[selected].id}" in state.edits.hidden
-            self._page.show("map-legend", map_legend(state, self._map))
-            self._page.show("edit", edit_html(state, self._source(), candidate or hidden, self._map))
+            self.ctx.page.show("map-legend", map_legend(state, self._map))
+            self.ctx.page.show("edit", edit_html(state, self.ctx.source, candidate or hidden, self._map))
 
 
 def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str | None, keys: tuple[str, ...]) -> State:

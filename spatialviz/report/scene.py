@@ -15,7 +15,7 @@ from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import flying_pixels
 from pipeline.geometry.palette import RGB, Role, palette
-from spatialviz.app.cloud import BAND_RATIO, FAR
+from spatialviz.app.frames import BAND_RATIO, FAR
 from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
 from spatialviz.app.site import Nobody, served_by
 from spatialviz.report.picture import AnswerRoles, answer_roles

@@ -1,0 +1,216 @@
+"""What all parts of a page share: they know this, and not each other."""
+
+from __future__ import annotations
+
+import inspect
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any, TypeVar
+
+from pipeline.answering.opening import Pipeline
+from pipeline.corrections.journal_location import JournalLocation
+from pipeline.datasets import has_moves
+from pipeline.datasets.demo import DEMO_EXPRESSION
+from pipeline.diagnosis.whatif.state import ViewState
+from pipeline.evaluation.run_folder import Run
+from pipeline.labels.reading import Labels
+from pipeline.system.errors import InputError
+from spatialviz.app.channel import Channel, Incoming
+from spatialviz.app.frames import FrameStore
+from spatialviz.app.layout import Dialog, Page
+from spatialviz.app.place import Place
+from spatialviz.app.scene import SceneView
+from spatialviz.app.scene_client import SceneClient
+from spatialviz.app.state import State
+
+LOG_LENGTH = 200
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What all pages of a server are made from.
+
+    Attributes
+    ----------
+    store : FrameStore
+        Datasets by name; the first is shown first.
+    runs, others : mapping of str to Run
+        Evaluations to debug, and those whose answers are shown beside, by the names of their sources.
+    labels : mapping of str to Labels
+        What is true where there is no run.
+    journals : mapping of str to JournalLocation
+        Labels that may be corrected.
+    author : str or None
+        Under whose name they are, until the page says another.
+    opened_by : tuple of str
+        The words of the command line, for commands that open the page again.
+    first_view : ViewState or None
+        What is shown first.
+    dark : bool
+    """
+
+    store: FrameStore
+    runs: Mapping[str, Run]
+    others: Mapping[str, Run]
+    labels: Mapping[str, Labels]
+    journals: Mapping[str, JournalLocation]
+    author: str | None = None
+    opened_by: tuple[str, ...] = ()
+    first_view: ViewState | None = None
+    dark: bool = True
+
+    @property
+    def moving(self) -> bool:
+        """Whether a dataset has a robot's moves."""
+        return any(has_moves(opened.dataset) for opened in self.store.sources.values())
+
+    @property
+    def second(self) -> bool:
+        """Whether a second detector stands beside the own one."""
+        return any(opened.second_detector is not None for opened in self.store.sources.values())
+
+
+class Context:
+    """One page: its state, its browser, its scene, and what can be done with all of it (the session does it).
+
+    Parameters
+    ----------
+    page_id : str
+        As the browser has chosen it.
+    shared : Shared
+
+    Attributes
+    ----------
+    state : State
+        What is looked at; only the page's own thread sets it.
+    post : callable
+        Runs something after whatever the user does meanwhile, on the page's own thread.
+    log : list of (str, str)
+        Times and lines of what happened.
+    closed : threading.Event
+        Set when the page has gone.
+    leave : list of callable
+        Called then, such as to listen no more to what runs on for others.
+    """
+
+    def __init__(self, page_id: str, shared: Shared) -> None:
+        self.leave: list[Callable[[], None]] = []
+        self.shared, self.log, self.closed = shared, list[tuple[str, str]](), threading.Event()
+        source, opened = next(iter(shared.store.sources.items()))
+        first = opened.dataset.frame_ids[0]
+        self.state = State(source, first, dark=shared.dark, text=DEMO_EXPRESSION, correctable=bool(shared.journals))
+        self.channel = Channel(page_id[:6], self.receive)
+        self.post = self.channel.post
+        self.page = Page(self.channel.send)
+        self.dialog = Dialog(self.page)
+        self.client = SceneClient()
+        self.scene = SceneView(self.client, lambda pixel, boxes: self.post(lambda: self.clicked(pixel, boxes)))
+
+    @property
+    def source(self) -> Pipeline:
+        """The source that is looked at."""
+        return self.shared.store.sources[self.state.source]
+
+    @property
+    def run(self) -> Run | None:
+        """Its run."""
+        return self.shared.runs.get(self.state.source)
+
+    def note(self, text: str) -> None:
+        """Write a line of the log."""
+        self.log = [*self.log, (datetime.now().strftime("%H:%M:%S"), text)][-LOG_LENGTH:]
+
+    def fail(self, error: InputError) -> None:
+        """Say why something cannot be done."""
+        self.note(str(error))
+        self.dialog.refuse(str(error))
+
+    def show(self, **changes: Any) -> None:
+        """Change what is looked at, and draw it."""
+        self.state = replace(self.state, **changes)
+        self.draw()
+
+    def receive(self, message: Incoming) -> None:
+        """Do what the browser says."""
+
+    def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
+        """A click in the scene: the pixel that was hit, and the boxes on the way, the smallest first."""
+
+    def handle(self, message: str) -> None:
+        """Carry out a command such as "pair:3"; unknown ones are ignored."""
+
+    def draw(self, live: bool = False) -> None:
+        """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""
+
+    def say_address(self) -> None:
+        """Have the address say what is looked at."""
+
+    def go(self, place: Place) -> None:
+        """Look at a place; what it does not say stays as it is."""
+
+    def open_frame(self, frame_id: str) -> None:
+        """Show another frame."""
+
+    def reopen(self) -> None:
+        """Open the frame anew, with its question."""
+
+    def ask(self, text: str) -> None:
+        """Ask the frame that is shown."""
+
+
+class Part:
+    """A part of one page, with commands of its own."""
+
+    def __init__(self, ctx: Context) -> None:
+        self.ctx = ctx
+
+    @property
+    def state(self) -> State:
+        """What is looked at."""
+        return self.ctx.state
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self.ctx.state = state
+
+
+def command(*names: str) -> Callable[[Method], Method]:
+    """Have the page's commands of these names call a method, with what stands after the colon where it takes that.
+
+    "name=argument" always calls it with this argument. What should be a whole number and is none does nothing.
+    """
+
+    def mark(method: Method) -> Method:
+        method.__dict__["commands"] = names
+        return method
+
+    return mark
+
+
+def commands_of(part: object) -> dict[str, Callable[[str], None]]:
+    """What the page may ask a part for, by the first word of its message."""
+    found: dict[str, Callable[[str], None]] = {}
+    for attribute, method in inspect.getmembers(type(part), lambda member: hasattr(member, "commands")):
+        for said in method.commands:
+            name, fixed, argument = said.partition("=")
+            found[name] = _taking(getattr(part, attribute), argument if fixed else None)
+    return found
+
+
+def _taking(method: Callable[..., Any], fixed: str | None) -> Callable[[str], None]:
+    parameters = list(inspect.signature(method).parameters.values())
+    kind = parameters[0].annotation if parameters else None
+
+    def run(said: str) -> None:
+        text = said if fixed is None else fixed
+        if kind is None:
+            method()
+        elif kind != "int":
+            method(text)
+        elif text.lstrip("-").isdecimal():
+            method(int(text))
+
+    return run
