@@ -3,14 +3,16 @@
 import http.server
 import json
 import re
+import shutil
 import sys
 import tempfile
 import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit
 
@@ -20,6 +22,8 @@ from playwright.sync_api import Browser
 from websockets import Origin, Subprotocol
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
+
+from pipeline.diagnosis.whatif.state import ViewState, decode, encode
 
 ID = "0123456789abcdef" * 2
 INJECTED = "<img src=x onerror=document.title='hit'>"
@@ -131,7 +135,12 @@ def check_injected(tab: Tab) -> None:
     assert not tab.page.locator("[onerror]").count()
     before = tab.frame
     root = urlsplit(tab.page.url)._replace(query="").geturl()
-    for query in (f"data={quote('/etc')}&frame=0", f"data={quote(INJECTED)}", "mode=exec&stage=rm&item=1,x&camera=nan"):
+    for query in (
+        f"data={quote('/etc')}&frame=0",
+        f"data={quote(INJECTED)}",
+        "run=/etc&scorer=/etc/passwd",
+        "mode=exec&stage=rm&item=1,x&camera=nan",
+    ):
         tab.open(f"{root}?{query}")
         assert tab.frame == before, (query, tab.frame)
         assert "etc" not in tab.page.url
@@ -139,14 +148,65 @@ def check_injected(tab: Tab) -> None:
     assert tab.page.title() != "hit"
 
 
+def pasted(tab: Tab, view: ViewState) -> None:
+    """Have the page open a view from its string."""
+    tab.press("Shift+V")
+    tab.see("#dialog-window textarea").fill(encode(view))
+    tab.see("#dialog-window .go", "Open").click()
+
+
 def check_opened(tab: Tab) -> None:
-    """What a view string names is opened after a yes alone."""
-    network = Path(tempfile.gettempdir()) / "spatialviz-no-such-network.pt"
+    """What a view string names is opened after a yes alone: no other dataset, no run, no network file."""
     tab.press("Shift+C")
-    text = tab.see("#dialog-window textarea").input_value()
-    tab.press("Escape")
+    view = decode(tab.see("#dialog-window textarea").input_value())
+    tab.page.keyboard.press("Escape")
     tab.poll("!document.getElementById('dialog-window')")
-    assert str(network) not in text
+    before = tab.page.url
+    pasted(tab, replace(view, dataset="/etc"))
+    tab.see("#dialog-problem", "a dataset that is not open here")
+    tab.page.keyboard.press("Escape")
+    tab.poll("!document.getElementById('dialog-window')")
+    assert tab.page.url == before
+    pasted(tab, replace(view, run="/tmp/no-such-run"))
+    tab.poll("document.getElementById('log').textContent.includes('/tmp/no-such-run, which is not open here')")
+    network = "/tmp/no-such-network.onnx"
+    told = "name => ['log', 'toasts'].some(id => document.getElementById(id).textContent.includes(name))"
+    for answer in ("Without it", "Load it"):
+        pasted(tab, replace(view, edits=view.edits.with_scorer(network)))
+        tab.see("#dialog-window pre", network)
+        # Nobody has looked for the file yet: that there is none is not known.
+        assert not tab.page.evaluate(told, network)
+        tab.see("#dialog-window button", answer).click()
+        tab.poll("answer => !document.getElementById('dialog-window') || answer === 'Load it'", answer)
+    tab.poll(told, network)
+    tab.page.keyboard.press("Escape")
+
+
+def check_hostile(browser: Browser) -> None:
+    """Markup in the names of a dataset, of its folder and of a class is text wherever it stands."""
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder) / INJECTED
+        shutil.copytree(
+            Path(__file__).parents[1] / "assets" / "demo", root, ignore=shutil.ignore_patterns("00000[234]")
+        )
+        models = root / "models" / "models_info.json"
+        models.write_text(models.read_text("utf-8").replace('"mug"', json.dumps(INJECTED)), "utf-8")
+        (root / "spatialviz.toml").write_text(f'name = "{INJECTED}"\nworld_up = [0, 0, 1]\n', "utf-8")
+        with Server(root) as server:
+            tab = new_tab(browser).open(server.address).drawn()
+            tab.see("#bar .dataset, #bar select", INJECTED)
+            tab.see("#objects", INJECTED)
+            tab.ask(f'"{INJECTED}" left of the laptop')
+            tab.press("/")
+            tab.page.keyboard.type("img")
+            tab.page.wait_for_timeout(800)
+            tab.page.keyboard.press("Escape")
+            for name in ("Edit", "Frames", "Log"):
+                tab.drawer(name)
+            assert not tab.page.locator("[onerror]").count()
+            assert "hit" not in (tab.page.title(), *(frame.evaluate("document.title") for frame in tab.page.frames))
+            assert not tab.problems, tab.problems
+            tab.page.close()
 
 
 # ---- the address
@@ -201,6 +261,21 @@ def check_address(browser: Browser, tab: Tab) -> None:
     assert (tab.frame, tab.question) == (first, "laptop right of the mug"), (tab.frame, tab.question)
     tab.page.go_forward()
     tab.poll("moved => document.querySelector('#where .frame-id').value === moved", moved)
+
+
+def check_item(browser: Browser, tab: Tab) -> None:
+    """The labelled pair that is looked at is in the address, and comes back in a second tab."""
+    tab.click("task:label")
+    tab.see("#review-list .queue .q")
+    tab.press("j")
+    tab.see("#review-item .item")
+    tab.poll("location.search.includes('item=') && location.search.includes('mode=label')")
+    wanted = looked_at(tab)
+    second = new_tab(browser).open(tab.page.url)
+    second.poll("location.search.includes('item=') && location.search.includes('mode=label')")
+    found = looked_at(second)
+    assert {k: found[k] for k in ("frame", "item", "mode")} == {k: wanted[k] for k in ("frame", "item", "mode")}, found
+    second.page.close()
 
 
 def shows_the_same(tab: Tab, wanted: dict[str, list[str]]) -> None:
@@ -295,22 +370,29 @@ def check_keys(tab: Tab) -> None:
 
 
 def main() -> None:
-    start = time.monotonic()
+    seconds: dict[str, int] = {}
+
+    def timed(check: Callable[..., None], *given: object) -> None:
+        started = time.monotonic()
+        check(*given)
+        seconds[check.__name__] = round(time.monotonic() - started)
+
     with chromium() as browser:
         with Server() as server:
-            check_foreign(browser, server)
+            timed(check_foreign, browser, server)
             tab = new_tab(browser).open(server.address)
             for check in (check_keys, check_injected, check_opened):
-                check(tab)
+                timed(check, tab)
             tab.open(server.address)
-            check_address(browser, tab)
+            for check in (check_address, check_item):
+                timed(check, browser, tab)
             assert not tab.problems, tab.problems
             tab.page.close()
             if "--looks" in sys.argv:
-                check_looks(browser, server.address)
-        check_tokens(browser)
-        check_lost(browser)
-    print(json.dumps({"seconds": round(time.monotonic() - start)}))
+                timed(check_looks, browser, server.address)
+        for check in (check_hostile, check_tokens, check_lost):
+            timed(check, browser)
+    print(json.dumps(seconds))
 
 
 if __name__ == "__main__":

@@ -103,7 +103,7 @@ def _sentence(state: State) -> Element:
     if isinstance(state.judged, Diagnosis):
         return h.p(state.judged.text, cls="sentence")
     reason = state.error or (why_no_answer(state.trace) or "" if state.trace is not None else "")
-    return h.p(reason, cls="sentence")
+    return h.p(reason, cls="sentence refused" if state.error else "sentence")
 
 
 def stages(state: State) -> list[Stage]:

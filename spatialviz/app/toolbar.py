@@ -122,7 +122,7 @@ def _move(leads: Mapping[str, str], key: str, label: str, message: str) -> Eleme
 def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None:
     """What one could ask of the frame; None where there is nothing to suggest."""
     if state.loaded is not None and state.labels is None and state.loaded.context.viewer.up_source == "assumed":
-        return h.p("No example: it would rest on an assumed up.", cls="dim")
+        return panel(h.p("No example: it would rest on an assumed up.", cls="dim"))
     if not suggestions:
         return None
     tries = (

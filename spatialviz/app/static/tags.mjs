@@ -227,3 +227,6 @@ function place() {
 }
 
 afterDrawing(place);
+
+/* The tags that are shown, with the boxes that they name: for what checks the page. */
+export const shownTags = () => tags.filter(tag => tag.shown).map(({text, strong, rect, box}) => ({text, strong, rect, box}));
