@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
-from typing import Protocol
 
 from pipeline.language import lexicon
 from pipeline.language.chain import Chain, Clause
@@ -21,19 +20,9 @@ MOST_RELATIONS = 16
 MOST_READINGS = 14
 
 
-class Reader(Protocol):
-    """What reads a sentence: `parse`, or a language model (`pipeline.language.llm_reader`)."""
-
-    def __call__(
-        self,
-        text: str,
-        *,
-        class_names: Sequence[str] = (),
-        relations: Collection[str] | None = None,
-        synonyms: Synonyms | None = None,
-    ) -> Query:
-        """As `parse`."""
-        ...
+Reader = Callable[..., Query]
+"""What reads expressions: `parse`, or whatever takes the same arguments and gives a `Query`, as a language model does
+(`pipeline.language.llm_reader`)."""
 
 
 def parse(

@@ -253,7 +253,8 @@ class _Reader(RegionReader):
             if self._is_pronoun(phrase) and not self.asks_what:
                 self.problems.append(self._names_nothing("target", phrase))
                 phrase = replace(phrase, label="thing", head="")
-            if phrase.where == (at, at + 1) and end < len(self.tokens) and self.tokens[end].plain in DETERMINERS:
+            alone = phrase.where == (at, at + 1) and not phrase.named and not is_name(singular(phrase.head_word))
+            if alone and end < len(self.tokens) and self.tokens[end].plain in DETERMINERS:
                 # `gran the mug`: a verb that nobody knows.
                 self._note(at, end, "this word is not known")
                 return end

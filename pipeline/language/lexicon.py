@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
+from itertools import product
 
 from pipeline.language.relation import DECLARED
 from pipeline.language.relation_names import RELATIONS
@@ -98,17 +99,31 @@ LEADING = _phrases(
     "show us, get us, fetch us, to bring me, to pass me, to hand me, to give me, to fetch, to get me, to find, "
     "to show me, to pick up, to grab, is it true that, there is, there are, this is, these are, it is, it's, is, are, "
     "does, do you see, can you see, can i see, i can see, you can see, we see, tell me where, tell me which, tell me, "
-    "tell me where is, let me see"
-)
+    "tell me where is, let me see, excuse me, sorry, pardon me, hi, thanks, any idea where"
+) | {
+    " ".join(words)
+    for words in (
+        *product(
+            ("where",),
+            ("would", "could", "can", "do", "might", "should", "will"),
+            ("i", "we", "you", "one"),
+            ("find", "see", "spot", "get"),
+        ),
+        *product(
+            ("i am", "i'm", "im", "we are", "we're"), ("needing", "wanting", "after", "searching for", "trying to find")
+        ),
+        *product(("do you know", "can you tell me", "could you tell me"), ("where is", "where are", "which is")),
+    )
+}
 """What may stand before the first noun and says nothing about it."""
 
 LINKING = _words(
-    "that which who is are was were be been being that's which's who's it's there also directly immediately just right "
-    "straight exactly slightly somewhere still currently located positioned placed situated standing stood sitting "
-    "seated lying laying laid resting hanging hung leaning mounted kept found put parked the a an thats whos can could "
-    "may seen visible propped stored stacked arranged displayed perched tucked nestled almost nearly very quite "
-    "closely pictured appears seems approximately about does do did hidden partially partly attached fixed connected "
-    "wedged tossed thrown stuck draped built"
+    "that which who what is are was were be been being that's which's who's it's there also directly immediately just "
+    "right straight exactly slightly somewhere still currently located positioned placed situated standing stood "
+    "sitting seated lying laying laid resting hanging hung leaning mounted kept found put parked the a an thats whos "
+    "can could may seen visible propped stored stacked arranged displayed perched tucked nestled almost nearly very "
+    "quite closely pictured appears seems approximately about does do did hidden partially partly attached fixed "
+    "connected wedged tossed thrown stuck draped built"
 )
 """Words between a noun and its relation that say nothing: `the mug that is standing on`."""
 

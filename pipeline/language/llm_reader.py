@@ -105,13 +105,16 @@ class LlmReader:
             root, spans = _Found(text, known, relations).tree(reply)
             return Query(text, (Reading(root, True, described(root)),), with_unused(text, known, spans), self.name)
 
-        try:
-            return read(self._client.ask(prompt, None, check=read).text)
-        except ServerError:
-            raise
-        except InputError as error:
-            again = f"{prompt}\nAn earlier answer could not be used: {error}"
-        return read(self._client.ask(again, None, check=read).text)
+        for again in (True, False):
+            try:
+                return read(self._client.ask(prompt, None, check=read).text)
+            except ServerError:
+                raise
+            except InputError as error:
+                if not again:
+                    raise type(error)(f"{self.name} gave no tree that can be used: {error}") from error
+                prompt += f"\nAn earlier answer could not be used: {error}"
+        raise AssertionError("unreachable")
 
 
 class _Found:
@@ -130,7 +133,7 @@ class _Found:
         InputError
             It is no tree, or one that means nothing.
         """
-        what = "the language model's reply is no tree of the sentence"
+        what = "it is no tree of the sentence"
         require(len(reply) <= MOST_CHARACTERS, what, got=f"{len(reply)} characters")
         try:
             root = self._node(_REPLY.validate_json(reply).target)
@@ -153,7 +156,7 @@ class _Found:
         label = " ".join([*(words[0].lower() for words in said.values()), name]) if label == name else label
         choices = tuple(replace(c, text=self._own(c.text, c.order)) for c in node.choices)
         numbers = [n for n in (node.count, *(c.rank for c in choices)) if n is not None]
-        require(all(1 <= n <= MOST_THINGS for n in numbers), "a number", got=numbers, expected=f"1 to {MOST_THINGS}")
+        require(all(1 <= n <= MOST_THINGS for n in numbers), "numbers of things", expected=f"1 to {MOST_THINGS}")
         self.said.append(("reference" if mention else "target", mention, [node.label, label, node.head, name]))
         self.said.extend(("attribute", mention, words) for words in said.values())
         self.said.extend(("choice", mention, [c.text]) for c in choices)
@@ -190,11 +193,12 @@ class _Found:
         for role, index, forms in sorted(self.said, key=lambda s: -len(s[2][0])):
             apart = [w for w in forms[0].split() if w.lower() not in DETERMINERS]
             for form in (*([form] for form in forms), apart):
-                # What is taken is blanked, so that the second mug of two is another one.
-                words = [r"[\s_-]+".join(map(re.escape, re.split(r"[\s_-]+", w.strip()))) for w in form if w.strip()]
-                found = [m for w in words if (m := re.search(rf"(?<!\w){w}(?!\w)", left, re.I))]
-                for m in found:
-                    left = left[: m.start()] + "\0" * len(m[0]) + left[m.end() :]
-                    yield Span(m.start(), m.end(), role, index)
-                if found:
+                before = left
+                for words in filter(str.strip, form):
+                    pattern = r"[\s_-]+".join(map(re.escape, re.split(r"[\s_-]+", words.strip())))
+                    if found := re.search(rf"(?<!\w){pattern}(?!\w)", left, re.I):
+                        # What is taken is blanked, so that the second mug of two is another one.
+                        left = left[: found.start()] + "\0" * len(found[0]) + left[found.end() :]
+                        yield Span(found.start(), found.end(), role, index)
+                if left != before:
                     break

@@ -88,7 +88,7 @@ def verdict_html(state: State) -> Element | None:
 
 def mend_button(state: State) -> Element | None:
     """A button that leads to the labels of the verdict; it stands out where the label itself is in doubt."""
-    if not state.correctable:
+    if not state.correctable or not state.text:
         return None
     doubted = isinstance(state.judged, Diagnosis) and state.judged.verdict == "LABEL"
     hint = "the labelled pair and its expression (Shift+M)"

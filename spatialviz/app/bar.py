@@ -67,4 +67,5 @@ def refusal_html(state: State) -> Element | None:
         return None
     names = sorted({o.label for o in state.shown.objects})
     there = h.p("In this frame: ", ", ".join(names)) if names else None
-    return h.div(note(state.error, BAD), there, cls="refusal", role="alert")
+    close = h.button("×", cls="close", local="dismiss", aria_label="close", title="close")
+    return h.div(note(state.error, BAD), close, there, cls="refusal", role="alert")

@@ -28,6 +28,7 @@ KEYS: Mapping[str, Rows] = {
         ("I", "Previous failure of the list", "next-failure:-1"),
     ),
     "Looking": (
+        ("Shift+A", "Camera: the pair", "camera:pair"),
         ("1", "Camera: sensor", "camera:sensor"),
         ("2", "Camera: orbit", "camera:orbit"),
         ("3", "Camera: top", "camera:top"),
@@ -37,7 +38,7 @@ KEYS: Mapping[str, Rows] = {
         ("B", "Show or hide other boxes", "flag:boxes"),
         ("L", "Show or hide names", "flag:labels"),
         ("O", "Show or hide pair lines", "flag:pairs"),
-        ("G", "Show or hide exact boxes", "flag:truth"),
+        ("G", "Show or hide the dataset's own boxes", "flag:truth"),
         ("Z", "Show or hide the labelled pair", "flag:ghosts"),
         ("Y", "Show or hide the viewer's axes at the reference", "flag:axes"),
         ("U", "Show or hide the room around the frame", "flag:context"),

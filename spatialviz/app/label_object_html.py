@@ -29,7 +29,9 @@ SOURCES = {"auto": ("auto", "#8a919c", False), "human": ("", GOOD, True),
 
 def saved_html(author: str, said: str, bad: bool, moved: Moved | None) -> Element:
     """That this is no what-if: under whose name edits are saved, and what came of the last one."""
-    color, done = (BAD, "the last action was not saved; you are ") if bad else (GOOD, "saved to the journal as ")
+    color, done = (
+        (BAD, "the last action was not saved; you are ") if bad else (GOOD, "edits are saved to the journal as ")
+    )
     last = h.div(said, cls="dim said2", title=said) if said else None
     if moved is not None:
         last = h.div(_moved(moved), cls="dim")

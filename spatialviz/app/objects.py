@@ -26,6 +26,10 @@ def objects_html(state: State) -> Element | None:
 
 def _row(state: State, i: int, kind: str) -> Element:
     assert state.loaded is not None
+    in_pair = kind == "object" and i in (state.pair or ())
+    marks = chosen(i == state.selected, "r")
+    # The page scrolls to the first of two rows of the same object.
+    marks |= {"data_shown": None} if in_pair else {}
     entry, color = state.shown.objects[i], palette(state.dark)[state.roles.get(i, "other")]
     box, quality = entry.lifted.box, entry.lifted.quality
     size = "no depth" if box is None else " × ".join(f"{s * 100:.0f}" for s in box.size) + " cm"
@@ -38,7 +42,7 @@ def _row(state: State, i: int, kind: str) -> Element:
         id=f"{kind}-{i}",
         do=f"object:{i}",
         hover=f"hover:{i}",
-        **chosen(i == state.selected and kind == "object", "r"),
+        **marks,
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from spatialviz.app.failures import no_run_html
 from spatialviz.app.layout import Page
 from spatialviz.app.run_figures import RunFigures
 from spatialviz.app.run_html import CUTS, confusion_html, slices_html, summary_html
@@ -36,7 +35,6 @@ class RunTab:
         for region in ("run-summary", "run-slices", "run-confusion"):
             page.show(region)
         if figures is None:
-            page.show("run-summary", no_run_html())
             return
 
         def draw(part: Callable[[], None]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import viser
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.asked_names import unused_words
 from pipeline.answering.json_records import holds
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
@@ -383,7 +384,8 @@ class Session:
             trace = self._source().ask(loaded.context, text)
         except InputError:
             return False
-        return holds(trace)
+        # What names nothing of this dataset is no first question of it.
+        return holds(trace) and not unused_words(trace.query)
 
     # ---- questions ------------------------------------------------------------------
 
@@ -489,15 +491,16 @@ class Session:
         about = self._about()
         other = self.scene.viewpoint.look_about(about)
         self._cloud.follow(state)
-        if other and about is not None and state.camera == "pair" and self.scene.viewpoint.untouched:
+        # Of a question that could not be asked there is nothing else to look at.
+        if other and not state.error and state.camera == "pair" and self.scene.viewpoint.untouched:
             self.scene.viewpoint.place("pair")
         self._draw_scene()
         self._say_address()
 
     def _about(self) -> np.ndarray | None:
-        """Corners of the chosen pair's boxes, and of those that the labels have in their place."""
+        """Corners of the chosen pair's boxes, and of those that the labels have in their place; None without any."""
         state = self.state
-        if state.pair is None or state.loaded is None:
+        if state.loaded is None:
             return None
         boxes = [state.shown.objects[i].lifted.box for i in state.roles] + [ghost.box for ghost in state.ghosts]
         viewer = state.loaded.context.viewer

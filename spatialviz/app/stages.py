@@ -11,7 +11,6 @@ from pipeline.answering.json_records import probability, why_no_answer
 from pipeline.answering.pair_table import HOLDS
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
 from pipeline.language.counted import counted
-from spatialviz.app.answer import verdict_chip_of
 from spatialviz.app.failures import MEANING
 from spatialviz.app.markup import Child, Element, h
 from spatialviz.app.stage_objects import candidates_evidence, lift_evidence
@@ -81,7 +80,8 @@ def stages_html(state: State, open_stage: str = "") -> Element:
 
 
 def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) -> Element:
-    key, is_open, has_failed = stage.name.lower(), stage.name == open_stage, stage.name in failed
+    trace, key, has_failed = state.trace, stage.name.lower(), stage.name in failed
+    is_open = trace is not None and stage.name == open_stage
     marks = [mark for mark, is_so in (("open", is_open), ("failed", has_failed)) if is_so]
     head = h.button(
         h.b(stage.name),
@@ -95,8 +95,8 @@ def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) 
         title=f"{stage.name}: {MEANS[stage.name]}",
     )
     evidence = None
-    if is_open:
-        found = h.p("Nothing is asked.", cls="dim") if state.trace is None else EVIDENCE[stage.name](state, state.trace)
+    if is_open and trace is not None:
+        found = EVIDENCE[stage.name](state, trace)
         label = f"evidence of {stage.name}"
         evidence = h.div(found, cls="evidence", id=f"evidence-{key}", role="region", aria_label=label)
     sentence = _sentence(state) if failed[:1] == (stage.name,) else None
@@ -106,7 +106,7 @@ def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) 
 def _sentence(state: State) -> Element:
     """Why the answer is wrong, or why there is none."""
     if isinstance(state.judged, Diagnosis):
-        return h.p(verdict_chip_of(state.judged), " ", state.judged.text, cls="sentence")
+        return h.p(state.judged.text, cls="sentence")
     reason = state.error or (why_no_answer(state.trace) or "" if state.trace is not None else "")
     return h.p(reason, cls="sentence refused" if state.error else "sentence")
 
@@ -115,7 +115,7 @@ def stages(state: State) -> list[Stage]:
     """All stages: one that failed stands out, and where the answer is right no other is in doubt."""
     trace, failed = state.trace, failed_stages(state)
     if trace is None:
-        found = [Stage(name, "idle", "not asked yet") for name in EVIDENCE if name not in ("ATTRIBUTE", "LABEL")]
+        found = [Stage(name, "idle", MEANS[name]) for name in EVIDENCE if name not in ("ATTRIBUTE", "LABEL")]
         if state.error:
             found[0] = Stage("PARSE", "bad", "could not be asked")
         return [*found, _label(state)]
@@ -141,7 +141,7 @@ def _parse(trace: Trace) -> Stage:
 
 def _opm(trace: Trace) -> Stage:
     counts = ", ".join(f"{len(c.index)} for “{name}”" for name, c in trace.candidates.items())
-    words = f"candidates: {counts}, by {trace.detector}"
+    words = f"candidates: {counts} (detector: {trace.detector})"
     return Stage("OPM", "bad" if trace.missing else "good", words, _ms(trace, "opm"))
 
 
@@ -151,16 +151,18 @@ def _lift(state: State, trace: Trace) -> Stage:
     doubts += ["the up vector is assumed to be image-up"] if trace.viewer.up_source == "assumed" else []
     words = "; ".join(doubts) or f"{counted(len(trace.objects), 'object')} in 3D"
     # An object that was lifted for an earlier question costs nothing now.
-    cost = _ms(trace, "lift") if trace.timings.get("lift", 0.0) > 1e-4 else "kept"
+    cost = _ms(trace, "lift") if trace.timings.get("lift", 0.0) > 1e-4 else "cached"
     return Stage("LIFT", "doubt" if doubts else "good", words, cost)
 
 
 def _srm(state: State, trace: Trace) -> Stage:
     chosen = state.chosen
     if chosen is None or chosen.reference is None:
-        return Stage("SRM", "good" if trace.objects else "idle", f"relations by {trace.scorer}", _ms(trace, "srm"))
+        return Stage(
+            "SRM", "good" if trace.objects else "idle", f"relations are scored by {trace.scorer}", _ms(trace, "srm")
+        )
     doubt = not chosen.holds or abs(chosen.relation_probability - HOLDS) < 0.1
-    words = f"“{trace.phrase}” has {probability(chosen.p_relation)} for the chosen pair, by {trace.scorer}"
+    words = f"“{trace.phrase}” has {probability(chosen.p_relation)} for the chosen pair (scorer: {trace.scorer})"
     return Stage("SRM", "doubt" if doubt else "good", words, _ms(trace, "srm"))
 
 

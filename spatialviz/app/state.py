@@ -184,8 +184,8 @@ class State:
 
     @property
     def boxes_shown(self) -> bool:
-        """Whether the boxes of all objects are shown: where they are wanted, and where there is no pair to look at."""
-        return self.flags.boxes or not self.roles
+        """Whether all boxes are shown: where they are wanted, and where there is no pair, not even a labelled one."""
+        return self.flags.boxes or not (self.roles or self.ghosts)
 
     @property
     def own_layer(self) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from pipeline.geometry.palette import DROPPED
 from spatialviz.app.beside_html import layers_html
-from spatialviz.app.keys import MOVE_KEYS
+from spatialviz.app.keys import KEYS, MOVE_KEYS
 from spatialviz.app.markup import Element, h
 from spatialviz.app.state import State
 from spatialviz.app.text import dot, panel, segments, words
@@ -35,13 +35,14 @@ FLAGS = {
     "camera": "camera",
     "grid": "metre grid",
 }
+HINTS = {message: f"{label} ({key})" for key, label, message in KEYS["Looking"]}
 LEAST_POINT, LARGEST_POINT = 0.4, 4.0
 """How small and how large points are drawn, as a factor."""
 PICTURES = tuple(
     h.button(label, cls="toggle", local=local, title=title)
     for label, local, title in (
-        ("Picture of the scene", "shot:scene", "the scene as it stands, with its names, as a PNG"),
-        ("of the page", "shot:page", "the whole page, as a PNG; the browser asks first"),
+        ("Save scene", "shot:scene", "the scene as it stands, with its names, as a PNG"),
+        ("Save page", "shot:page", "the whole page, as a PNG; the browser asks first"),
     )
 )
 
@@ -51,7 +52,9 @@ def scene_tools_html(state: State) -> Element:
     flags = asdict(state.flags)
     exact = state.loaded is not None and any(a.box is not None for a in state.loaded.context.frame.annotations)
     toggles = (
-        h.button(label, cls="toggle", do=f"flag:{key}", aria_pressed=str(flags[key]).lower())
+        h.button(
+            label, cls="toggle", do=f"flag:{key}", aria_pressed=str(flags[key]).lower(), title=HINTS.get(f"flag:{key}")
+        )
         for key, label in FLAGS.items()
         if key != "truth" or exact
     )
@@ -61,12 +64,15 @@ def scene_tools_html(state: State) -> Element:
         segments("camera", CAMERAS, state.camera, "look from"),
         layers_html(state),
         h.button(
-            "Measure", cls="toggle", do="pick:measure", aria_pressed=str(state.picking == "measure").lower(),
+            "Measure",
+            cls="toggle",
+            do="pick:measure",
+            aria_pressed=str(state.picking == "measure").lower(),
             title="metres between two surfaces that you click, here or in the picture (Shift+D; Escape ends)",
         ),
         _point_size(state),
-        h.div(PICTURES, cls="toggles", role="group", aria_label="pictures to keep"),
         h.div(toggles, cls="toggles", role="group", aria_label="shown in the scene"),
+        h.div(PICTURES, cls="toggles", role="group", aria_label="pictures to keep"),
         h.div(legend, cls="legend") if state.colors == "evidence" else None,
         cls="tools",
     )

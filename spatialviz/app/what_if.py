@@ -272,7 +272,8 @@ class WhatIf:
         if not live and self._map is not None:
             self._renewed_map()
         self._shown.draw(state, None if live else self._map, keep_map=live)
-        self._page.show("cost", cost_html(state, len(self._undo)))
+        # Where there is no object there is nothing to edit.
+        self._page.show("cost", cost_html(state, len(self._undo)) if state.shown.objects else None)
         if not live:
             hidden = selected is not None and f"#{state.shown.objects[selected].id}" in state.edits.hidden
             self._page.show("map-legend", map_legend(state, self._map))

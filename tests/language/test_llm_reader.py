@@ -174,8 +174,7 @@ def test_a_server_in_trouble_is_told_in_a_line(server: ChatServer, reader_of: Ma
 
 def test_a_sentence_is_asked_for_once(server: ChatServer, reader_of: Make) -> None:
     server.answer = lambda _: told("mug on the table")
-    for _ in range(2):
-        first = reader_of()("mug on the table")
+    first = reader_of()("mug on the table")
     assert len(server.requests) == 1
     assert first == reader_of()("mug on the table")
     reader_of()("mug on  the table")

@@ -57,6 +57,14 @@ def unused(text: str) -> list[str]:
         ("the one that is not on the shelf", "one not on shelf"),
         ("the jar except the one on the shelf", "jar not on shelf"),
         ("which of the jars is the closest to the kettle", "jars closest to kettle"),
+        # Told by `that` without an article
+        ("jar that is on the shelf", "jar on shelf"),
+        ("lamp that stands between the jar and the kettle", "lamp between jar and kettle"),
+        ("the jar what is on the shelf", "jar on shelf"),
+        # Frames of speech
+        ("excuse me, where would I find the jar on the shelf?", "jar on shelf"),
+        ("I am needing the lamp near the door", "lamp near door"),
+        ("do you know where is the jar behind the kettle", "jar behind kettle"),
         # Words of colour that name a thing
         ("the green wine bottle", "green wine bottle"),
         ("the peach jar", "peach jar"),

@@ -72,7 +72,8 @@ export const patch = parts => {
     const shown = old.querySelector('[data-shown]');
     if (alike(old, made)) morph(old, made); else old.replaceWith(woken(made));
     const now = byId(id).matches('[data-shown]') ? byId(id) : byId(id).querySelector('[data-shown]');
-    if (now && now !== shown) now.scrollIntoView({block: 'nearest'});
+    // The item that is judged stays in sight, above the queue that it is from.
+    if (now && now !== shown && !now.closest('#review-list')) now.scrollIntoView({block: 'nearest'});
   }
 };
 

@@ -4,7 +4,7 @@ A field that an element names by data-field gets its events from page.mjs. A key
 `defaultPrevented`: whoever comes after leaves it alone. The commands that are sent: `ask-typed:`, `ask:`,
 `class-typed:`, `class:`, `complete:`, `find:`. */
 
-import {calls, el, fields, fill, locals, send} from './core.mjs';
+import {byId, calls, el, fields, fill, locals, send} from './core.mjs';
 
 const TYPED_MS = 60, COMPLETE_MS = 90;
 
@@ -146,9 +146,13 @@ function takeAsked(offer, done) {
 function ask(field) {
   clearTimeout(timer);
   close();
+  byId('ask-problem').hidden = false;
   send(`ask:${field.value.trim()}`);
   field.blur();
 }
+
+/* The refusal below the field lies over the tools; what it says stands in the stage PARSE, too. */
+locals.dismiss = () => { byId('ask-problem').hidden = true; };
 
 fields.ask = {
   input: (_, field) => soon('ask-typed:', field),
@@ -160,7 +164,7 @@ fields.ask = {
     } else if (event.key === 'ArrowDown') {
       event.preventDefault();
       soon('ask-typed:', field, 0);
-    } else if (event.key === 'Escape') leave(event, field);
+    } else if (event.key === 'Escape') leave(event, field, field.dataset.asked);
   },
   blur() {
     clearTimeout(timer);

@@ -250,7 +250,11 @@ locals.maximise = (_, which) => {
 locals.share = () => navigator.clipboard?.writeText(location.href).then(
   () => calls.toast({title: 'Copied', text: 'the address of this view'}), () => {});
 byId('ask').addEventListener('submit', e => { e.preventDefault(); send('ask:' + byId('ask-text').value); byId('ask-text').blur(); });
-calls.question = text => { if (document.activeElement !== byId('ask-text')) byId('ask-text').value = text; };
+calls.question = text => {
+  const field = byId('ask-text');
+  field.dataset.asked = text;
+  if (document.activeElement !== field) field.value = text;
+};
 
 // ---- the bar between scene and picture
 
