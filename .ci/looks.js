@@ -49,7 +49,7 @@ const overlap = () => {
     return box;
   };
   const groups = [
-    [...document.querySelectorAll('button, input, select, textarea, summary, [data-do]')].filter(e => !e.closest('#toasts, #tags')),
+    [...document.querySelectorAll('button, input, select, textarea, summary, [data-do]')].filter(e => !e.closest('#toasts, #tags, #ask-problem')),
   ];
   const dialog = document.querySelector('dialog[open]');
   for (const group of groups) {
