@@ -167,9 +167,9 @@ def check_opened(tab: Tab) -> None:
     tab.page.keyboard.press("Escape")
     tab.poll("!document.getElementById('dialog-window')")
     assert tab.page.url == before
-    pasted(tab, replace(view, run="/tmp/no-such-run"))
-    tab.poll("document.getElementById('log').textContent.includes('/tmp/no-such-run, which is not open here')")
-    network = "/tmp/no-such-network.onnx"
+    pasted(tab, replace(view, run="/nowhere/run"))
+    tab.poll("document.getElementById('log').textContent.includes('/nowhere/run, which is not open here')")
+    network = "/nowhere/network.onnx"
     told = "name => ['log', 'toasts'].some(id => document.getElementById(id).textContent.includes(name))"
     for answer in ("Without it", "Load it"):
         pasted(tab, replace(view, edits=view.edits.with_scorer(network)))

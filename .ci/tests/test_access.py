@@ -69,6 +69,13 @@ def test_a_token_comes_once_by_the_address_and_then_by_the_cookie() -> None:
     assert access.name(known) == "ana"
 
 
+def test_an_address_with_a_token_leads_to_the_page_and_nowhere_else() -> None:
+    entered = Access("127.0.0.1").entered(request(f"////evil.example/?token={TOKEN}"))
+    assert entered is not None
+    assert entered.headers["Location"] == "/"
+    assert "Set-Cookie" not in entered.headers
+
+
 def test_others_need_a_token_and_this_machine_does_not() -> None:
     assert Access.of("127.0.0.1").open
     assert len(Access.of("0.0.0.0").unnamed) >= 24

@@ -88,7 +88,7 @@ class Access:
             return None
         kept = urlencode([(k, v) for k, v in parse_qsl(parts.query, keep_blank_values=True) if k != "token"])
         headers = {
-            "Location": parts.path + ("?" + kept if kept else ""),
+            "Location": "/" + ("?" + kept if kept else ""),
             "Content-Length": "0",
             "Cache-Control": "no-store",
         }
