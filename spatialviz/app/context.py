@@ -119,6 +119,11 @@ class Context:
         """Its run."""
         return self.shared.runs.get(self.state.source)
 
+    @property
+    def can_ask(self) -> bool:
+        """Whether the source has a detector."""
+        return self.source.detector is not None
+
     def note(self, text: str) -> None:
         """Write a line of the log."""
         self.log = [*self.log, (datetime.now().strftime("%H:%M:%S"), text)][-LOG_LENGTH:]
@@ -140,7 +145,7 @@ class Context:
         """A click in the scene: the pixel that was hit, and the boxes on the way, the smallest first."""
 
     def handle(self, message: str) -> None:
-        """Carry out a command such as "pair:3"; unknown ones are ignored."""
+        """Carry out a command such as "pair:3"; unknown ones are ignored, and what cannot be done is said."""
 
     def draw(self, live: bool = False) -> None:
         """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""

@@ -77,10 +77,11 @@ class SceneView:
         self.cloud: Cloud | None = None
         self.to_show = np.eye(3)
 
-        @client.scene.on_click()
-        def _(event: Any) -> None:
-            origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
-            on_ray(self._pixel_on_ray(origin, direction), self._boxes_on_ray(origin, direction))
+        def clicked(event: Any) -> None:
+            ray = np.array(event.ray_origin), np.array(event.ray_direction)
+            on_ray(self._pixel_on_ray(*ray), self._boxes_on_ray(*ray))
+
+        client.on_click(clicked)
 
     def draw(self, state: State) -> list[Tag]:
         """Draw boxes and pair lines, and return the names to show."""

@@ -248,6 +248,12 @@ class State:
             return None if self.beside is None else self.second
         return self.beside.partner(self.selected)
 
+    def key_at(self, place: int, keys: tuple[str, ...]) -> str | None:
+        """The key of a shown object, with `keys` those of the trace's objects; None where they do not have it."""
+        entry = self.shown.objects[place]
+        found = next((keys[t] for t, at in self.shown.place.items() if at == place and keys), None)
+        return f"#{entry.id}" if entry.id >= 0 else found
+
     def named(self, key: str) -> str:
         """The name of an object by its key (`pipeline.diagnosis.whatif.pair_tables`)."""
         keys = () if self.edited is None else self.edited.after.keys
@@ -350,8 +356,11 @@ class State:
     @property
     def at_place(self) -> Place:
         """What a reload brings back; while labels are shown no question is."""
-        text = self.text if self.labels is None else None
-        return Place(self.source, self.frame_id, text, self.task, self.stage)
+        place = Place(self.source, self.frame_id, self.text, self.task, self.stage)
+        if self.labels is None:
+            return place
+        card = self.labels.card
+        return replace(place, text=None, item=None if card is None else (card.a, card.b))
 
 
 def _same(trace: Trace | None, place: int, other: SceneObject) -> bool:

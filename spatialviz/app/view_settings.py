@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 from pipeline.datasets import moves
 from spatialviz.app.context import Part, command
@@ -11,7 +12,6 @@ from spatialviz.app.state import CameraMode, ColorMode
 from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 
 POINT_STEP = 1.25
-MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
 
 
 class ViewSettings(Part):
@@ -20,27 +20,25 @@ class ViewSettings(Part):
     @command("color", "next-color=next")
     def paint(self, mode: str) -> None:
         """Paint the cloud in another way, or in the "next"."""
+        modes = get_args(ColorMode)
         if mode == "next":
-            mode = MODES[(MODES.index(self.state.colors) + 1) % len(MODES)]
-        if mode in MODES:
+            mode = modes[(modes.index(self.state.colors) + 1) % len(modes)]
+        if mode in modes:
             self.ctx.show(colors=mode)
 
     @command("camera")
     def look_from(self, mode: str) -> None:
         """Fly to one of the places to look from."""
-        modes: dict[str, CameraMode] = {"pair": "pair", "sensor": "sensor", "orbit": "orbit", "top": "top"}
-        state = self.state
-        if mode in modes and state.loaded is not None:
-            self.ctx.show(camera=modes[mode])
+        if mode in get_args(CameraMode) and self.state.loaded is not None:
+            self.ctx.show(camera=mode)
             self.ctx.scene.viewpoint.fly(mode)
 
     @command("flag")
     def toggle(self, flag: str) -> None:
         """Show or hide something."""
-        state = self.state
+        flags = self.state.flags
         if flag in FLAGS:
-            self.state = replace(state, flags=replace(state.flags, **{flag: not getattr(state.flags, flag)}))
-            self.ctx.draw()
+            self.ctx.show(flags=replace(flags, **{flag: not getattr(flags, flag)}))
 
     @command("point-size")
     def size_points(self, text: str) -> None:
@@ -58,10 +56,8 @@ class ViewSettings(Part):
     @command("theme")
     def switch_theme(self) -> None:
         """Dark becomes light, and light dark."""
-        state = self.state
-        self.state = replace(state, dark=not state.dark)
-        self.ctx.client.set_dark(not state.dark)
-        self.ctx.draw()
+        self.ctx.client.set_dark(not self.state.dark)
+        self.ctx.show(dark=not self.state.dark)
 
 
 BROWSED = 6
@@ -73,7 +69,7 @@ class FrameSteps(Part):
 
     @property
     def _ids(self) -> tuple[str, ...]:
-        return tuple(self.ctx.shared.store.sources[self.state.source].dataset.frame_ids)
+        return tuple(self.ctx.source.dataset.frame_ids)
 
     @command("open")
     def open(self, frame_id: str) -> None:
@@ -95,26 +91,23 @@ class FrameSteps(Part):
     @command("move")
     def move(self, move: str) -> None:
         """Go where a move of the dataset's robot leads; one that is not possible does nothing."""
-        state = self.state
-        to = moves(self.ctx.shared.store.sources[state.source].dataset, state.frame_id).get(move)
+        to = moves(self.ctx.source.dataset, self.state.frame_id).get(move)
         if to is not None:
             self.ctx.open_frame(to)
 
     def browse(self) -> None:
         """Fill the grid of small pictures bit by bit, behind whatever the user does."""
-        ids, state = self._ids, self.state
-        current = (state.source, state.frame_id)
-        total = len(window(ids, ids.index(state.frame_id)))
+        ids, source, frame = self._ids, self.state.source, self.state.frame_id
+        at = ids.index(frame)
+        total = len(window(ids, at))
 
         def fill(ready: int) -> None:
-            now = self.state
-            if (now.source, now.frame_id) != current or self.ctx.closed.is_set():
+            if (self.state.source, self.state.frame_id) != (source, frame) or self.ctx.closed.is_set():
                 return
-            self.ctx.page.show("frames", frames_html(now, ids, self.ctx.shared.store, ready))
+            self.ctx.page.show("frames", frames_html(self.state, ids, self.ctx.shared.store, ready))
             if ready < total:
                 self.ctx.post(lambda: fill(min(ready + BROWSED, total)))
             else:
-                at = ids.index(now.frame_id)
-                self.ctx.shared.store.prepare(now.source, (*ids[at + 1 : at + 2], *ids[max(0, at - 1) : at]))
+                self.ctx.shared.store.prepare(source, (*ids[at + 1 : at + 2], *ids[max(0, at - 1) : at]))
 
         self.ctx.post(lambda: fill(min(BROWSED, total)))
