@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -35,12 +35,15 @@ MEANS = {
 }
 
 
+Mark: TypeAlias = Literal["good", "doubt", "bad", "idle"]
+
+
 @dataclass(frozen=True)
 class Stage:
     """How a stage fared: by a mark, in plain words, and what it took."""
 
     name: str
-    mark: Literal["good", "doubt", "bad", "idle"]
+    mark: Mark
     words: str
     cost: str = ""
 
@@ -51,9 +54,9 @@ def failed_stages(state: State) -> tuple[str, ...]:
     if state.error:
         return ("PARSE",)
     if isinstance(judged, Diagnosis):
-        repair = ("OPM" if part in ("CONF", "RECALL") else part for part in judged.repair)
-        told = repair if judged.verdict == "COMPOUND" else (MODULE_OF.get(judged.verdict, ""),)
-        return tuple(dict.fromkeys(filter(None, told)))
+        if judged.verdict != "COMPOUND":
+            return (MODULE_OF[judged.verdict],) if judged.verdict in MODULE_OF else ()
+        return tuple(dict.fromkeys("OPM" if part in ("CONF", "RECALL") else part for part in judged.repair))
     if state.trace is None or why_no_answer(state.trace) is None:
         return ()
     return ("OPM",) if state.trace.missing else ("PRM",)
@@ -75,9 +78,9 @@ def stages_html(state: State, open_stage: str = "") -> Element:
 
 
 def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) -> Element:
-    trace, key, has_failed = state.trace, stage.name.lower(), stage.name in failed
+    trace, key = state.trace, stage.name.lower()
     is_open = trace is not None and stage.name == open_stage
-    marks = [mark for mark, is_so in (("open", is_open), ("failed", has_failed)) if is_so]
+    marks = ("stage", stage.mark, "open" if is_open else "", "failed" if stage.name in failed else "")
     head = h.button(
         h.b(stage.name),
         h.span(stage.words, cls="line"),
@@ -91,19 +94,19 @@ def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) 
     )
     evidence = None
     if is_open and trace is not None:
-        found = EVIDENCE[stage.name](state, trace)
-        label = f"evidence of {stage.name}"
-        evidence = h.div(found, cls="evidence", id=f"evidence-{key}", role="region", aria_label=label)
+        how = {"id": f"evidence-{key}", "role": "region", "aria_label": f"evidence of {stage.name}"}
+        evidence = h.div(EVIDENCE[stage.name](state, trace), cls="evidence", **how)
     sentence = _sentence(state) if failed[:1] == (stage.name,) else None
-    return h.li(head, sentence, evidence, cls=" ".join(("stage", stage.mark, *marks)), id=f"stage-{key}")
+    return h.li(head, sentence, evidence, cls=" ".join(filter(None, marks)), id=f"stage-{key}")
 
 
 def _sentence(state: State) -> Element:
     """Why the answer is wrong, or why there is none."""
     if isinstance(state.judged, Diagnosis):
         return h.p(state.judged.text, cls="sentence")
-    reason = state.error or (why_no_answer(state.trace) or "" if state.trace is not None else "")
-    return h.p(reason, cls="sentence refused" if state.error else "sentence")
+    if state.error:
+        return h.p(state.error, cls="sentence refused")
+    return h.p(None if state.trace is None else why_no_answer(state.trace), cls="sentence")
 
 
 def stages(state: State) -> list[Stage]:
@@ -115,10 +118,11 @@ def stages(state: State) -> list[Stage]:
             found[0] = Stage("PARSE", "bad", "could not be asked")
         return [*found, _label(state)]
     made = (_parse(trace), _opm(trace), _lift(state, trace), _srm(state, trace), _attribute(state), _prm(trace))
-    found = [*filter(None, made), _label(state)]
     right = isinstance(state.judged, Diagnosis) and state.judged.correct
-    marked = (("bad" if s.name in failed else "good" if right and s.name != "LABEL" else s.mark, s) for s in found)
-    return [replace(s, mark=mark) for mark, s in marked]
+    return [
+        replace(s, mark="bad" if s.name in failed else "good" if right and s.name != "LABEL" else s.mark)
+        for s in (*filter(None, made), _label(state))
+    ]
 
 
 def _ms(trace: Trace, stage: str) -> str:
@@ -126,12 +130,15 @@ def _ms(trace: Trace, stage: str) -> str:
     return f"{value:.1f} ms" if value < 100 else f"{value:.0f} ms"
 
 
+def _sound(is_so: object) -> Mark:
+    return "good" if is_so else "doubt"
+
+
 def _parse(trace: Trace) -> Stage:
     reading = trace.query.default if trace.ranking is None else trace.ranking.reading
     several = f"one of {len(trace.query.readings)} readings" if len(trace.query.readings) > 1 else ""
     words = "; ".join(filter(None, (reading.description, several, *parse_notes(trace))))
-    unused = any(note.startswith("not used") for note in parse_notes(trace))
-    return Stage("PARSE", "doubt" if unused else "good", words, _ms(trace, "parse"))
+    return Stage("PARSE", _sound(not unused_words(trace.query)), words, _ms(trace, "parse"))
 
 
 def _opm(trace: Trace) -> Stage:
@@ -147,18 +154,16 @@ def _lift(state: State, trace: Trace) -> Stage:
     words = "; ".join(doubts) or f"{counted(len(trace.objects), 'object')} in 3D"
     # An object that was lifted for an earlier question costs nothing now.
     cost = _ms(trace, "lift") if trace.timings.get("lift", 0.0) > 1e-4 else "cached"
-    return Stage("LIFT", "doubt" if doubts else "good", words, cost)
+    return Stage("LIFT", _sound(not doubts), words, cost)
 
 
 def _srm(state: State, trace: Trace) -> Stage:
-    chosen = state.chosen
+    chosen, cost = state.chosen, _ms(trace, "srm")
     if chosen is None or chosen.reference is None:
-        return Stage(
-            "SRM", "good" if trace.objects else "idle", f"relations are scored by {trace.scorer}", _ms(trace, "srm")
-        )
-    doubt = not chosen.holds or abs(chosen.relation_probability - HOLDS) < 0.1
+        return Stage("SRM", "good" if trace.objects else "idle", f"relations are scored by {trace.scorer}", cost)
+    sound = chosen.holds and abs(chosen.relation_probability - HOLDS) >= 0.1
     words = f"“{trace.phrase}” has {probability(chosen.p_relation)} for the chosen pair (scorer: {trace.scorer})"
-    return Stage("SRM", "doubt" if doubt else "good", words, _ms(trace, "srm"))
+    return Stage("SRM", _sound(sound), words, cost)
 
 
 def _attribute(state: State) -> Stage | None:
@@ -167,18 +172,17 @@ def _attribute(state: State) -> Stage | None:
         return None
     factors = () if state.chosen is None else state.chosen.factors
     words = ", ".join(f"“{f.text}” has {probability(f.probability)}" for f in factors) or "no pair is chosen"
-    return Stage("ATTRIBUTE", "good" if all(f.holds for f in factors) else "doubt", words)
+    return Stage("ATTRIBUTE", _sound(all(f.holds for f in factors)), words)
 
 
 def _prm(trace: Trace) -> Stage:
-    reason, ranking = why_no_answer(trace), trace.ranking
+    reason, ranking, cost = why_no_answer(trace), trace.ranking, _ms(trace, "prm")
     if reason is not None or ranking is None:
         return Stage("PRM", "idle" if trace.missing else "bad", "nothing to rank" if trace.missing else reason or "")
     if len(ranking.pairs) == 1:
-        return Stage("PRM", "good", "the only candidate pair", _ms(trace, "prm"))
-    close = ranking.margin < 0.1
+        return Stage("PRM", "good", "the only candidate pair", cost)
     words = f"{len(ranking.pairs)} pairs, the best leads by {ranking.margin:.2f}"
-    return Stage("PRM", "doubt" if close else "good", words, _ms(trace, "prm"))
+    return Stage("PRM", _sound(ranking.margin >= 0.1), words, cost)
 
 
 def _label(state: State) -> Stage:
@@ -248,11 +252,13 @@ def _noun(node: Node) -> Element:
 
 
 def _attachment(attachment: Attachment) -> Element:
-    phrase = h.i(f"not {attachment.phrase}" if attachment.negated else attachment.phrase)
     meant = wording(attachment.relation, inverse=attachment.inverse)
-    told = h.span(f" {meant}", cls="dim") if meant != attachment.phrase else None
-    nodes = h.ul(_noun(n) for n in attachment.nodes)
-    return h.li(phrase, told, nodes, cls="neg" if attachment.negated else "")
+    return h.li(
+        h.i(f"not {attachment.phrase}" if attachment.negated else attachment.phrase),
+        h.span(f" {meant}", cls="dim") if meant != attachment.phrase else None,
+        h.ul(_noun(n) for n in attachment.nodes),
+        cls="neg" if attachment.negated else "",
+    )
 
 
 SHOWN_PAIRS = 30
@@ -270,17 +276,13 @@ def pairs_evidence(state: State, trace: Trace) -> list[Child]:
 def _ranked(state: State) -> list[Child]:
     """The ranked pairs with each factor; the weakest factor of a pair stands out."""
     fit = any(p.factors for p in state.ranked)
-    names = [
-        ("target", "P(target | name)"),
-        ("ref", "P(reference | name)"),
-        ("rel", "P(relation)"),
-        *([("fit", "P(attributes and choices)")] if fit else []),
-        ("P", "posterior over all pairs"),
-    ]
+    names = {"tgt": "P(target | name)", "ref": "P(reference | name)", "rel": "P(relation)"}
+    names |= {"fit": "P(attributes and choices)"} if fit else {}
+    names["P"] = "posterior over all pairs"
     head = h.tr(
         h.th("#", cls="n"),
         h.th("target, reference"),
-        (h.th("tgt" if name == "target" else name, cls="n", title=title) for name, title in names),
+        (h.th(name, cls="n", title=title) for name, title in names.items()),
     )
     rows = (_row(state, i, pair, fit) for i, pair in enumerate(state.ranked[:SHOWN_PAIRS]))
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"
@@ -293,18 +295,20 @@ def _numbers(pair: ScoredPair, fit: bool) -> list[float]:
 
 
 def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
-    colors, edited = palette(state.dark), state.edited
+    colors = palette(state.dark)
     target, *others = state.at(pair)
     ends = ", ".join(state.shown.names[k] for k in others)
-    before = None if edited is None else edited.pair_before(pair)
-    rank = None if edited is None else edited.rank_before(pair)
+    rank, before = (None, None) if state.edited is None else state.edited.pair_before(pair)
     *factors, posterior = _numbers(pair, fit)
     old = [None] * (len(factors) + 1) if before is None else _numbers(before, fit)
-    cells = []
-    for k, (p, o) in enumerate(zip(factors, old, strict=False)):
-        empty = pair.reference is None and k in (1, 2)
-        low = p == min(factors) and p < 0.5
-        cells.append(cell("–" if empty else f"{p:.2f}", was(p, o), "n low" if low else "n"))
+    cells = [
+        cell(
+            "–" if pair.reference is None and k in (1, 2) else f"{p:.2f}",
+            was(p, old[k]),
+            "n low" if p == min(factors) and p < 0.5 else "n",
+        )
+        for k, p in enumerate(factors)
+    ]
     return h.tr(
         cell(i + 1, None if rank in (None, i + 1) else f"was rank {rank}", "n dim"),
         h.td(
@@ -335,13 +339,12 @@ def _against(state: State) -> list[Child]:
         above, right = needed.get(name), getattr(d.right, f"p_{name}")
         css = {"--c": hex_color(COLORS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale / 2:.1%}"}
         wanted = None if above is None else h.div(f"> {threshold(above, right)[0]}", cls="dim", title=NEEDED)
-        bar = h.i(cls="for" if share >= 0 else "against", css=css)
         rows.append(
             h.tr(
                 h.th(name, scope="row"),
                 h.td(f"{getattr(d.winner, f'p_{name}'):.2f}", cls="n"),
                 h.td(f"{right:.2f}", wanted, cls="n"),
-                h.td(h.div(bar, cls="diverge")),
+                h.td(h.div(h.i(cls="for" if share >= 0 else "against", css=css), cls="diverge")),
                 h.td(f"{share:+.2f}", cls="n"),
             )
         )
@@ -361,8 +364,11 @@ def _against(state: State) -> list[Child]:
         return [named(colors["target"], target), " · ", named(colors["reference"], reference)]
 
     pairs = ((h.dt(what), h.dd(ends(p))) for what, p in (("answer", d.winner), ("right", d.right)))
-    table = h.table(h.thead(head), h.tbody(rows), cls="against")
-    return [h.h3("Answer against the right pair"), h.dl(pairs, cls="facts"), table]
+    return [
+        h.h3("Answer against the right pair"),
+        h.dl(pairs, cls="facts"),
+        h.table(h.thead(head), h.tbody(rows), cls="against"),
+    ]
 
 
 def _name(state: State, place: int | None) -> str:
@@ -392,9 +398,9 @@ def _matrix(state: State, trace: Trace) -> list[Child]:
         h.th(_name(state, c).rpartition("·")[2], h.i(f"{s:.2f}"), cls="ref", title=_name(state, c)) for c, s in columns
     )
     cut = max(len(targets.index), len(references.index)) > MATRIX_LIMIT
+    aside = f"best {MATRIX_LIMIT} a side" if cut else "relation · outlined: acceptable"
     css = {f"--{role}": hex_color(colors[role]) for role in ("target", "truth", "reference")}
     table = h.table(h.thead(h.tr(h.td(), h.td(), head)), h.tbody(body), cls="matrix", css=css)
-    aside = f"best {MATRIX_LIMIT} a side" if cut else "relation · outlined: acceptable"
     return [h.h3("All pairs", h.span(aside)), h.div(table, cls="mx")]
 
 
@@ -402,11 +408,11 @@ def _pair_cell(state: State, rank: int | None, accepted: bool) -> Element:
     if rank is None:
         return h.td("·", cls="no", title="one and the same thing")
     pair = state.ranked[rank]
-    marks = {"sel": state.at(pair)[:2] == (state.pair or ())[:2], "ok": accepted, "top": rank == 0}
-    p = pair.p_relation
+    is_chosen, p = state.at(pair)[:2] == (state.pair or ())[:2], pair.p_relation
+    marks = ("c", "sel" if is_chosen else "", "ok" if accepted else "", "top" if rank == 0 else "")
     return h.td(
         "1" if p >= 0.995 else f"{p:.2f}"[1:],
-        cls=" ".join(("c", *(mark for mark, is_so in marks.items() if is_so))),
+        cls=" ".join(filter(None, marks)),
         css={"--a": f"{0.06 + 0.84 * p:.2f}", "--p": f"{pair.probability:.3f}"},
         do=f"pair:{rank}",
         # Keys reach the pairs in the table above.

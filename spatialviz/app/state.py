@@ -248,6 +248,10 @@ class State:
             return None if self.beside is None else self.second
         return self.beside.partner(self.selected)
 
+    def name_of(self, i: int) -> str:
+        """The name of an object of the trace."""
+        return self.shown.names[self.shown.place[i]]
+
     def key_at(self, place: int, keys: tuple[str, ...]) -> str | None:
         """The key of a shown object, with `keys` those of the trace's objects; None where they do not have it."""
         entry = self.shown.objects[place]
@@ -258,7 +262,7 @@ class State:
         """The name of an object by its key (`pipeline.diagnosis.whatif.pair_tables`)."""
         keys = () if self.edited is None else self.edited.after.keys
         if key in keys:
-            return self.shown.names[self.shown.place[keys.index(key)]]
+            return self.name_of(keys.index(key))
         ids = {f"#{o.id}": name for o, name in zip(self.shown.objects, self.shown.names, strict=True) if o.id >= 0}
         return ids.get(key, key)
 
@@ -413,15 +417,9 @@ class Edited:
     judged: Diagnosis | str | None
     seconds: float
 
-    def rank_before(self, pair: ScoredPair) -> int | None:
-        """The place that a pair of the answer had, from 1; None where it was no candidate."""
-        found = self._ranked.get(_named(self.after, pair))
-        return None if found is None else found[0]
-
-    def pair_before(self, pair: ScoredPair) -> ScoredPair | None:
-        """A pair of the answer as it was."""
-        found = self._ranked.get(_named(self.after, pair))
-        return None if found is None else found[1]
+    def pair_before(self, pair: ScoredPair) -> tuple[int | None, ScoredPair | None]:
+        """A pair of the answer as it was, after the place that it had, from 1; None where it was no candidate."""
+        return self._ranked.get(_named(self.after, pair), (None, None))
 
     def relation_before(self, a: int, b: int, relation: str) -> float | None:
         """P("a RELATION b") as it was, for places in the objects of the answer."""
