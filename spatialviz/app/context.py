@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, TypeVar
@@ -180,6 +180,13 @@ class Part:
     @state.setter
     def state(self, state: State) -> None:
         self.ctx.state = state
+
+
+def choice(options: Sequence[str], now: str, wanted: str) -> str | None:
+    """One of several by its name, or the "next" after the one that is on; None where there is none such."""
+    if wanted == "next":
+        return options[(options.index(now) + 1) % len(options)]
+    return wanted if wanted in options else None
 
 
 def command(*names: str) -> Callable[[Method], Method]:

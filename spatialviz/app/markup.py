@@ -232,3 +232,8 @@ def was(now: float, before: float | None) -> str | None:
 def cell(content: Child, hint: str | None = None, cls: str = "n") -> Element:
     """A cell of a table, marked where its number was another one."""
     return h.td(content, cls=f"{cls} chg".strip() if hint else cls, title=hint)
+
+
+def detector_score(value: float) -> str:
+    """A detector's score; nothing where the objects are the dataset's own."""
+    return "" if value >= 0.9995 else f"{value:.2f}"

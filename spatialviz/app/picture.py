@@ -14,7 +14,7 @@ from pipeline.geometry.palette import depth_colors, depth_ends, hex_color, palet
 from spatialviz.app.beside import name_tag, second_overlay
 from spatialviz.app.frame_cloud import frame_colors
 from spatialviz.app.frames import FrameStore, jpeg_url, png_url
-from spatialviz.app.markup import Child, Element, chosen, h, heading, named, note, panel
+from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d, tinted
@@ -219,7 +219,11 @@ def _row(state: State, i: int, kind: str) -> Element:
         h.td(thumb(state, i)),
         h.td(named(color, state.shown.names[i]), h.div(size, cls="dim"), cls="w"),
         h.td("" if box is None else f"{quality.distance:.1f} m", cls="n dim"),
-        h.td(score(entry.score), h.span("!", cls="low", title=doubts, aria_label=doubts) if doubts else "", cls="n"),
+        h.td(
+            detector_score(entry.score),
+            h.span("!", cls="low", title=doubts, aria_label=doubts) if doubts else "",
+            cls="n",
+        ),
         id=f"{kind}-{i}",
         do=f"object:{i}",
         hover=f"hover:{i}",
@@ -231,8 +235,3 @@ def thumb(state: State, i: int) -> Element:
     """The small picture of an object; an empty place where it has none."""
     url = "" if state.loaded is None else state.loaded.thumb(state.shown.objects[i].bbox)
     return h.img(src=url, alt="", cls="thumb", loading="lazy") if url else h.span(cls="thumb")
-
-
-def score(value: float) -> str:
-    """A detector's score; nothing where the objects are the dataset's own."""
-    return "" if value >= 0.9995 else f"{value:.2f}"

@@ -16,8 +16,8 @@ from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
 from spatialviz.app.beside import hollow, second_name
 from spatialviz.app.edit_scene import REGION_COLORS, asked_pair
-from spatialviz.app.markup import Child, Element, button, chosen, dot, h, named, note, panel, was, words
-from spatialviz.app.picture import score, thumb
+from spatialviz.app.markup import Child, Element, button, chosen, detector_score, dot, h, named, note, panel, was, words
+from spatialviz.app.picture import thumb
 from spatialviz.app.state import State
 
 KEPT: RGB = (53, 169, 107)
@@ -46,7 +46,7 @@ def _candidates(state: State, number: int, name: str, found: Candidates) -> Elem
                     h.div(mark, cls=f"mark {cls}".strip()) if mark else None,
                     cls="w",
                 ),
-                h.td(score(float(found.scores[k])), cls="n"),
+                h.td(detector_score(float(found.scores[k])), cls="n"),
                 None if raw is None else h.td(f"{raw[k]:.2f}", cls="n dim"),
                 id=f"candidate-{number}-{i}",
                 do=f"object:{place}",
@@ -117,7 +117,7 @@ def _own(state: State, i: int) -> Element:
 
 
 def _score(entry: SceneObject) -> str:
-    return f"score {score(entry.score)}" if score(entry.score) else ""
+    return f"score {said}" if (said := detector_score(entry.score)) else ""
 
 
 def _brief(entry: SceneObject, title: Child) -> Element:

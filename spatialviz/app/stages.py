@@ -72,32 +72,34 @@ def stages_html(state: State, open_stage: str = "") -> Element:
 
     `open_stage` is as `State.stage`: a name of EVIDENCE, "" for `opened`, and anything else for none.
     """
-    failed = failed_stages(state)
     open_stage = open_stage or opened(state)
-    return h.ol((_item(state, stage, open_stage, failed) for stage in stages(state)), cls="stages")
+    return h.ol((_item(state, stage, open_stage, failed_stages(state)) for stage in stages(state)), cls="stages")
 
 
 def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) -> Element:
-    trace, key = state.trace, stage.name.lower()
-    is_open = trace is not None and stage.name == open_stage
-    marks = ("stage", stage.mark, "open" if is_open else "", "failed" if stage.name in failed else "")
-    head = h.button(
-        h.b(stage.name),
-        h.span(stage.words, cls="line"),
-        h.span(stage.cost, cls="cost"),
-        cls="head",
-        do=f"stage:{stage.name}",
-        id=f"head-{key}",
-        aria_expanded=str(is_open).lower(),
-        aria_controls=f"evidence-{key}",
-        title=f"{stage.name}: {MEANS[stage.name]}",
-    )
+    trace, key = state.trace if stage.name == open_stage else None, stage.name.lower()
+    marks = ("stage", stage.mark, "open" if trace is not None else "", "failed" if stage.name in failed else "")
     evidence = None
-    if is_open and trace is not None:
+    if trace is not None:
         how = {"id": f"evidence-{key}", "role": "region", "aria_label": f"evidence of {stage.name}"}
         evidence = h.div(EVIDENCE[stage.name](state, trace), cls="evidence", **how)
-    sentence = _sentence(state) if failed[:1] == (stage.name,) else None
-    return h.li(head, sentence, evidence, cls=" ".join(filter(None, marks)), id=f"stage-{key}")
+    return h.li(
+        h.button(
+            h.b(stage.name),
+            h.span(stage.words, cls="line"),
+            h.span(stage.cost, cls="cost"),
+            cls="head",
+            do=f"stage:{stage.name}",
+            id=f"head-{key}",
+            aria_expanded=str(trace is not None).lower(),
+            aria_controls=f"evidence-{key}",
+            title=f"{stage.name}: {MEANS[stage.name]}",
+        ),
+        _sentence(state) if failed[:1] == (stage.name,) else None,
+        evidence,
+        cls=" ".join(filter(None, marks)),
+        id=f"stage-{key}",
+    )
 
 
 def _sentence(state: State) -> Element:
@@ -135,8 +137,8 @@ def _sound(is_so: object) -> Mark:
 
 
 def _parse(trace: Trace) -> Stage:
-    reading = trace.query.default if trace.ranking is None else trace.ranking.reading
     several = f"one of {len(trace.query.readings)} readings" if len(trace.query.readings) > 1 else ""
+    reading = trace.query.default if trace.ranking is None else trace.ranking.reading
     words = "; ".join(filter(None, (reading.description, several, *parse_notes(trace))))
     return Stage("PARSE", _sound(not unused_words(trace.query)), words, _ms(trace, "parse"))
 
@@ -161,9 +163,8 @@ def _srm(state: State, trace: Trace) -> Stage:
     chosen, cost = state.chosen, _ms(trace, "srm")
     if chosen is None or chosen.reference is None:
         return Stage("SRM", "good" if trace.objects else "idle", f"relations are scored by {trace.scorer}", cost)
-    sound = chosen.holds and abs(chosen.relation_probability - HOLDS) >= 0.1
     words = f"“{trace.phrase}” has {probability(chosen.p_relation)} for the chosen pair (scorer: {trace.scorer})"
-    return Stage("SRM", _sound(sound), words, cost)
+    return Stage("SRM", _sound(chosen.holds and abs(chosen.relation_probability - HOLDS) >= 0.1), words, cost)
 
 
 def _attribute(state: State) -> Stage | None:
@@ -215,9 +216,9 @@ def parse_notes(trace: Trace) -> list[str]:
 
 
 def _chip(state: State, text: str, span: Span) -> Element:
-    if span.role in ("target", "reference"):
-        color = hex_color(palette(state.dark)["target" if span.role == "target" else "reference"])
-        return h.button(text, cls="chip", css={"--c": color}, do=f"chip:{span.role}", title=f"select the {span.role}")
+    if span.role == "target" or span.role == "reference":
+        css = {"--c": hex_color(palette(state.dark)[span.role])}
+        return h.button(text, cls="chip", css=css, do=f"chip:{span.role}", title=f"select the {span.role}")
     if span.role == "unused":
         return h.span(h.s(text), cls="chip rel unused", title=f"not used: {span.note}")
     return h.span(text, cls="chip rel", title=span.role)
@@ -244,11 +245,15 @@ def _readings(trace: Trace) -> Element | None:
 
 def _noun(node: Node) -> Element:
     """A noun with all that is said of it below it."""
-    said = [*(str(a) for a in node.attributes), *(c.text for c in node.choices)]
+    said = [*map(str, node.attributes), *(c.text for c in node.choices)]
     below = [_attachment(a) for a in node.attachments]
     below += [h.li(h.i("not", cls="neg"), h.ul(_noun(other))) for other in node.excluded]
-    count = f" × {node.count}" if node.count else ""
-    return h.li(h.b(node.name), count, ((" ", h.span(a, cls="attr")) for a in said), h.ul(below) if below else None)
+    return h.li(
+        h.b(node.name),
+        f" × {node.count}" if node.count else "",
+        ((" ", h.span(a, cls="attr")) for a in said),
+        h.ul(below) if below else None,
+    )
 
 
 def _attachment(attachment: Attachment) -> Element:
@@ -279,14 +284,16 @@ def _ranked(state: State) -> list[Child]:
     names = {"tgt": "P(target | name)", "ref": "P(reference | name)", "rel": "P(relation)"}
     names |= {"fit": "P(attributes and choices)"} if fit else {}
     names["P"] = "posterior over all pairs"
-    head = h.tr(
-        h.th("#", cls="n"),
-        h.th("target, reference"),
-        (h.th(name, cls="n", title=title) for name, title in names.items()),
-    )
-    rows = (_row(state, i, pair, fit) for i, pair in enumerate(state.ranked[:SHOWN_PAIRS]))
+    heads = (h.th(name, cls="n", title=title) for name, title in names.items())
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"
-    return [h.h3("Ranked pairs", h.span(more)), h.table(h.thead(head), h.tbody(rows), cls="pairs")]
+    return [
+        h.h3("Ranked pairs", h.span(more)),
+        h.table(
+            h.thead(h.tr(h.th("#", cls="n"), h.th("target, reference"), heads)),
+            h.tbody(_row(state, i, pair, fit) for i, pair in enumerate(state.ranked[:SHOWN_PAIRS])),
+            cls="pairs",
+        ),
+    ]
 
 
 def _numbers(pair: ScoredPair, fit: bool) -> list[float]:
@@ -297,7 +304,6 @@ def _numbers(pair: ScoredPair, fit: bool) -> list[float]:
 def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
     colors = palette(state.dark)
     target, *others = state.at(pair)
-    ends = ", ".join(state.shown.names[k] for k in others)
     rank, before = (None, None) if state.edited is None else state.edited.pair_before(pair)
     *factors, posterior = _numbers(pair, fit)
     old = [None] * (len(factors) + 1) if before is None else _numbers(before, fit)
@@ -313,7 +319,9 @@ def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
         cell(i + 1, None if rank in (None, i + 1) else f"was rank {rank}", "n dim"),
         h.td(
             h.div(named(colors["target"], state.shown.names[target])),
-            None if pair.reference is None else h.div(named(colors["reference"], ends)),
+            None
+            if pair.reference is None
+            else h.div(named(colors["reference"], ", ".join(state.shown.names[k] for k in others))),
             cls="w",
         ),
         cells,
@@ -348,8 +356,8 @@ def _against(state: State) -> list[Child]:
                 h.td(f"{share:+.2f}", cls="n"),
             )
         )
-    total = d.winner.log_score - d.right.log_score
-    rows.append(h.tr(h.th("sum", scope="row"), h.td(colspan=3), h.td(h.b(f"{total:+.2f}"), cls="n"), cls="sum"))
+    total = f"{d.winner.log_score - d.right.log_score:+.2f}"
+    rows.append(h.tr(h.th("sum", scope="row"), h.td(colspan=3), h.td(h.b(total), cls="n"), cls="sum"))
     head = h.tr(
         h.td(),
         h.th("answer", cls="n"),
@@ -357,18 +365,17 @@ def _against(state: State) -> list[Child]:
         h.th("right · answer", title="which of the two the factor favours"),
         h.th("Δ log", cls="n"),
     )
-    colors = palette(state.dark)
-
-    def ends(pair: ScoredPair) -> list[Child]:
-        target, reference = (_name(state, i) for i in (pair.target, pair.reference))
-        return [named(colors["target"], target), " · ", named(colors["reference"], reference)]
-
-    pairs = ((h.dt(what), h.dd(ends(p))) for what, p in (("answer", d.winner), ("right", d.right)))
     return [
         h.h3("Answer against the right pair"),
-        h.dl(pairs, cls="facts"),
+        h.dl(h.dt("answer"), _ends(state, d.winner), h.dt("right"), _ends(state, d.right), cls="facts"),
         h.table(h.thead(head), h.tbody(rows), cls="against"),
     ]
+
+
+def _ends(state: State, pair: ScoredPair) -> Element:
+    colors = palette(state.dark)
+    target, reference = (_name(state, i) for i in (pair.target, pair.reference))
+    return h.dd(named(colors["target"], target), " · ", named(colors["reference"], reference))
 
 
 def _name(state: State, place: int | None) -> str:
@@ -385,22 +392,26 @@ def _matrix(state: State, trace: Trace) -> list[Child]:
     columns = _best(references)
     ranks = {(p.target, p.reference): k for k, p in enumerate(state.ranked)}
     accepted = state.judged.acceptable_pairs() if isinstance(state.judged, Diagnosis) else set()
-    body = (
-        h.tr(
-            h.th(named(colors["target"], _name(state, r)), cls="w2", scope="row"),
-            h.td(f"{score:.2f}", cls="n dim"),
-            (_pair_cell(state, ranks.get((r, c)), (r, c) in accepted) for c, _ in columns),
-            id=f"matrix-{r}",
-        )
-        for r, score in _best(targets)
-    )
+    css = {f"--{role}": hex_color(colors[role]) for role in ("target", "truth", "reference")}
+    cut = max(len(targets.index), len(references.index)) > MATRIX_LIMIT
     head = (
         h.th(_name(state, c).rpartition("·")[2], h.i(f"{s:.2f}"), cls="ref", title=_name(state, c)) for c, s in columns
     )
-    cut = max(len(targets.index), len(references.index)) > MATRIX_LIMIT
+    table = h.table(
+        h.thead(h.tr(h.td(), h.td(), head)),
+        h.tbody(
+            h.tr(
+                h.th(named(colors["target"], _name(state, r)), cls="w2", scope="row"),
+                h.td(f"{score:.2f}", cls="n dim"),
+                (_pair_cell(state, ranks.get((r, c)), (r, c) in accepted) for c, _ in columns),
+                id=f"matrix-{r}",
+            )
+            for r, score in _best(targets)
+        ),
+        cls="matrix",
+        css=css,
+    )
     aside = f"best {MATRIX_LIMIT} a side" if cut else "relation · outlined: acceptable"
-    css = {f"--{role}": hex_color(colors[role]) for role in ("target", "truth", "reference")}
-    table = h.table(h.thead(h.tr(h.td(), h.td(), head)), h.tbody(body), cls="matrix", css=css)
     return [h.h3("All pairs", h.span(aside)), h.div(table, cls="mx")]
 
 
@@ -423,8 +434,8 @@ def _pair_cell(state: State, rank: int | None, accepted: bool) -> Element:
 
 
 def _best(candidates: Candidates) -> list[tuple[int, float]]:
-    order = np.argsort(-candidates.scores, kind="stable")[:MATRIX_LIMIT]
-    return [(int(candidates.index[k]), float(candidates.scores[k])) for k in order]
+    best = np.argsort(-candidates.scores, kind="stable")[:MATRIX_LIMIT]
+    return [(int(candidates.index[k]), float(candidates.scores[k])) for k in best]
 
 
 EVIDENCE: dict[str, Callable[[State, Trace], list[Child]]] = {

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import get_args
 
 from pipeline.datasets import moves
-from spatialviz.app.context import Part, command
+from spatialviz.app.context import Part, choice, command
 from spatialviz.app.picture import frames_html, window
 from spatialviz.app.state import CameraMode, ColorMode
 from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
@@ -20,11 +20,9 @@ class ViewSettings(Part):
     @command("color", "next-color=next")
     def paint(self, mode: str) -> None:
         """Paint the cloud in another way, or in the "next"."""
-        modes = get_args(ColorMode)
-        if mode == "next":
-            mode = modes[(modes.index(self.state.colors) + 1) % len(modes)]
-        if mode in modes:
-            self.ctx.show(colors=mode)
+        colors = choice(get_args(ColorMode), self.state.colors, mode)
+        if colors is not None:
+            self.ctx.show(colors=colors)
 
     @command("camera")
     def look_from(self, mode: str) -> None:

@@ -17,7 +17,7 @@ from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, needed
-from spatialviz.app.context import Context, Part, command
+from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.edit_messages import edited_by
 from spatialviz.app.edit_panel import cost_html, edit_html
 from spatialviz.app.edit_scene import MODES, BoxGizmo, EditScene, map_legend
@@ -145,12 +145,10 @@ class WhatIf(Part):
 
     @command("edit-mode")
     def _set_mode(self, mode: str) -> None:
-        state = self.state
-        if mode == "next":
-            mode = MODES[(MODES.index(state.mode) + 1) % len(MODES)]
-        if mode in MODES:
+        state, chosen = self.state, choice(MODES, self.state.mode, mode)
+        if chosen is not None:
             selected = state.pair[0] if state.selected is None and state.pair is not None else state.selected
-            self.ctx.show(mode=mode, selected=selected)
+            self.ctx.show(mode=chosen, selected=selected)
 
     # ---- map ------------------------------------------------------------------------
 
