@@ -15,7 +15,7 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.counted import counted
-from spatialviz.app.markup import BAD, Child, Element, h, named, note, panel
+from spatialviz.app.markup import BAD, Child, Element, button, h, named, note, panel
 from spatialviz.app.state import State
 from spatialviz.app.toolbar import level_html, up_chip
 
@@ -85,9 +85,11 @@ def verdict_html(state: State) -> Element | None:
     if isinstance(judged, str):
         return h.div(h.p(f"No verdict: {judged}", cls="dim sentence"), cls="verdict")
     stage = MODULE_OF.get(judged.verdict, "" if judged.verdict == "COMPOUND" else "LABEL")
-    button = h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why")
-    said = None if state.task == "explain" and judged.verdict in MODULE_OF else h.p(judged.text, cls="sentence")
-    return h.div(button, said, cls="verdict")
+    return h.div(
+        h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why"),
+        None if state.task == "explain" and judged.verdict in MODULE_OF else h.p(judged.text, cls="sentence"),
+        cls="verdict",
+    )
 
 
 def mend_button(state: State) -> Element | None:
@@ -96,7 +98,7 @@ def mend_button(state: State) -> Element | None:
         return None
     doubted = isinstance(state.judged, Diagnosis) and state.judged.verdict == "LABEL"
     hint = "the labelled pair and its expression (Shift+M)"
-    return h.button("correct this label", cls="try mend go" if doubted else "try mend", do="mend", title=hint)
+    return button("correct this label", "mend", hint, "mend go" if doubted else "mend")
 
 
 def answer_in_words(state: State) -> str:
@@ -116,10 +118,14 @@ def _pair(state: State) -> list[Child]:
     assert trace is not None
     pair = state.chosen or best
     answer = told(trace, state.name_of, pair)
-    # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
-    absent = note(_capital(answer.lead.strip())) if pair is best and answer.lead else None
-    fails = h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None
-    return [absent, _names(state, pair), _headline(pair), fails, h.div(answer.below, cls="dim")]
+    return [
+        # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
+        note(_capital(answer.lead.strip())) if pair is best and answer.lead else None,
+        _names(state, pair),
+        _headline(pair),
+        h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None,
+        h.div(answer.below, cls="dim"),
+    ]
 
 
 def _alone(state: State) -> Element | None:
@@ -141,8 +147,8 @@ def _names(state: State, pair: ScoredPair) -> Element:
     target, *ends = state.at(pair)
     parts: list[Child] = [named(colors["target"], state.shown.names[target])]
     for k, end in enumerate(() if pair.reference is None else ends):
-        between = h.span("and" if k else state.trace.phrase, cls="dim")
-        parts += [" ", between, " ", named(colors["reference"], state.shown.names[end])]
+        joint = h.span("and" if k else state.trace.phrase, cls="dim")
+        parts += [" ", joint, " ", named(colors["reference"], state.shown.names[end])]
     return h.h2(parts, cls="names")
 
 

@@ -118,11 +118,6 @@ class SceneClient:
         self._dark = True
         self._lock = threading.RLock()
 
-    @property
-    def attached(self) -> bool:
-        """Whether a browser shows it."""
-        return self._client is not None
-
     def attach(self, client: viser.ClientHandle) -> None:
         """Show everything to a browser's frame, seen from where it was seen last."""
         with self._lock:
@@ -164,18 +159,17 @@ class SceneClient:
             node = None
         if node is not None:
             node.visible = bool(len(points))
-            if len(points):
-                node.points, node.colors = points, np.asarray(color, np.uint8)
+        if len(points) and node is not None:
+            node.points, node.colors = points, np.asarray(color, np.uint8)
         elif len(points):
             self.scene.add_line_segments(name, points, color, thickness=width, thickness_units="screen")
 
     def anchor(self, name: str, position: np.ndarray) -> str:
         """Put a point of a name, which a tag may follow, somewhere; returns its name."""
-        node = self.scene.nodes.get(name)
-        if node is None:
-            self.scene.add_frame(name, show_axes=False, position=triple(position))
+        if name in self.scene.nodes:
+            self.scene.nodes[name].position = triple(position)
         else:
-            node.position = triple(position)
+            self.scene.add_frame(name, show_axes=False, position=triple(position))
         return name
 
     def clear(self, root: str) -> None:

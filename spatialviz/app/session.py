@@ -16,26 +16,29 @@ from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, UnknownClass
-from spatialviz.app import filling, selection
+from spatialviz.app import (
+    beside,
+    filling,
+    frame_cloud,
+    keys,
+    run_panel,
+    selection,
+    view_settings,
+    view_strings,
+    what_if,
+)
 from spatialviz.app.answer import answer_in_words
-from spatialviz.app.beside import BesideLayer
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Shared, command, commands_of
-from spatialviz.app.frame_cloud import FrameCloud, SceneAids
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
-from spatialviz.app.keys import Keys, meant
 from spatialviz.app.label_view import Target
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
-from spatialviz.app.run_panel import RunPanel, RunTab
 from spatialviz.app.stages import opened
 from spatialviz.app.state import NOTHING, shown_objects
 from spatialviz.app.toolbar import offers
-from spatialviz.app.view_settings import FrameSteps, ViewSettings
-from spatialviz.app.view_strings import BEGINS, Keeping, ViewStrings
-from spatialviz.app.what_if import WhatIf
 
 RECENT = 12
 """Questions that Ask offers again."""
@@ -61,15 +64,28 @@ class Session(Context):
         level = selection.LevelSurface(self)
         pointing = selection.Pointing(self, {"level": level.on_pixel})
         self._selection = selection.Selection(self, pointing.on_pixel)
-        self._aids, self._cloud, self._beside = SceneAids(self), FrameCloud(self), BesideLayer(self)
-        self._runs, self._figures = RunPanel(self), RunTab(self)
-        self._what_if, self._steps = WhatIf(self, self._judge.judge), FrameSteps(self)
-        self._labels, self._strings = Labelling(self, self._selection), ViewStrings(self, self._runs)
+        self._aids, self._cloud, self._beside = (
+            frame_cloud.SceneAids(self),
+            frame_cloud.FrameCloud(self),
+            beside.BesideLayer(self),
+        )
+        self._runs, self._figures = run_panel.RunPanel(self), run_panel.RunTab(self)
+        self._what_if, self._steps = what_if.WhatIf(self, self._judge.judge), view_settings.FrameSteps(self)
+        self._labels, self._strings = Labelling(self, self._selection), view_strings.ViewStrings(self, self._runs)
         parts = (
-            self, self._selection, ViewSettings(self), self._runs, self._figures, self._what_if, self._strings,
-            Keeping(self, self._judge, self._strings.now), self._beside, self._steps, level, pointing, Keys(self),
-            *self._labels.parts,
-        )  # fmt: skip
+            *(
+                self,
+                self._selection,
+                self._runs,
+                self._figures,
+                self._what_if,
+                self._strings,
+                self._beside,
+                self._steps,
+            ),
+            *(level, pointing, *self._labels.parts, view_settings.ViewSettings(self), keys.Keys(self)),
+            view_strings.Keeping(self, self._judge, self._strings.now),
+        )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
 
     def close(self) -> None:
@@ -125,7 +141,7 @@ class Session(Context):
 
     def handle(self, message: str) -> None:
         """Carry out a command such as "pair:3"; unknown ones are ignored."""
-        kind, _, argument = meant(message, self.state.labels is not None).partition(":")
+        kind, _, argument = keys.meant(message, self.state.labels is not None).partition(":")
         try:
             if kind in self._commands:
                 self._commands[kind](argument)
@@ -314,7 +330,7 @@ class Session(Context):
 
     @command("ask")
     def ask(self, text: str, draw: bool = True) -> None:
-        if BEGINS.match(text):
+        if view_strings.BEGINS.match(text):
             self.page.call("question", self.state.text)
             self._strings.restore(text)
             return

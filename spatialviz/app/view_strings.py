@@ -59,17 +59,17 @@ class ViewStrings(Part):
     @command("copy-state")
     def copy(self) -> None:
         """Put the view into the clipboard, and show it to be copied by hand."""
-        hint = (
-            "Paste it into the Ask field of a page, or open it with ",
-            h.code("spatialviz view --state STRING"),
-            ".",
-        )
         self.ctx.dialog.show(
             "This view as a string",
             (
                 _text(encode(self.now()), 5, "The string"),
                 h.div("copying …", cls="copied", role="status"),
-                h.div(hint, cls="dim small"),
+                h.div(
+                    "Paste it into the Ask field of a page, or open it with ",
+                    h.code("spatialviz view --state STRING"),
+                    ".",
+                    cls="dim small",
+                ),
             ),
             h.button("Copy again", local="copy"),
         )
@@ -296,14 +296,17 @@ class Keeping(Part):
             cls="find", value=name, enter="save-case", autofocus=True, spellcheck="false", autocomplete="off",
             aria_label="Name of the folder",
         )  # fmt: skip
-        hint = (
-            "A small folder with the picture, the detections and the answer. ",
-            h.code("spatialviz replay"),
-            " runs it again and says whether the answer is still the same.",
-        )
         self.ctx.dialog.show(
             "Save this answer as a case",
-            (h.div(h.span(f"{CASES}/", cls="dim"), field, cls="case"), h.div(hint, cls="dim small")),
+            (
+                h.div(h.span(f"{CASES}/", cls="dim"), field, cls="case"),
+                h.div(
+                    "A small folder with the picture, the detections and the answer. ",
+                    h.code("spatialviz replay"),
+                    " runs it again and says whether the answer is still the same.",
+                    cls="dim small",
+                ),
+            ),
             h.button("Save", local="send:save-case:"),
         )
 

@@ -154,14 +154,12 @@ class WhatIf(Part):
 
     @command("edit-map")
     def _toggle_map(self) -> None:
-        if self._map is not None:
-            self._map = None
-            self.ctx.draw()
-            return
+        shown, self._map = self._map, None
         try:
-            key = needed(self._selected_key(), "no candidate of the question is selected")
-            self._map = decision_map(self._base(), self.state.edits, key)
-            self.ctx.note(f"decision map of {self.state.named(key)}: {self._map.seconds * 1000:.0f} ms")
+            if shown is None:
+                key = needed(self._selected_key(), "no candidate of the question is selected")
+                self._map = decision_map(self._base(), self.state.edits, key)
+                self.ctx.note(f"decision map of {self.state.named(key)}: {self._map.seconds * 1000:.0f} ms")
         except InputError as error:
             self.ctx.page.toast("No decision map", str(error))
         self.ctx.draw()
@@ -180,10 +178,10 @@ class WhatIf(Part):
 
     def _selected_key(self) -> str | None:
         """The key of the selected object, where it is a candidate."""
-        state = self.state
-        if state.selected is None or state.selected not in state.shown.place.values():
+        i = self.state.selected
+        if i is None or i not in self.state.shown.place.values():
             return None
-        return state.key_at(state.selected, self.keys(self._base()))
+        return self.state.key_at(i, self.keys(self._base()))
 
     def follow(self, live: bool = False) -> None:
         """Bring the handles, what is drawn of the edits, and the Edit tab up to the state."""
@@ -193,9 +191,8 @@ class WhatIf(Part):
             return
         candidate = selected is not None and selected in state.shown.place.values()
         box = None
-        if selected is not None and candidate and state.mode != "off" and state.loaded is not None:
-            box = state.shown.objects[selected].lifted.box
-            self._held = self._selected_key()
+        if selected is not None and candidate and state.mode != "off":
+            box, self._held = state.shown.objects[selected].lifted.box, self._selected_key()
         self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
         if not live and self._map is not None:
             self._renewed_map()
@@ -215,13 +212,10 @@ def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str |
     """
     assert state.loaded is not None
     outcome, trace = edited.after, edited.after.trace
-    chosen = state.chosen
-    first = chosen is None or chosen is state.ranked[0]
-    named = (
-        None
-        if chosen is None
-        else tuple(keys[i] for i in (chosen.target, chosen.reference, chosen.second_reference) if i is not None)
-    )
+    chosen, named = state.chosen, None
+    # The answer itself is followed by the new one.
+    if chosen is not None and chosen is not state.ranked[0]:
+        named = [keys[i] for i in (chosen.target, chosen.reference, chosen.second_reference) if i is not None]
     selected = None if state.selected is None else state.key_at(state.selected, keys)
     changed = replace(
         state,
@@ -236,8 +230,8 @@ def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str |
     at = {key: changed.shown.place[i] for i, key in enumerate(outcome.keys)}
     at |= {f"#{o.id}": i for i, o in enumerate(changed.shown.objects) if o.id >= 0 and f"#{o.id}" not in at}
     pairs = [changed.at(p) for p in changed.ranked]
-    kept = None if named is None or any(key not in at for key in named) else tuple(at[key] for key in named)
-    pair = kept if kept in pairs and not first else pairs[0] if pairs else None
+    kept = None if named is None else tuple(at.get(key) for key in named)
+    pair = next((pair for pair in pairs if pair == kept), pairs[0] if pairs else None)
     return replace(changed, pair=pair, selected=None if selected is None else at.get(selected))
 
 
