@@ -16,7 +16,7 @@ from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.counted import counted
 from spatialviz.app.markup import BAD, Child, Element, button, h, named, note, panel
-from spatialviz.app.state import State
+from spatialviz.app.state import State, same_thing
 from spatialviz.app.toolbar import level_html, up_chip
 
 HINT = "Type TARGET RELATION REFERENCE above, for example “mug left of the laptop”, and press Enter."
@@ -229,8 +229,8 @@ def _other(state: State, trace: Trace) -> list[Child]:
         rows.append(h.tr(h.th(name, scope="row"), cells))
     moved = ""
     if mine is not None and other.best is not None and other.trace is not None:
-        ours, theirs = trace.objects[mine.target].bbox, other.trace.objects[other.best.target].bbox
-        moved = "the same target" if float(iou_2d(ours, theirs)[0, 0]) >= 0.5 else "another target"
+        same = same_thing(trace, mine.target, other.trace.objects[other.best.target])
+        moved = "the same target" if same else "another target"
     head = h.tr(h.td(), h.td(), (h.th(name, cls="n") for name in ("tgt", "ref", "rel")))
     return [
         h.h3("Against the other run", h.span(f"{other.name}: {moved}")),

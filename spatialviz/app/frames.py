@@ -88,14 +88,13 @@ class LoadedFrame:
         return cloud_of(self.context)
 
 
+@dataclass(eq=False)
 class _Making:
-    """A frame that is being made, by whoever asked first."""
+    """A frame that is being made, by whoever asked first; `wanted` where a page waits for it."""
 
-    def __init__(self, opened: Pipeline) -> None:
-        self.opened = opened
-        self.frame: Future[LoadedFrame] = Future()
-        self.wanted = False
-        """A page waits for it."""
+    opened: Pipeline
+    frame: Future[LoadedFrame] = field(default_factory=Future)
+    wanted: bool = False
 
 
 class FrameStore:

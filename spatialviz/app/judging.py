@@ -68,20 +68,22 @@ class Judge(Part):
             self._kept = key, corrected, annotated_truth(context, source) if found is None else found
         return self._kept[2]
 
-    def judge(self, trace: Trace, rank: RankConfig | None = None) -> Diagnosis | str | None:
-        """The verdict, why there can be none, or None where nothing is known of the frame.
-
-        `rank` are the weights of an edited trace.
-        """
-        return self._judge(trace, self.ctx.source, self._context, rank)
-
     @property
     def _context(self) -> PreparedFrame:
         return needed(self.state.loaded, "the frame cannot be shown").context
 
-    def _judge(
-        self, trace: Trace, source: Pipeline, context: PreparedFrame, rank: RankConfig | None = None
+    def judge(
+        self,
+        trace: Trace,
+        rank: RankConfig | None = None,
+        source: Pipeline | None = None,
+        context: PreparedFrame | None = None,
     ) -> Diagnosis | str | None:
+        """The verdict, why there can be none, or None where nothing is known of the frame.
+
+        `rank` are the weights of an edited trace, `source` and `context` those of another run.
+        """
+        source, context = source or self.ctx.source, context or self._context
         expression = self.state.expression_id(trace.query.text)
         try:
             truth, corrected = self.truth(source, context), self._corrected
@@ -121,4 +123,4 @@ class Judge(Part):
             trace = run.source.ask(own, text)
         except InputError as error:
             return OtherAnswer(run.name, None, error=str(error))
-        return OtherAnswer(run.name, trace, self._judge(trace, run.source, own))
+        return OtherAnswer(run.name, trace, self.judge(trace, None, run.source, own))

@@ -124,23 +124,10 @@ def _name_place(state: State, i: int) -> tuple[float, float]:
     return float(entry.bbox[0]), float(entry.bbox[1])
 
 
-def object_at(state: State, x: float, y: float) -> int | None:
-    """The smallest object whose mask (else whose 2D box) holds a point, given as fractions of width and height."""
-    return _smallest_at(state.shown.objects, x, y) if state.own_layer else None
-
-
-def second_at(state: State, x: float, y: float) -> int | None:
-    """The same of the second detector's objects."""
-    return _smallest_at(state.second_layer, x, y)
-
-
-def _smallest_at(objects: Sequence[SceneObject], x: float, y: float) -> int | None:
-    if not objects:
-        return None
-    height, width = objects[0].mask.shape
-    u, v = int(np.clip(x * width, 0, width - 1)), int(np.clip(y * height, 0, height - 1))
-    hits = [i for i, o in enumerate(objects) if o.mask[v, u]]
-    return min(hits, key=lambda i: objects[i].lifted.quality.mask_pixels) if hits else None
+def smallest_at(objects: Sequence[SceneObject], pixel: tuple[int, int] | None) -> int | None:
+    """The smallest object whose mask holds a pixel (u, v)."""
+    hits = [] if pixel is None else [i for i, o in enumerate(objects) if o.mask[pixel[::-1]]]
+    return min(hits, key=lambda i: objects[i].lifted.quality.mask_pixels, default=None)
 
 
 def window(ids: Sequence[str], current: int) -> range:

@@ -1,4 +1,4 @@
-"""What a click is for: an object or a pair is selected, a level surface named, a length measured."""
+"""How a client looks at its dataset: which frame, how it is shown, what is selected, what a click is for."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import get_args
 
-from pipeline.datasets import write_settings
+import numpy as np
+
+from pipeline.datasets import moves, write_settings
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.camera import depth_at
 from pipeline.geometry.level_plane import level_normal_at
 from pipeline.system.errors import InputError, require
-from spatialviz.app.context import Context, Part, command
+from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.frames import LoadedFrame, ToldUp
 from spatialviz.app.label_view import paired
-from spatialviz.app.picture import object_at, second_at
-from spatialviz.app.state import Tool
+from spatialviz.app.picture import frames_html, smallest_at, window
+from spatialviz.app.state import CameraMode, ColorMode, Tool
+from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 
 
 class Selection(Part):
@@ -34,23 +37,28 @@ class Selection(Part):
             pair = state.pair if state.labels is None else paired(state.pair, now, state.selected)
             self.ctx.show(selected=now, pair=pair, second=None)
 
-    def select_on_ray(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
-        """A click in the scene: the object whose pixel was hit, else the smallest box on the way."""
-        loaded = self.state.loaded
-        if loaded is None or (pixel is not None and self._taken(*pixel)):
+    def click(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
+        """A click in the scene or the picture: what its pixel shows, else the smallest box on the way.
+
+        What only the second detector has there is selected of it.
+        """
+        state = self.state
+        if state.loaded is None or (pixel is not None and self._taken(*pixel)):
             return
-        at = None
-        if pixel is not None:
-            frame = loaded.context.frame
-            at = (pixel[0] + 0.5) / frame.width, (pixel[1] + 0.5) / frame.height
-        self._select_first(at, boxes)
+        own = smallest_at(state.shown.objects if state.own_layer else (), pixel)
+        second = smallest_at(state.second_layer, pixel) if own is None else None
+        found = next((i for i in (own, *boxes) if i is not None), None)
+        if second is not None:
+            self.ctx.show(selected=None, second=second)
+        elif found is not None and found != state.selected:
+            self.select(found)
 
     @command("chip")
     def select_role(self, role: str) -> None:
         """A click on a word of the expression: the object that fills it."""
         pair = self.state.pair
         if pair is not None:
-            self._select_first(None, [pair[0 if role == "target" else 1]])
+            self.click(None, [pair[0 if role == "target" else 1]])
 
     @command("image")
     def select_at(self, fractions: str) -> None:
@@ -59,22 +67,9 @@ class Selection(Part):
             x, y = (float(part) for part in fractions.split(","))
         except ValueError:
             return
-        if self.state.loaded is not None:
+        if self.state.loaded is not None and np.isfinite([x, y]).all():
             height, width = self.state.loaded.context.frame.depth.shape
-            if not self._taken(min(int(x * width), width - 1), min(int(y * height), height - 1)):
-                self._select_first((x, y), [])
-
-    def _select_first(self, at: tuple[float, float] | None, others: list[int]) -> None:
-        """Select what is at a point of the picture, also where only the second detector has it; else of `others`."""
-        state = self.state
-        found = None if at is None else object_at(state, *at)
-        second = None if at is None or found is not None else second_at(state, *at)
-        if second is not None:
-            self.ctx.show(selected=None, second=second)
-            return
-        found = next((i for i in (found, *others) if i is not None), None)
-        if found is not None and found != state.selected:
-            self.select(found)
+            self.click((int(np.clip(x * width, 0, width - 1)), int(np.clip(y * height, 0, height - 1))), [])
 
     @command("pair")
     def choose_pair(self, place: int) -> None:
@@ -179,3 +174,98 @@ class LevelSurface(Part):
     def _tell(self, title: str, text: str) -> None:
         self.ctx.note(text)
         self.ctx.page.toast(title, text)
+
+
+POINT_STEP = 1.25
+
+
+class ViewSettings(Part):
+    """Changes how one client looks."""
+
+    @command("color", "next-color=next")
+    def paint(self, mode: str) -> None:
+        """Paint the cloud in another way, or in the "next"."""
+        colors = choice(get_args(ColorMode), self.state.colors, mode)
+        if colors is not None:
+            self.ctx.show(colors=colors)
+
+    @command("camera")
+    def look_from(self, mode: str) -> None:
+        """Fly to one of the places to look from."""
+        if mode in get_args(CameraMode) and self.state.loaded is not None:
+            self.ctx.show(camera=mode)
+            self.ctx.scene.viewpoint.fly(mode)
+
+    @command("flag")
+    def toggle(self, flag: str) -> None:
+        """Show or hide something."""
+        flags = self.state.flags
+        if flag in FLAGS:
+            self.ctx.show(flags=replace(flags, **{flag: not getattr(flags, flag)}))
+
+    @command("point-size")
+    def size_points(self, text: str) -> None:
+        """Draw the points by a factor of their size; "more" and "less" are steps."""
+        state, steps = self.state, {"more": POINT_STEP, "less": 1 / POINT_STEP}
+        try:
+            factor = state.point_size * steps[text] if text in steps else float(text)
+        except ValueError:
+            return
+        if LEAST_POINT <= (factor := round(factor, 2)) <= LARGEST_POINT:
+            self.state = replace(state, point_size=factor)
+            # The slider stands where the hand has put it.
+            self.ctx.draw(live=text not in steps)
+
+    @command("theme")
+    def switch_theme(self) -> None:
+        """Dark becomes light, and light dark."""
+        self.ctx.client.set_dark(not self.state.dark)
+        self.ctx.show(dark=not self.state.dark)
+
+
+BROWSED = 6
+"""Small pictures that are made at once: whatever the user does comes between."""
+
+
+class FrameSteps(Part):
+    """Opens frames for one client, and fills its grid of them."""
+
+    @property
+    def _ids(self) -> tuple[str, ...]:
+        return tuple(self.ctx.source.dataset.frame_ids)
+
+    @command("frame")
+    def open_number(self, number: str) -> None:
+        """Show the frame of a number."""
+        if number.isdecimal() and int(number) < len(self._ids):
+            self.ctx.open_frame(self._ids[int(number)])
+
+    @command("next-frame")
+    def step(self, by: str) -> None:
+        """Show the next frame, or the one before."""
+        if by.lstrip("-").isdecimal():
+            self.open_number(str(self._ids.index(self.state.frame_id) + int(by)))
+
+    @command("move")
+    def move(self, move: str) -> None:
+        """Go where a move of the dataset's robot leads; one that is not possible does nothing."""
+        to = moves(self.ctx.source.dataset, self.state.frame_id).get(move)
+        if to is not None:
+            self.ctx.open_frame(to)
+
+    def browse(self) -> None:
+        """Fill the grid of small pictures bit by bit, behind whatever the user does."""
+        ids, source, frame = self._ids, self.state.source, self.state.frame_id
+        at = ids.index(frame)
+        total = len(window(ids, at))
+
+        def fill(ready: int) -> None:
+            if (self.state.source, self.state.frame_id) != (source, frame) or self.ctx.closed.is_set():
+                return
+            self.ctx.page.show("frames", frames_html(self.state, ids, self.ctx.shared.store, ready))
+            if ready < total:
+                self.ctx.post(lambda: fill(min(ready + BROWSED, total)))
+            else:
+                self.ctx.shared.store.prepare(source, (*ids[at + 1 : at + 2], *ids[max(0, at - 1) : at]))
+
+        self.ctx.post(lambda: fill(min(BROWSED, total)))

@@ -23,7 +23,6 @@ from spatialviz.app import (
     keys,
     run_panel,
     selection,
-    view_settings,
     view_strings,
     what_if,
 )
@@ -64,27 +63,26 @@ class Session(Context):
         level = selection.LevelSurface(self)
         pointing = selection.Pointing(self, {"level": level.on_pixel})
         self._selection = selection.Selection(self, pointing.on_pixel)
-        self._aids, self._cloud, self._beside = (
-            frame_cloud.SceneAids(self),
-            frame_cloud.FrameCloud(self),
-            beside.BesideLayer(self),
-        )
+        self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
+        self._beside = beside.BesideLayer(self)
         self._runs, self._figures = run_panel.RunPanel(self), run_panel.RunTab(self)
-        self._what_if, self._steps = what_if.WhatIf(self, self._judge.judge), view_settings.FrameSteps(self)
+        self._what_if, self._steps = what_if.WhatIf(self, self._judge.judge), selection.FrameSteps(self)
         self._labels, self._strings = Labelling(self, self._selection), view_strings.ViewStrings(self, self._runs)
         parts = (
-            *(
-                self,
-                self._selection,
-                self._runs,
-                self._figures,
-                self._what_if,
-                self._strings,
-                self._beside,
-                self._steps,
-            ),
-            *(level, pointing, *self._labels.parts, view_settings.ViewSettings(self), keys.Keys(self)),
+            self,
+            self._selection,
+            self._runs,
+            self._figures,
+            self._what_if,
+            self._strings,
+            self._beside,
+            self._steps,
+            level,
+            pointing,
+            selection.ViewSettings(self),
+            keys.Keys(self),
             view_strings.Keeping(self, self._judge, self._strings.now),
+            *self._labels.parts,
         )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
 
@@ -152,7 +150,7 @@ class Session(Context):
         """A click in the scene: for the draft of pixels, else it selects."""
         pixel = pixel if self.state.flags.cloud else None
         if not self._labels.pixels.on_ray(pixel):
-            self._selection.select_on_ray(pixel, boxes)
+            self._selection.click(pixel, boxes)
 
     @command("close-dialog")
     def _close_dialog(self) -> None:
@@ -266,6 +264,7 @@ class Session(Context):
         """Open the frame anew, with its question."""
         self.open_frame(self.state.frame_id, first=True, asking=self.state.text)
 
+    @command("open")
     def open_frame(self, frame_id: str, first: bool = False, asking: str | None = None) -> None:
         """Show a frame and ask `asking` of it; without, what was asked before, or on a `first` frame what fits it."""
         if frame_id == self.state.frame_id and not first:

@@ -320,7 +320,7 @@ class State:
         )
         for name, place, own in ends:
             entry = None if place is None else other.trace.objects[place]
-            if entry is not None and entry.lifted.box is not None and not _same(self.trace, own, entry):
+            if entry is not None and entry.lifted.box is not None and not same_thing(self.trace, own, entry):
                 found.append(Ghost(f"other-{name}", f"{other.name}: {entry.label}", entry.lifted.box, "edited"))
         return found
 
@@ -359,7 +359,7 @@ class State:
         return replace(place, text=None, item=None if card is None else (card.a, card.b))
 
 
-def _same(trace: Trace | None, place: int | None, other: SceneObject) -> bool:
+def same_thing(trace: Trace | None, place: int | None, other: SceneObject) -> bool:
     """Whether two answers mean one thing, as the comparison of two runs has it."""
     if trace is None or place is None:
         return False

@@ -208,9 +208,11 @@ def offers(typed: str, state: State, suggestions: Sequence[str], asked: Sequence
         return _distinct(whole)
     found = [o for o in whole if o["text"].lower().startswith(text) and o["text"].lower() != text]
     names = sorted({o.label for o in state.shown.objects}, key=lambda n: (len(n), n))
+    # A relation follows a name, else a name does.
+    due = "relation" if any(text.rstrip().endswith(name.lower()) for name in names) else "name"
     for kind, vocabulary in (("name", names), ("relation", list(dict.fromkeys(PHRASE.values())))):
         for word in vocabulary:
-            if _begins(text, word.lower()) or (text.endswith(" ") and kind == _next(text, names)):
+            if _begins(text, word.lower()) or (text.endswith(" ") and kind == due):
                 found.append({"text": word, "kind": kind, "detail": "in this frame" if kind == "name" else kind})
     return _distinct(found)
 
@@ -219,11 +221,6 @@ def _begins(text: str, word: str) -> bool:
     """Whether the end of a text, from the beginning of a word of it, begins this word."""
     starts = (k for k in range(max(0, len(text) - len(word) + 1), len(text)) if k == 0 or text[k - 1] == " ")
     return any(word.startswith(text[k:]) for k in starts)
-
-
-def _next(text: str, names: Sequence[str]) -> str:
-    """What follows a text that ends with a whole word: a relation after a name, else a name."""
-    return "relation" if any(text.rstrip().endswith(name.lower()) for name in names) else "name"
 
 
 def _distinct(found: list[dict[str, str]]) -> list[dict[str, str]]:
