@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -17,12 +17,10 @@ KEPT_CALLS = ("tags", "keys", "theme", "task", "pixels", "pixelsPicture", "askin
 """Calls that a page which comes back must hear again."""
 
 
-def listed(ids: Sequence[str], current: str) -> tuple[str, ...]:
-    """The frames that the list of frames offers."""
-    if len(ids) <= LISTED_FRAMES:
-        return tuple(ids)
-    start = max(0, min(ids.index(current) - LISTED_FRAMES // 2, len(ids) - LISTED_FRAMES))
-    return tuple(ids[start : start + LISTED_FRAMES])
+def window(count: int, current: int, most: int = LISTED_FRAMES) -> range:
+    """The places of at most so many frames around the current one."""
+    start = max(0, min(current - most // 2, count - most))
+    return range(start, min(start + most, count))
 
 
 class Page:

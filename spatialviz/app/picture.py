@@ -14,6 +14,7 @@ from pipeline.geometry.palette import depth_colors, depth_ends, hex_color, palet
 from spatialviz.app.beside import name_tag, second_overlay
 from spatialviz.app.frame_cloud import frame_colors
 from spatialviz.app.frames import FrameStore, jpeg_url, png_url
+from spatialviz.app.layout import window
 from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
@@ -130,16 +131,10 @@ def smallest_at(objects: Sequence[SceneObject], pixel: tuple[int, int] | None) -
     return min(hits, key=lambda i: objects[i].lifted.quality.mask_pixels, default=None)
 
 
-def window(ids: Sequence[str], current: int) -> range:
-    """The places of the frames that are shown around the current one."""
-    start = max(0, min(current - SHOWN_FRAMES // 2, len(ids) - SHOWN_FRAMES))
-    return range(start, min(start + SHOWN_FRAMES, len(ids)))
-
-
 def frames_html(state: State, ids: Sequence[str], store: FrameStore, ready: int | None = None) -> Element:
     """Small pictures of the frames around the current one; those beyond `ready` are still to come."""
     current = ids.index(state.frame_id)
-    places, cells = window(ids, current), []
+    places, cells = window(len(ids), current, SHOWN_FRAMES), []
     for number, i in enumerate(places):
         url, reason = store.thumb(state.source, ids[i]) if ready is None or number < ready else ("", "…")
         image = h.img(src=url, alt="", loading="lazy") if url else h.span(reason, cls="none", title=reason)

@@ -247,7 +247,9 @@ class Viewpoint:
         self._to_show = np.eye(3)
         self._camera: Camera | None = None
         self._placed: tuple[str, float, np.ndarray] | None = None
-        self._reached = self._moved = False
+        self._reached = False
+        self.untouched = True
+        """Whether the view is as it was placed, nobody having turned it since."""
         self._about: np.ndarray | None = None
 
         @client.camera.on_update
@@ -257,7 +259,7 @@ class Viewpoint:
             kind, aspect, eye = self._placed
             there = np.linalg.norm(np.array(camera.position) - eye) < 0.02
             if self._reached and not there:
-                self._placed, self._moved = None, True
+                self._placed, self.untouched = None, False
                 return
             # Until the browser has taken the pose over it reports an older one.
             self._reached = self._reached or bool(there)
@@ -286,17 +288,12 @@ class Viewpoint:
             self._turn(position=p0 * (1 - t) + eye * t, look_at=l0 * (1 - t) + look * t, fov=f0 * (1 - t) + fov * t)
             self._client.flush()
             time.sleep(1 / 40)
-        self._placed, self._reached, self._moved = (kind, self._aspect, eye), False, False
+        self._placed, self._reached, self.untouched = (kind, self._aspect, eye), False, True
 
     def _turn(self, **pose: Any) -> None:
         with self._client.atomic():
             for name, value in pose.items():
                 setattr(self._client.camera, name, value)
-
-    @property
-    def untouched(self) -> bool:
-        """Whether the view is as it was placed, nobody having turned it since."""
-        return not self._moved
 
     @property
     def _aspect(self) -> float:
@@ -305,7 +302,7 @@ class Viewpoint:
     def place(self, kind: str) -> None:
         """The same at once; repeated when the shape of the page changes before anybody has turned the view."""
         eye, look, fov = self._pose(kind)
-        self._placed, self._reached, self._moved = (kind, self._aspect, eye), False, False
+        self._placed, self._reached, self.untouched = (kind, self._aspect, eye), False, True
         self._turn(up_direction=self._up(kind), position=eye, look_at=look, fov=fov)
 
     def turned_to(self) -> tuple[CameraView, float] | None:
@@ -321,7 +318,7 @@ class Viewpoint:
         eye, look, up = (self._to_show @ np.array(v) for v in (view.position, view.look_at, view.up))
         if np.linalg.norm(look - eye) < 1e-4 or np.linalg.norm(np.cross(look - eye, up)) < 1e-6:
             return  # No way to look.
-        self._placed, self._moved = None, True
+        self._placed, self.untouched = None, False
         width = {"fov": fov} if fov is not None and 0.05 < fov < 3.0 else {}
         self._turn(up_direction=up, position=eye, look_at=look, **width)
 
@@ -329,7 +326,7 @@ class Viewpoint:
         """Turn around an object: look at it from where the camera stands, nearer."""
         center = self._to_show @ box.center
         # The next frame is shown as a whole again.
-        self._placed, self._moved = None, False
+        self._placed, self.untouched = None, True
         away = np.array(self._client.camera.position) - center
         away *= max(float(np.linalg.norm(box.size)) * 1.9, 0.5) / max(float(np.linalg.norm(away)), 1e-6)
         self._turn(position=center + away, look_at=center)

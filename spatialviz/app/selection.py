@@ -16,7 +16,8 @@ from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.frames import LoadedFrame, ToldUp
 from spatialviz.app.label_view import paired
-from spatialviz.app.picture import frames_html, smallest_at, window
+from spatialviz.app.layout import window
+from spatialviz.app.picture import SHOWN_FRAMES, frames_html, smallest_at
 from spatialviz.app.state import CameraMode, ColorMode, Tool
 from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 
@@ -257,7 +258,7 @@ class FrameSteps(Part):
         """Fill the grid of small pictures bit by bit, behind whatever the user does."""
         ids, source, frame = self._ids, self.state.source, self.state.frame_id
         at = ids.index(frame)
-        total = len(window(ids, at))
+        total = len(window(len(ids), at, SHOWN_FRAMES))
 
         def fill(ready: int) -> None:
             if (self.state.source, self.state.frame_id) != (source, frame) or self.ctx.closed.is_set():

@@ -11,7 +11,7 @@ from pipeline.geometry.palette import DROPPED
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.beside import layers_html
 from spatialviz.app.keys import KEYS, MOVE_KEYS
-from spatialviz.app.layout import listed
+from spatialviz.app.layout import window
 from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, note, panel, segments, words
 from spatialviz.app.state import State
 
@@ -152,8 +152,9 @@ def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list
         type="text", value=state.frame_id, list="frame-ids", aria_label="Frame", change="open:", cls="frame-id",
         autocomplete="off", spellcheck="false",
     )  # fmt: skip
-    offered = h.datalist((h.option(value=one) for one in listed(ids, state.frame_id)), id="frame-ids")
-    return [dataset, field, offered, frame_nav_html(ids.index(state.frame_id), len(ids))]
+    at = ids.index(state.frame_id)
+    offered = h.datalist((h.option(value=ids[i]) for i in window(len(ids), at)), id="frame-ids")
+    return [dataset, field, offered, frame_nav_html(at, len(ids))]
 
 
 def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | None:
