@@ -95,6 +95,11 @@ class LabelView:
         numbers = self.numbers
         return numbers.index(number) if number in numbers else None
 
+    def places(self, *numbers: int) -> tuple[int, ...] | None:
+        """Where objects are in `State.shown`; None where one of them stands no longer."""
+        found = tuple(place for place in map(self.place, numbers) if place is not None)
+        return found if len(found) == len(numbers) else None
+
 
 def paired(pair: tuple[int, ...] | None, selected: int | None, before: int | None) -> tuple[int, ...] | None:
     """The pair after a selection: what is selected now, and what was selected before it."""

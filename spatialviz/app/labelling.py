@@ -5,91 +5,60 @@ from __future__ import annotations
 import threading
 from contextlib import suppress
 
-from platformdirs import user_data_path
-
 from pipeline.corrections.unsaved import Waiting
 from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, Part
+from spatialviz.app.context import Context
 from spatialviz.app.correct import Correct
 from spatialviz.app.label_object import LabelObject
 from spatialviz.app.pixels import Pixels
 from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.review_queue import ReviewQueue
-from spatialviz.app.selection import Selection
 from spatialviz.app.sentences import Conflicts, Sentences
 
 
 class Labelling:
     """The labels of one client."""
 
-    def __init__(self, ctx: Context, selection: Selection) -> None:
-        self.correct = correct = Correct(ctx)
-        self.pixels = Pixels(ctx, correct, selection)
-        self.object = LabelObject(ctx, correct)
-        self._queue = ReviewQueue(ctx, correct)
-        self._retrain = RetrainPanel(ctx, user_data_path("spatialviz") / "retrained")
-        conflicts = Conflicts(ctx, correct)
-        correct.on_conflict = conflicts.show
+    def __init__(self, ctx: Context) -> None:
+        self.correct, self.pixels, self.object = Correct(ctx), Pixels(ctx), LabelObject(ctx)
+        self._queue, self._retrain = ReviewQueue(ctx), RetrainPanel(ctx)
         self.parts = (
-            correct,
-            self.pixels,
-            self.object,
-            self._queue,
-            self._retrain,
-            Sentences(ctx, correct),
-            conflicts,
-        )
+            self.correct, self.pixels, self.object, self._queue, self._retrain, Sentences(ctx), Conflicts(ctx),
+        )  # fmt: skip
         if ctx.shared.journals:
-            Watch(ctx, correct)
+            threading.Thread(target=_watch, args=(ctx, self.correct), daemon=True, name="labels-watch").start()
 
     def follow(self) -> None:
         """Bring the tabs of the labels up to the state."""
-        self.correct.follow()
-        self._queue.follow()
-        self._retrain.draw()
-        self.pixels.follow()
+        for part in (self.correct, self._queue, self._retrain, self.pixels):
+            part.follow()
 
 
 PERIOD_SECONDS = 2.0
 
 
-class Watch(Part):
-    """Asks the journal of one client every few seconds on a thread of its own, so that a slow one holds nobody up.
+def _watch(ctx: Context, correct: Correct) -> None:
+    """Ask the journal every few seconds, on a thread of its own, so that a slow one holds nobody up.
 
-    What is found is handled on the session's thread.
+    What is found is handled on the page's own thread.
     """
-
-    def __init__(self, ctx: Context, correct: Correct) -> None:
-        super().__init__(ctx)
-        self._correct = correct
-        self._told: object = None
-        threading.Thread(target=self._work, daemon=True, name="labels-watch").start()
-
-    def _work(self) -> None:
-        while not self.ctx.closed.wait(PERIOD_SECONDS):
-            # Where the journal cannot be read now, what waits says so already, and is tried again all the same.
-            for job in (self._save_again, self._look):
-                with suppress(InputError):
-                    job()
-
-    def _save_again(self) -> None:
-        desk = self._correct.open_desk
-        if desk is None:
-            return
-        for outcome in desk.retry() if desk.waiting else ():
-            if not isinstance(outcome, Waiting):
-                self.ctx.post(lambda outcome=outcome: self._correct.came_to(outcome, "saved at last"))
-        # Another page of the same author may have saved or decided something, too.
-        kept = tuple((w.group, w.problem) for w in desk.waiting), desk.disputed
-        if kept != (self._told or ((), ())):
-            self._told = kept
-            self.ctx.post(self._correct.refresh)
-
-    def _look(self) -> None:
-        state, desk = self.state, self._correct.open_desk
-        if desk is None or state.labels is None:
-            return
-        frame = state.frame_id
-        found = desk.news(frame)
-        if found or desk.replaced(frame):
-            self.ctx.post(lambda: self._correct.took(frame, found))
+    told = (), ()
+    while not ctx.closed.wait(PERIOD_SECONDS):
+        state, editor = ctx.state, ctx.editors.opened(ctx.state.source)
+        if editor is None:
+            continue
+        # Where the journal cannot be read now, what waits says so already, and is tried again all the same.
+        with suppress(InputError):
+            for outcome in editor.retry() if editor.waiting else ():
+                if not isinstance(outcome, Waiting):
+                    ctx.post(lambda outcome=outcome: correct.came_to(outcome, "saved at last"))
+            # Another page of the same author may have saved or decided something, too.
+            kept = tuple((w.group, w.problem) for w in editor.waiting), editor.disputed
+            if kept != told:
+                told = kept
+                ctx.post(correct.refresh)
+        with suppress(InputError):
+            frame = state.frame_id
+            found = editor.news(frame) if state.labels is not None else ()
+            if found or (state.labels is not None and editor.replaced(frame)):
+                ctx.post(lambda frame=frame, found=found: correct.took(frame, found))

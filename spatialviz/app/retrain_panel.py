@@ -3,38 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from platformdirs import user_data_path
+
 from pipeline.corrections.review.label_jobs import CANCELLED, RetrainingJob, TrainingProgress
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, Part, command
-from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel
+from spatialviz.app.context import Context, command
+from spatialviz.app.label_part import LabelPart
+from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel, progress
 from spatialviz.app.place import Place
 
 
-class RetrainPanel(Part):
+class RetrainPanel(LabelPart):
     """Trains, compares, makes the run again, and installs by choice."""
 
-    def __init__(self, ctx: Context, folder: Path) -> None:
+    def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._folder, journals = folder, ctx.shared.journals
+        journals = ctx.shared.journals
         self._last = {name: place.jobs.training.seen for name, place in journals.items()}
         ctx.leave += [
-            place.jobs.training.listen(lambda name=name: ctx.post(lambda: self._follow(name)))
+            place.jobs.training.listen(lambda name=name: ctx.post(lambda: self._tell(name)))
             for name, place in journals.items()
         ]
 
-    @property
-    def _training(self) -> TrainingProgress:
-        place = self.ctx.shared.journals.get(self.state.source)
-        return TrainingProgress() if place is None else place.jobs.training.seen
-
-    def _follow(self, name: str) -> None:
+    def _tell(self, name: str) -> None:
         """Say what has begun or ended, whoever began it, and draw."""
         was, now = self._last[name], self.ctx.shared.journals[name].jobs.training.seen
         self._last[name] = now
@@ -45,48 +44,44 @@ class RetrainPanel(Part):
                 f"retrained in {now.seconds:.0f} s: {now.record['folder']}"
             )  # fmt: skip
             self.ctx.note("retraining was stopped" if now.problem == CANCELLED else done)
-        self.draw()
+        self.follow()
 
     @command("retrain")
     def start(self) -> None:
         """Train on the labels of the source that is looked at, as they are now."""
-        name = self.state.source
-        place = self.ctx.shared.journals.get(name)
-        if place is None or self._training.running:
-            return
-        run = self.ctx.shared.runs.get(name)
-        place.jobs.train(
-            RetrainingJob(
-                place.labels.root,
-                self._folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}",
-                None if place.where is None else str(place.where),
-                place.project,
-                str(self.ctx.shared.store.sources[name].dataset.root),
-                run=None if run is None else run.folder,
+        name, place, run = self.state.source, self.location, self.ctx.run
+        folder = user_data_path("spatialviz") / "retrained"
+        if not place.jobs.training.seen.running:
+            place.jobs.train(
+                RetrainingJob(
+                    place.labels.root,
+                    folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}",
+                    None if place.where is None else str(place.where),
+                    place.project,
+                    str(self.ctx.source.dataset.root),
+                    run=None if run is None else run.folder,
+                )
             )
-        )
 
     @command("stop-training")
     def stop(self) -> None:
         """End a training, whoever began it; nothing of it stays."""
-        place = self.ctx.shared.journals.get(self.state.source)
-        if place is not None:
-            place.jobs.training.stop()
+        self.location.jobs.training.stop()
 
     @command("install")
     def install(self, name: str) -> None:
         """Install the trained network under a name, and answer the question that is asked with it."""
-        training = self._training
-        if training.record is None:
+        training = self.location.jobs.training
+        if training.seen.record is None:
             return
         try:
-            done = install_network(Path(training.record["network"]), name.strip())
+            done = install_network(Path(training.seen.record["network"]), name.strip())
         except InputError as error:
             self.ctx.page.toast("Not installed", str(error), bad=True)
             self.ctx.note(f"not installed: {error}")
             return
         self.ctx.note(f"installed: --srm {done.name} is {done.path}")
-        self.ctx.shared.journals[self.state.source].jobs.training.change(lambda now: replace(now, installed=done.name))
+        training.change(lambda now: replace(now, installed=done.name))
         if self.state.labels is None:
             # While labels are shown nothing is asked that it could answer.
             self.ctx.handle(f"edit:set:scorer:{done.name}")
@@ -97,18 +92,17 @@ class RetrainPanel(Part):
         frame, _, text = said.partition("|")
         self.ctx.go(Place(self.state.source, frame, text))
 
-    def draw(self) -> None:
+    def follow(self) -> None:
         """Bring the section up to what is known."""
-        name = self.state.source
-        place = self.ctx.shared.journals.get(name)
+        place = self.ctx.shared.journals.get(self.state.source)
         if place is None:
             return
-        try:
+        corrections = None
+        with suppress(InputError):
             journal = place.to_read()
             corrections = 0 if journal is None else journal.count()
-        except InputError:
-            corrections = None
-        self.ctx.page.show("review-train", retrain_html(self._training, corrections, name in self.ctx.shared.runs))
+        section = retrain_html(place.jobs.training.seen, corrections, self.ctx.run is not None)
+        self.ctx.page.show("review-train", section)
 
 
 STEPS = {
@@ -128,12 +122,7 @@ def retrain_html(training: TrainingProgress, corrections: int | None, with_run: 
 def _state(training: TrainingProgress, corrections: int | None, with_run: bool) -> Child:
     if training.running:
         what, done, of = training.step
-        share = done / of if of else 0.0
-        bar = h.div(
-            h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
-            aria_label="Training",
-        )  # fmt: skip
-        return bar, h.div(f"{STEPS.get(what, what)} · {training.seconds:.0f} s", cls="dim")
+        return progress("Training", done, of), h.div(f"{STEPS.get(what, what)} · {training.seconds:.0f} s", cls="dim")
     if training.problem and training.problem != CANCELLED:
         return note(f"Not trained: {training.problem}", BAD)
     if training.record is None:

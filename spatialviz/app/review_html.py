@@ -29,6 +29,7 @@ from spatialviz.app.markup import (
     heading,
     note,
     panel,
+    progress,
     segments,
 )
 from spatialviz.app.state import State
@@ -236,17 +237,10 @@ def _busy(making: QueueProgress) -> Child:
         failed = making.problem and making.problem != CANCELLED
         stays = "was not made" if making.work is None else "stays as it is"
         return note(f"The queue {stays}: {making.problem}", BAD) if failed else None
-    share, what = 0.0, "ranking the labels"
-    if making.step is not None:
-        kind, done, of = making.step
-        share = done / of if of else 0.0
-        if done < of:
-            what = f"asking network {done + 1} of {of}" if kind == "networks" else f"detector: frame {done + 1} of {of}"
-    bar = h.div(
-        h.i(css={"width": f"{share:.0%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
-        aria_label=what,
-    )  # fmt: skip
-    return bar, h.div(what, cls="dim")
+    kind, done, of = making.step or ("", 0, 0)
+    what = f"asking network {done + 1} of {of}" if kind == "networks" else f"detector: frame {done + 1} of {of}"
+    what = what if done < of else "ranking the labels"
+    return progress(what, done, of), h.div(what, cls="dim")
 
 
 def _known(made: Mapping[str, Any] | None) -> Element | None:

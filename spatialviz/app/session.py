@@ -27,7 +27,7 @@ from spatialviz.app.frame_cloud import FrameCloud, SceneAids
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
 from spatialviz.app.keys import Keys, meant
-from spatialviz.app.label_view import Target
+from spatialviz.app.label_view import ANYTHING, Target
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
@@ -62,7 +62,7 @@ class Session(Context):
         self._correcting = False
         self._pushed: Place | None = None
         self._turning: asyncio.TimerHandle | None = None
-        self._judge = Judge(shared, lambda *at: self._labels.correct.corrected(*at))
+        self._judge = Judge(shared, self.editors.corrected)
         self.client.camera.on_update(self._turned)
         level = LevelSurface(self)
         pointing = Pointing(self, {"level": level.on_pixel})
@@ -73,7 +73,7 @@ class Session(Context):
         self._runs, self._figures = RunPanel(self), RunTab(self)
         self._what_if = WhatIf(self, self._judged)
         self._steps = FrameSteps(self)
-        self._labels = Labelling(self, self._selection)
+        self._labels = Labelling(self)
         self._strings = ViewStrings(self, self._runs)
         parts = (
             self, self._selection, ViewSettings(self), self._runs, self._figures, self._what_if, self._strings,
@@ -105,7 +105,10 @@ class Session(Context):
             if message.theme:
                 self.state = replace(self.state, dark=message.theme == "dark")
             self.client.set_dark(self.state.dark)
-            self._labels.correct.greeted(message.author)
+            try:
+                self.editors.greet(message.author)
+            except InputError as error:
+                self.note(str(error))
             self._begin(Place.read(message.address, self.shared.store.sources))
         elif isinstance(message, Go):
             self.go(Place.read(message.address, self.shared.store.sources), restoring=True)
@@ -114,7 +117,7 @@ class Session(Context):
 
     def signed_as(self, name: str) -> None:
         """Labels are corrected under the name of the token that the browser has, and under no other."""
-        self.post(lambda: self._labels.correct.signed_as(name))
+        self.post(lambda: self.editors.sign_for_token(name))
 
     def attach(self, client: viser.ClientHandle) -> None:
         """The browser's frame is there: show the scene in it."""
@@ -137,7 +140,10 @@ class Session(Context):
         """Carry out a command such as "pair:3"; unknown ones are ignored."""
         kind, _, argument = meant(message, self.state.labels is not None).partition(":")
         if kind in self._commands:
-            self._commands[kind](argument)
+            try:
+                self._commands[kind](argument)
+            except InputError as error:
+                self.refuse(error)
 
     def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
         """A click in the scene: for the draft of pixels, else it selects."""
@@ -163,13 +169,13 @@ class Session(Context):
         """Show what the address says, else what the server was started with, else the first failure or frame."""
         if place.frame is not None or place.text is not None:
             if place.text is None and place.task is None and self.state.correctable:
-                self._labels.correct.stay()
+                self.editors.wanted = ANYTHING
             self.go(place, restoring=True)
         elif self.shared.first_view is not None:
             self._strings.open(self.shared.first_view)
         elif self.state.source in self.shared.labels:
             # Labels were named to be looked at; the queue begins to be built.
-            self._labels.correct.stay()
+            self.editors.wanted = ANYTHING
         if not self._begun:
             # With a run, its first failure; the frames follow.
             self._runs.follow()
@@ -197,7 +203,7 @@ class Session(Context):
         here = self.state
         labelling = restoring and place.task == "label" and here.correctable
         if labelling:
-            self._labels.correct.stay(Target(frame, place.item or ()))
+            self.editors.wanted = Target(frame, place.item or ())
         elif restoring:
             here = self.state = replace(here, labels=None)
         same = (source, frame) == (here.source, here.frame_id) and text in (None, here.text)
@@ -247,7 +253,7 @@ class Session(Context):
         labels = self.state.labels is not None
         self.state = replace(self.state, evaluating=task == "evaluate")
         if labels != (task == "label"):
-            self._labels.correct.toggle()
+            self.handle("labels")
         self.draw()
 
     @command("ask-typed")
@@ -267,9 +273,9 @@ class Session(Context):
             return
         self._begun = True
         self.page.call("working", "finding the objects")
-        stays = self._labels.correct.stays and asking is None
+        stays = asking is None and (self.state.labels is not None or self.editors.wanted is not None)
         # A frame that the labels lack is shown with its answer, and why is said.
-        correcting = stays and (desk := self._labels.correct.desk) is not None and frame_id in desk
+        correcting = stays and (editor := self.editors.of(self.state.source)) is not None and frame_id in editor
         cleared = replace(self.state.unasked, frame_id=frame_id, problem="", marks=())
         try:
             loaded = self.shared.store.load(self.state.source, frame_id)
@@ -293,7 +299,10 @@ class Session(Context):
         for remark in loaded.context.frame.notes:
             self.note(f"frame {frame_id}: {remark}")
         if stays:
-            self._labels.correct.show()
+            try:
+                self._labels.correct.show()
+            except InputError as error:
+                self.refuse(error)
         if correcting:
             self.draw()
             self._steps.browse()
@@ -413,7 +422,7 @@ class Session(Context):
                 self.page.call("overlay", "".join(mark.html for mark in overlay_marks(self.state)))
             return
         self._what_if.check()
-        self._labels.correct.chosen()
+        self._labels.correct.detail()
         correcting = self.state.labels is not None
         if correcting != self._correcting:
             # A drag that only tries something must not become one that is saved.
