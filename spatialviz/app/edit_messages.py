@@ -60,7 +60,8 @@ def box_with(box: Box3D, viewer: ViewerAxes, what: str, numbers: Sequence[str]) 
     """A box after "center" AXIS METRES, "size" AXIS METRES or "yaw" DEGREES; InputError where it is none of these."""
     value: Any = number_of(numbers[-1:])
     if what != "yaw":
-        require(what in ("center", "size") and numbers[0] in ("0", "1", "2"), "a box has no such number", got=what)
+        known = what in ("center", "size") and numbers[0] in ("0", "1", "2")
+        require(known, "a box has no such number", got=":".join((what, *numbers)))
         now = getattr(box_numbers(box, viewer), what)
         value = tuple(value if axis == int(numbers[0]) else x for axis, x in enumerate(now))
     changed: dict[str, Any] = {what: value}

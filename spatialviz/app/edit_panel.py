@@ -112,23 +112,9 @@ def _object(state: State, editable: bool) -> Child:
     head = heading(name, hide)
     if hidden:
         return head, h.div("Hidden: as if the detector had not found it.", cls="dim")
-    return head, _numbers(state, i), _confidences(state, i), _mask_row(state, entry.mask)
-
-
-def _numbers(state: State, i: int) -> Child:
-    box = state.shown.objects[i].lifted.box
-    if box is None or state.loaded is None:
-        return h.div("No 3D box: there is no depth in its pixels.", cls="dim")
-    numbers = box_numbers(box, state.loaded.context.viewer)
-    rows = []
-    for kind, label in (("center", "Centre"), ("size", "Size")):
-        cells = (
-            field(f"edit:{kind}:{axis}", getattr(numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01", name=word)
-            for axis, (word, unit) in enumerate(AXES[kind])
-        )
-        rows.append(row(label, h.div(cells, cls="fields")))
-    turn = field("edit:yaw", numbers.yaw, hint="degrees, from right towards forward", step="1", name="yaw °", digits=1)
-    return rows, row("Turn", h.div(turn, cls="fields"))
+    box = entry.lifted.box
+    numbers = None if box is None or state.loaded is None else box_numbers(box, state.loaded.context.viewer)
+    return head, _box_rows(numbers, "edit", 2), _confidences(state, i), _mask_row(state, entry.mask)
 
 
 def _confidences(state: State, i: int) -> Child:
@@ -274,6 +260,14 @@ SOURCES = {"auto": ("auto", "#8a919c", False), "human": ("", GOOD, True),
 """Of each source the word, the colour of its mark, and whether the mark is filled."""
 
 
+_FITS = h.div(
+    button("fit to points", "box-fit", "the box that its cleaned points make (Shift+J)"),
+    button("extend", "box-snap:extend", "its bottom to what the object stands on, its top stays (Shift+B)"),
+    button("set down", "box-snap:move", "all of it to what the object stands on (Shift+Z)"),
+    cls="chips beside",
+)
+
+
 def saved_html(author: str, said: str, bad: bool, moved: Moved | None) -> Element:
     """That this is no what-if: under whose name edits are saved, and what came of the last one."""
     color, done = (
@@ -323,7 +317,7 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str)
         status=_status_row(card, author),
         concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
         handles=row("Handles", segments("edit-mode", MODES, mode, "Handles"), title="Shift+E"),
-        box=h.div(_box_rows(card), cls="tight"),
+        box=h.div(_box_rows(card.numbers, "box-set", LENGTH_DIGITS, _FITS), cls="tight"),
         sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
     )
 
@@ -357,32 +351,34 @@ def _status_row(card: ObjectCard, author: str) -> Child:
     return row("Status", h.div(cells, cls="seg")), h.div(others, cls="dim under-row") if others else None
 
 
-def _box_rows(card: ObjectCard) -> Child:
-    if card.numbers is None:
+def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child) -> Child:
+    """Fields for the numbers of a box; names are short where something more stands beside."""
+    if numbers is None:
         return h.div("No 3D box: there is no depth in its pixels.", cls="dim")
     rows = []
     for kind, label in (("center", "Centre"), ("size", "Size")):
         cells = (
-            field(f"box-set:{kind}:{axis}", getattr(card.numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01",
-                  name=word[0], digits=LENGTH_DIGITS)
+            field(
+                f"{sends}:{kind}:{axis}", getattr(numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01",
+                name=word[0] if more else word, digits=digits,
+            )
             for axis, (word, unit) in enumerate(AXES[kind])
         )  # fmt: skip
         rows.append(row(label, h.div(cells, cls="fields")))
-    turn = field("box-set:yaw", card.numbers.yaw, hint="degrees, from right towards forward", step="1", name="°",
-                 digits=TURN_DIGITS)  # fmt: skip
-    buttons = (
-        button("fit to points", "box-fit", "the box that its cleaned points make (Shift+J)"),
-        button("extend", "box-snap:extend", "its bottom to what the object stands on, its top stays (Shift+B)"),
-        button("set down", "box-snap:move", "all of it to what the object stands on (Shift+Z)"),
-    )
-    return rows, row("Turn", h.div(turn, h.div(buttons, cls="chips beside"), cls="fields"))
+    turn = field(
+        f"{sends}:yaw", numbers.yaw, hint="degrees, from right towards forward", step="1",
+        name="°" if more else "yaw °", digits=TURN_DIGITS,
+    )  # fmt: skip
+    return rows, row("Turn", h.div(turn, more, cls="fields"))
 
 
 def numbers_said(numbers: BoxNumbers) -> dict[str, str]:
     """What the number fields say of a box, by what they send."""
-    sides = {f"box-set:{kind}:{axis}": f"{getattr(numbers, kind)[axis]:.{LENGTH_DIGITS}f}"
-             for kind in ("center", "size") for axis in range(3)}  # fmt: skip
-    return {**sides, "box-set:yaw": f"{numbers.yaw:.{TURN_DIGITS}f}"}
+    return {"box-set:yaw": f"{numbers.yaw:.{TURN_DIGITS}f}"} | {
+        f"box-set:{kind}:{axis}": f"{getattr(numbers, kind)[axis]:.{LENGTH_DIGITS}f}"
+        for kind in ("center", "size")
+        for axis in range(3)
+    }
 
 
 def _from(line: FieldLine, card: ObjectCard) -> Element:

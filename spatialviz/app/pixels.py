@@ -28,7 +28,7 @@ from spatialviz.app.context import Context, command
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.pixels_html import PART_COLORS, PixelScene, around, mask_url, outlines, told_of
+from spatialviz.app.pixels_html import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlines, told_of
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
 
@@ -42,7 +42,6 @@ class Pixels(LabelPart):
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._scene = PixelScene(ctx)
         self._drafts: dict[tuple[str, str], Draft] = {}
         self._open: tuple[str, str] | None = None
         self._canvas: tuple[tuple[str, str], Canvas] | None = None
@@ -286,7 +285,7 @@ class Pixels(LabelPart):
             self._drafts.pop(self._key)
             self._open = draft = None
         if draft is None or view is None or state.loaded is None:
-            self._scene.clear()
+            self.ctx.client.clear(DRAFT)
             self.ctx.page.call("pixels", {"on": False})
             return
         moved = self.number is not None and self.number != self._of
@@ -303,9 +302,9 @@ class Pixels(LabelPart):
         box = None if lifted is None else lifted.box
         frame = canvas.context.frame
         if self._view == "scene":
-            self._scene.draw(frame, draft.mask, box, state.dark)
+            draw_draft(self.ctx, frame, draft.mask, box)
         else:
-            self._scene.clear()
+            self.ctx.client.clear(DRAFT)
             picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
             self.ctx.page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
         fresh = draft.number is None

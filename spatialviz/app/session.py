@@ -300,7 +300,7 @@ class Session(Context):
             self.note(f"frame {frame_id}: {remark}")
         if stays:
             try:
-                self._labels.correct.show()
+                self._labels.show()
             except InputError as error:
                 self.refuse(error)
         if correcting:
@@ -422,7 +422,7 @@ class Session(Context):
                 self.page.call("overlay", "".join(mark.html for mark in overlay_marks(self.state)))
             return
         self._what_if.check()
-        self._labels.correct.detail()
+        self._labels.detail()
         correcting = self.state.labels is not None
         if correcting != self._correcting:
             # A drag that only tries something must not become one that is saved.
