@@ -132,11 +132,6 @@ class Context:
         self.note(str(error))
         self.dialog.refuse(str(error))
 
-    def refuse(self, problem: object) -> None:
-        """Say why something was not done."""
-        self.note(f"not done: {problem}")
-        self.page.toast("Not done", str(problem))
-
     def show(self, **changes: Any) -> None:
         """Change what is looked at, and draw it."""
         self.state = replace(self.state, **changes)
@@ -149,7 +144,7 @@ class Context:
         """A click in the scene: the pixel that was hit, and the boxes on the way, the smallest first."""
 
     def handle(self, message: str) -> None:
-        """Carry out a command such as "pair:3"; unknown ones are ignored."""
+        """Carry out a command such as "pair:3"; unknown ones are ignored, and what cannot be done is said."""
 
     def draw(self, live: bool = False) -> None:
         """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""

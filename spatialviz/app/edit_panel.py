@@ -133,16 +133,20 @@ def _confidences(state: State, i: int) -> Child:
 
 
 def _mask_row(state: State, mask: np.ndarray) -> Child:
-    buttons = [
-        button(f"{pixels:+d} px".replace("-", "−"), f"edit:mask:grow:{pixels}", "grow or shrink its pixels")
-        for pixels in GROWTHS
-    ]
-    if isinstance(state.judged, Diagnosis):
-        buttons.append(button("labelled", "edit:mask:label", "the pixels of the label in place of its own"))
-    if state.pair is not None and state.selected is not None and len(set(state.pair[:2]) - {state.selected}):
-        other = state.shown.names[partners(state)[1]]
-        hint = f"this one gets the pixels of {other}, and that one its own"
-        buttons.append(button(f"⇄ {other}", "edit:mask:swap", hint))
+    swaps = state.pair is not None and state.selected is not None and set(state.pair[:2]) != {state.selected}
+    other = state.shown.names[partners(state)[1]] if swaps else ""
+    buttons = (
+        (
+            button(f"{pixels:+d} px".replace("-", "−"), f"edit:mask:grow:{pixels}", "grow or shrink its pixels")
+            for pixels in GROWTHS
+        ),
+        button("labelled", "edit:mask:label", "the pixels of the label in place of its own")
+        if isinstance(state.judged, Diagnosis)
+        else None,
+        button(f"⇄ {other}", "edit:mask:swap", f"this one gets the pixels of {other}, and that one its own")
+        if swaps
+        else None,
+    )
     hint = "Shift and drag over the picture in the Image tab to put a rectangle in place of its pixels."
     size = f"{int(mask.sum()):,} pixels · Shift-drag in the picture: a rectangle"
     return row("Mask", h.div(buttons, cls="chips"), title=hint), h.div(size, cls="dim under-row")
@@ -162,18 +166,15 @@ def _pair(state: State) -> Child:
 
 
 def _map(state: State, editable: bool, found: DecisionMap | None) -> Child:
-    name = "the selected object"
-    if found is not None:
-        name = state.named(found.key)
-    elif editable and state.selected is not None:
-        name = state.shown.names[state.selected]
+    selected = None if not editable or state.selected is None else state.shown.names[state.selected]
+    name = (selected or "the selected object") if found is None else state.named(found.key)
     hint = "colours the floor by the answer that would win if the object stood there"
     label = "hide the map" if found is not None else "show it"
-    head = heading("Decision map", button(label, "edit-map", hint, disabled=found is None and not editable))
-    if found is None:
-        return head, h.div(f"Which answer wins if {name} stands elsewhere.", cls="dim")
-    said = f"In the scene: who wins where {name} stands. {found.winner.size:,} cells, {found.seconds * 1000:.0f} ms"
-    return head, h.div(said, cls="dim")
+    said = f"Which answer wins if {name} stands elsewhere." if found is None else (
+        f"In the scene: who wins where {name} stands. {found.winner.size:,} cells, {found.seconds * 1000:.0f} ms"
+    )  # fmt: skip
+    show = button(label, "edit-map", hint, disabled=found is None and not editable)
+    return heading("Decision map", show), h.div(said, cls="dim")
 
 
 def _settings(state: State, source: Pipeline) -> Child:

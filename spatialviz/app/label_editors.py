@@ -78,10 +78,9 @@ class LabelEditors:
         name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
         require(not self._of_token, "corrections are under the name of your token", got=name, expected=self._author)
         # All of them, or none.
-        for editor in self._open.values():
-            editor.check_name(name)
-        for editor in self._open.values():
-            editor.sign(name)
+        for step in (LabelEditor.check_name, LabelEditor.sign):
+            for editor in self._open.values():
+                step(editor, name)
         self._author = name
 
 

@@ -155,7 +155,7 @@ class LabelObject(LabelPart):
             try:
                 self.save(lambda frame: set_box(frame, number, box))
             except InputError as error:
-                self.ctx.refuse(error)
+                self.ctx.fail(error)
                 self.renew()
                 self.ctx.draw()
             return

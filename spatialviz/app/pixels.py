@@ -203,33 +203,30 @@ class Pixels(LabelPart):
         with suppress(ValueError, TypeError, KeyError, RecursionError):
             message = json.loads(said)
             stay, label = bool(message["stay"]), str(message["label"])
+        outcome, number, self._label, self._saving = None, -1, label, True
         try:
             made = edits_of_draft(draft, view.frame, label)
-            self._label, self._saving = label, True
+            number = made[0].ref.numbers[0]
             if not stay:
                 # Closed at once: drawing the whole page takes longer than saving.
                 self.ctx.page.call("pixels", {"on": False})
             outcome = self.save(lambda _: made)
+            self._tell(self.view.said, self.view.bad)
         except InputError as error:
-            self._saving, self._drafts[self._key] = False, rebased(draft, view.frame)
+            self._drafts[self._key] = rebased(draft, view.frame)
             self._tell(str(error), True)
-            self.follow()
-            return
         finally:
             self._saving = False
-        after = self.view
-        self._tell(after.said, after.bad)
         if isinstance(outcome, Conflict):
             self._disputed = self._key, outcome
-            self._bad = True
+        if outcome is None or isinstance(outcome, Conflict):
             self.follow()
             return
-        number, self._label, self._disputed = made[0].ref.numbers[0], "", None
+        self._label, self._disputed, self._open = "", None, None
         self._drafts.pop(self._key, None)
-        self.state = replace(self.state, selected=after.place(number))
-        self._open = None
+        self.state = replace(self.state, selected=self.view.place(number))
         if stay:
-            self._begin(after, None if draft.number is None else number)
+            self._begin(self.view, None if draft.number is None else number)
         self.ctx.draw()
 
     def _decided(self, events: tuple[Event, ...]) -> None:
@@ -246,8 +243,7 @@ class Pixels(LabelPart):
         """Make the selected object a part of the one that was selected before it."""
         view, pair = self.view, self.state.pair
         if pair is None or pair[0] == pair[1]:
-            self.ctx.page.toast("Not done", "Select two objects, one after the other.")
-            return
+            raise InputError("select two objects, one after the other")
         numbers = view.numbers[pair[1]], view.numbers[pair[0]]
         self.save(lambda frame: merge_objects(frame, numbers))
         self.ctx.show(selected=self.view.place(numbers[0]))

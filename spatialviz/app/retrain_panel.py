@@ -126,14 +126,13 @@ def _state(training: TrainingProgress, corrections: int | None, with_run: bool) 
     if training.problem and training.problem != CANCELLED:
         return note(f"Not trained: {training.problem}", BAD)
     if training.record is None:
-        run = ", and makes the run again with it" if with_run else ""
-        said = "Nothing corrected yet."
-        if corrections is None:
-            said = "The journal cannot be read now: what was corrected is not known."
-        elif corrections:
-            said = f"Learns the relations from the labels as they are now{run}."
+        said = f"Learns the relations from the labels as they are now{', and makes the run again with it' * with_run}."
+        if not corrections:
+            unknown = "The journal cannot be read now: what was corrected is not known."
+            said = unknown if corrections is None else "Nothing corrected yet."
         return h.div(said, cls="dim")
-    return _figures(training), _replayed(training.record), _install(training)
+    record = training.record
+    return _figures(record, training.seconds), _replayed(record), _install(record, training.installed)
 
 
 def _action(training: TrainingProgress, corrections: int | None) -> Element:
@@ -144,10 +143,8 @@ def _action(training: TrainingProgress, corrections: int | None) -> Element:
     return h.button("retrain", cls="try", do="retrain", title=f"{corrections} events in the journal (Shift+G)")
 
 
-def _figures(training: TrainingProgress) -> Child:
+def _figures(record: Mapping[str, Any], seconds: float) -> Child:
     """F1 by relation: learnt from the labels before, after, and of the network in use, on pairs that none has seen."""
-    record = training.record
-    assert record is not None
     trained, in_use = record["retraining"], record["in_use"]
     held, events = trained["held_out"], record["corrections"]["events"]
     rows = []
@@ -178,7 +175,7 @@ def _figures(training: TrainingProgress) -> Child:
         h.th("gain", cls="n"),
     )
     return (
-        h.div(f"{counts} · {training.seconds:.0f} s", cls="dim"),
+        h.div(f"{counts} · {seconds:.0f} s", cls="dim"),
         h.table(head, rows, cls="slices"),
         h.div(f"{right} held-out cells became right, {wrong} wrong; gain {interval}", cls="dim"),
         _cells("became right", trained["became_right"]["listed"]),
@@ -193,17 +190,15 @@ def _f1(figures: Mapping[str, Any], name: str) -> float | None:
 
 def _cells(title: str, cells: Sequence[Mapping[str, Any]]) -> Element | None:
     """The cells that changed most; a click shows the pair."""
-    if not cells:
-        return None
-    rows = (
+    rows = [
         h.div(
             h.span(f"{c['a']} {PHRASE[c['relation']]} {c['b']} is {c['label']}"), h.span(c["frame"], cls="dim"),
             h.span(f"{c['before']:.2f} → {c['after']:.2f}", cls="n"), cls="cellrow", title=c["frame"],
             do=f"labels-at:{c['a']},{c['b']},{c['relation']},{c['frame']}",
         )
         for c in cells[:LISTED]
-    )  # fmt: skip
-    return h.details(h.summary(f"{title}, the largest changes"), rows)
+    ]  # fmt: skip
+    return h.details(h.summary(f"{title}, the largest changes"), rows) if rows else None
 
 
 def _replayed(record: Mapping[str, Any]) -> Child:
@@ -230,28 +225,22 @@ def _replayed(record: Mapping[str, Any]) -> Child:
 
 
 def _expressions(title: str, rows: Sequence[Mapping[str, Any]]) -> Element | None:
-    if not rows:
-        return None
-    listed = (
+    listed = [
         h.div(
             h.span(r["text"]), h.span(r["frame"], cls="dim"), cls="cellrow", do=f"replayed:{r['frame']}|{r['text']}"
         )
         for r in rows[:LISTED]
-    )  # fmt: skip
+    ]  # fmt: skip
     more = h.div(f"and {len(rows) - LISTED} more", cls="dim") if len(rows) > LISTED else None
-    return h.details(h.summary(title), listed, more)
+    return h.details(h.summary(title), listed, more) if rows else None
 
 
-def _install(training: TrainingProgress) -> Child:
-    record = training.record
-    assert record is not None
+def _install(record: Mapping[str, Any], installed: str) -> Child:
     # Cut at its left: written from right to left, where its ends must not move.
     where = h.div(h.bdi(record["folder"]), cls="dim path", title=record["folder"])
-    if training.installed:
-        said = f"Installed: --srm {training.installed}; in the Edit tab it answers any question."
-        return note(said, GOOD), where
-    warning = None
-    in_use = record["in_use"]
+    if installed:
+        return note(f"Installed: --srm {installed}; in the Edit tab it answers any question.", GOOD), where
+    in_use, warning = record["in_use"], None
     if in_use is not None:
         now, new = (in_use[k]["micro_f1"]["value"] for k in ("before", "after"))
         if None not in (now, new) and new < now:

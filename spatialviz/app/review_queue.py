@@ -14,8 +14,8 @@ from pipeline.corrections.journal.edits import (
     judge_relation,
     set_relation,
     set_status,
+    settle,
 )
-from pipeline.corrections.journal.edits import settle as settled_for_all
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
 from pipeline.corrections.journal_location import JournalLocation
@@ -241,7 +241,7 @@ class ReviewQueue(LabelPart):
     # ---- settling ---------------------------------------------------------------------
 
     @command("settle")
-    def settle(self, said: str, sure: bool = False) -> None:
+    def settle_relation(self, said: str, sure: bool = False) -> None:
         """Settle a relation: "left:T" of the pair that is shown, "T" of the open item, or without one of that pair.
 
         A key belongs to the open item, whatever is looked at beside it. From
@@ -292,7 +292,7 @@ class ReviewQueue(LabelPart):
             is_so = frame.pairs.state(*ends, relation) == state
             if disputed:
                 cell = relation_ref(frame.frame, *ends, f"{relation}.status")
-                return settled_for_all(frame, cell, "accepted" if is_so else "corrected", state=state)
+                return settle(frame, cell, "accepted" if is_so else "corrected", state=state)
             origin = frame.origin(relation_ref(frame.frame, *ends, relation))
             if is_so or (origin.source == "human" and origin.author != author):
                 return judge_relation(frame, *ends, relation, state, author)
@@ -305,7 +305,7 @@ class ReviewQueue(LabelPart):
         """Save what was asked about."""
         self.ctx.dialog.close()
         if self._doubted is not None and self._doubted[0] == self.view.frame.frame:
-            self.settle(self._doubted[1], sure=True)
+            self.settle_relation(self._doubted[1], sure=True)
 
     @command("leave-item")
     def leave(self) -> None:

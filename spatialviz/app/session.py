@@ -31,7 +31,7 @@ from spatialviz.app.label_view import ANYTHING, Target
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
-from spatialviz.app.run_panel import RunPanel, RunTab
+from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.selection import LevelSurface, Pointing, Selection
 from spatialviz.app.stages import opened
 from spatialviz.app.state import NOTHING, shown_objects
@@ -70,13 +70,13 @@ class Session(Context):
         self._selection = Selection(self, pointing.on_pixel)
         self._beside = BesideLayer(self)
         self._cloud = FrameCloud(self)
-        self._runs, self._figures = RunPanel(self), RunTab(self)
+        self._runs = RunPanel(self)
         self._what_if = WhatIf(self, self._judged)
         self._steps = FrameSteps(self)
         self._labels = Labelling(self)
         self._strings = ViewStrings(self, self._runs)
         parts = (
-            self, self._selection, ViewSettings(self), self._runs, self._figures, self._what_if, self._strings,
+            self, self._selection, ViewSettings(self), self._runs, self._what_if, self._strings,
             Keeping(self, self._judge, self._strings.now), self._beside, self._steps, level, pointing, Keys(self),
             *self._labels.parts,
         )  # fmt: skip
@@ -139,11 +139,11 @@ class Session(Context):
     def handle(self, message: str) -> None:
         """Carry out a command such as "pair:3"; unknown ones are ignored."""
         kind, _, argument = meant(message, self.state.labels is not None).partition(":")
-        if kind in self._commands:
-            try:
+        try:
+            if kind in self._commands:
                 self._commands[kind](argument)
-            except InputError as error:
-                self.refuse(error)
+        except InputError as error:
+            self.fail(error)
 
     def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
         """A click in the scene: for the draft of pixels, else it selects."""
@@ -302,7 +302,7 @@ class Session(Context):
             try:
                 self._labels.show()
             except InputError as error:
-                self.refuse(error)
+                self.fail(error)
         if correcting:
             self.draw()
             self._steps.browse()
@@ -439,7 +439,6 @@ class Session(Context):
             log=self.log,
         )
         self._runs.follow()
-        self._figures.follow()
         self._labels.follow()
         self._cloud.follow()
         self._draw_scene()
