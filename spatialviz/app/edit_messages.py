@@ -89,8 +89,7 @@ def _hide(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]
 
 def _confidence(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
     """confidence:NUMBER OF THE NAME:P."""
-    assert state.trace is not None
-    name = list(state.trace.candidates)[int(rest[0])]
+    name = list(needed(state.trace, "nothing is asked").candidates)[int(rest[0])]
     return state.edits.with_confidence(name, _selected(state, keys)[0], number_of(rest[1:]))
 
 
@@ -99,8 +98,7 @@ def _relation(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[
 
     A slider names its own pair: what is chosen moves on where the answer does, while the hand still holds the slider.
     """
-    trace, pair = state.trace, state.chosen
-    assert trace is not None
+    trace, pair = needed(state.trace, "nothing is asked"), state.chosen
     *ends, value = rest
     if ends:
         at = {str(shown): keys[t] for t, shown in state.shown.place.items()}
@@ -160,8 +158,9 @@ def _setting(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[s
     edits = state.edits
     if name == "scorer":
         known = value in ("own", "rule", "trained") or installed_network(value) is not None
-        expected = "rule, trained, or an installed one"
-        require(known, "there is no such relation scorer", got=value, expected=expected)
+        require(
+            known, "there is no such relation scorer", got=value, expected="rule, trained, or an installed one"
+        )  # fmt: skip
         return edits.with_scorer(None if value == "own" else value)
     if name == "aggregate":
         return edits.with_settings("rank", aggregate=value)

@@ -60,13 +60,9 @@ SETTING_NAMES = {
 def cost_html(state: State, undos: int) -> Element:
     """What the last answer cost, and the way back."""
     edits = each_edit(state.edits)
-    said: Child
-    if not edits:
-        said = "nothing is edited" if state.trace is not None else "ask something: edits are of a question"
-    else:
-        assert state.edited is not None or state.trace is None
-        cost = "" if state.edited is None else f" · recomputed in {state.edited.seconds * 1000:.1f} ms"
-        said = h.b(counted(len(edits), "edit")), cost
+    nothing = "nothing is edited" if state.trace is not None else "ask something: edits are of a question"
+    cost = "" if state.edited is None else f" · recomputed in {state.edited.seconds * 1000:.1f} ms"
+    said = (h.b(counted(len(edits), "edit")), cost) if edits else nothing
     undo = button("undo", "edit-undo", "take the last edit back (Ctrl+Z)", disabled=not undos)
     reset = button("reset all", "edit-reset", "take all edits back (0)", disabled=not edits)
     return panel(

@@ -28,10 +28,8 @@ from spatialviz.app.markup import Element, dot, h
 from spatialviz.app.scene import edges
 from spatialviz.app.state import EditMode, State
 
-HOLDS: RGB = (38, 166, 154)
-DOUBTFUL: RGB = (224, 152, 46)
+REGION_COLORS: dict[str, RGB] = {"T": (38, 166, 154), "U": (224, 152, 46)}
 FAILS: RGB = (229, 72, 77)
-REGION_COLORS = {"T": HOLDS, "U": DOUBTFUL}
 OPACITY = {"T": 0.30, "U": 0.16}
 OUTLINE_GROWTH = 0.006
 MAP_OPACITY = 0.8

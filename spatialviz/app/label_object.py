@@ -186,8 +186,7 @@ class LabelObject(LabelPart):
         if not self._gizmo.held:
             self._held = number
         self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
-        author = self.editor.author
-        page.show("cost", saved_html(author, view.said, view.bad, view.moved))
+        page.show("cost", saved_html(self.editor.author, view.said, view.bad, view.moved))
         if (live or self._follows) and box is not None and state.loaded is not None:
             # A drag that comes to nothing leaves the tab as it was: the fields go back.
             page.call("numbers", numbers_said(box_numbers(box, state.loaded.context.viewer)))
@@ -200,5 +199,5 @@ class LabelObject(LabelPart):
         if number is not None and state.selected is not None:
             color = palette(state.dark)[state.roles.get(state.selected, "other")]
             name = state.shown.names[state.selected]
-            shown = object_html(object_card(view.frame, number), name, color, state.mode, author)
+            shown = object_html(object_card(view.frame, number), name, color, state.mode, self.editor.author)
         page.show("edit", shown, rejected_html(view.frame.left_out))

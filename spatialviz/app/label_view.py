@@ -105,7 +105,5 @@ def paired(pair: tuple[int, ...] | None, selected: int | None, before: int | Non
     """The pair after a selection: what is selected now, and what was selected before it."""
     if selected is None or (pair is not None and selected in pair):
         return pair
-    other = before if before is not None and before != selected else None
-    if other is None and pair is not None:
-        other = next((i for i in pair if i != selected), None)
+    other = next((i for i in (before, *(pair or ())) if i not in (None, selected)), None)
     return None if other is None else (selected, other)

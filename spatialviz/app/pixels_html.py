@@ -74,9 +74,8 @@ def mask_url(parts: Sequence[np.ndarray]) -> str:
 def outlines(objects: Sequence[SceneObject], names: Sequence[str], without: int | None) -> list[dict[str, Any]]:
     """The outlines of objects for the editor: lines as x0, y0, x1, y1, ... in pixels."""
     found = []
-    for entry, name in zip(objects, names, strict=True):
-        if entry.id == without:
-            continue
+    others = ((o, name) for o, name in zip(objects, names, strict=True) if o.id != without)
+    for entry, name in others:
         lines, _ = cv2.findContours(entry.mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
         kept = [(line.reshape(-1) + 0.5).tolist() for line in lines if len(line) > 2]
         found.append({"name": name, "size": entry.lifted.quality.mask_pixels, "lines": kept})

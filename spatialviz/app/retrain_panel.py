@@ -148,8 +148,7 @@ def _figures(record: Mapping[str, Any], seconds: float) -> Child:
     trained, in_use = record["retraining"], record["in_use"]
     held, events = trained["held_out"], record["corrections"]["events"]
     rows = []
-    names = list(trained["after"]["f1"])
-    for name in [*names, "all"]:
+    for name in [*trained["after"]["f1"], "all"]:
         before, after = (_f1(trained[k], name) for k in ("before", "after"))
         now = None if in_use is None else _f1(in_use["before"], name)
         gain = None if before is None or after is None else (after - before) * 100
@@ -163,8 +162,7 @@ def _figures(record: Mapping[str, Any], seconds: float) -> Child:
             )
         )
     right, wrong = trained["became_right"]["cells"], trained["became_wrong"]["cells"]
-    gain = trained["gain"]["micro_f1"]
-    ends = (gain["low"], gain["high"])
+    ends = [trained["gain"]["micro_f1"][end] for end in ("low", "high")]
     interval = "–" if None in ends else f"[{ends[0] * 100:+.1f}, {ends[1] * 100:+.1f}]"
     counts = f"{events} events · F1 on {held['pairs']} held-out pairs of {held['frames']} frames"
     head = h.tr(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from pipeline.corrections.label_editor import LabelEditor
@@ -263,13 +264,8 @@ def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[in
     """The rows around the current one; the list moves on by `STEP`, so that the next item sends few of them."""
     at = 0 if item is None else work.indices.get(item.plain, 0)
     start = max(0, at - 3) // STEP * STEP
-    places = []
-    for place in range(start, len(work)):
-        if kind in ("all", work.keys[place].kind) and not work.gone[place]:
-            places.append(place)
-        if len(places) == ROWS:
-            break
-    return places
+    places = (k for k in range(start, len(work)) if kind in ("all", work.keys[k].kind) and not work.gone[k])
+    return list(islice(places, ROWS))
 
 
 def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> Element:

@@ -124,8 +124,6 @@ class RunBrowser:
 
     def opened(self, listing: Listing, place: int) -> Listing:
         """The listing with the expression at a place of the matches open, on its page."""
-        if not 0 <= place < len(listing.keys):
-            return listing
         moved = listing if place // PAGE == listing.page else self.turned(listing, place // PAGE)
         return replace(moved, at=listing.keys[place])
 

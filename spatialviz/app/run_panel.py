@@ -93,16 +93,14 @@ class RunPanel(Part):
 
     def _ready(self, query: str | None) -> None:
         """Have the field of the search hold this one, with nothing offered; without a run there is none."""
-        fields = (None, None) if query is None else (search_html(query), offers_html(()))
-        self.ctx.page.show("search", fields[0])
-        self.ctx.page.show("offers", fields[1])
+        self.ctx.page.show("search", None if query is None else search_html(query))
+        self.ctx.page.show("offers", None if query is None else offers_html(()))
 
     @command("complete")
     def complete(self, typed: str) -> None:
         """Offer words for the last one of a search that is being typed."""
-        browser = self._browser
-        if browser is not None:
-            self.ctx.page.show("offers", offers_html(browser.offered(typed)))
+        if self._browser is not None:
+            self.ctx.page.show("offers", offers_html(self._browser.offered(typed)))
 
     @command("find-page")
     def turn(self, page: int) -> None:

@@ -144,10 +144,11 @@ class Conflicts(LabelPart):
         with suppress(InputError):
             frame = self.editor.frame(conflict.rivals[0].edit.ref.frame)
         found = disputes(conflict, self.editor.corrector.setting)
-        mine = h.button("Mine instead (M)", do="decide:0", aria_keyshortcuts="M")
-        theirs = h.button("Keep theirs (T)", do="decide:", aria_keyshortcuts="T")
-        save = h.button("Save as chosen", local="checked:decide:")
-        buttons = (save,) if len(found) > 1 else (mine, theirs)
+        one = (
+            h.button("Mine instead (M)", do="decide:0", aria_keyshortcuts="M"),
+            h.button("Keep theirs (T)", do="decide:", aria_keyshortcuts="T"),
+        )
+        buttons = one if len(found) == 1 else (h.button("Save as chosen", local="checked:decide:"),)
         self.ctx.dialog.show("Somebody was faster", conflict_html(found, frame), *buttons)
 
     @command("decide")
