@@ -121,7 +121,8 @@ def _pair(state: State) -> list[Child]:
     # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
     absent = note(_capital(answer.lead.strip())) if pair is best and answer.lead else None
     fails = h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None
-    return [absent, _names(state, pair), _headline(pair), fails, h.div(answer.below, cls="dim")]
+    below = h.div(answer.below, cls="dim", id="answer-below")
+    return [absent, _names(state, pair), _headline(pair), fails, below]
 
 
 def _alone(state: State) -> Element | None:
@@ -145,7 +146,7 @@ def _names(state: State, pair: ScoredPair) -> Element:
     for k, end in enumerate(() if pair.reference is None else ends):
         between = h.span("and" if k else state.trace.phrase, cls="dim")
         parts += [" ", between, " ", named(colors["reference"], state.shown.names[end])]
-    return h.h2(parts, cls="names")
+    return h.h2(parts, cls="names", id="answer-names")
 
 
 def _headline(pair: ScoredPair) -> Element:
@@ -155,7 +156,7 @@ def _headline(pair: ScoredPair) -> Element:
         name, title = TITLES.get(what, (f"P({what})", f"the probability of the {what}"))
         low = "low" if what != "product" and not pair.holds else ""
         cells.append(h.span(f"{name} ", h.b(probability(value), cls=low), title=title))
-    return h.div(cells, cls="heads")
+    return h.div(cells, cls="heads", id="answer-heads")
 
 
 def _capital(text: str) -> str:

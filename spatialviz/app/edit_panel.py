@@ -109,7 +109,7 @@ def _object(state: State, editable: bool) -> Child:
         return heading(name), h.div("Not a candidate of this question: nothing depends on it.", cls="dim")
     hidden = f"#{entry.id}" in state.edits.hidden
     hide = button("show it again" if hidden else "hide it", "edit:hide", "as if it had not been found")
-    head = heading(name, hide)
+    head = heading(name, hide).with_(id="edit-name")
     if hidden:
         return head, h.div("Hidden: as if the detector had not found it.", cls="dim")
     return head, _numbers(state, i), _confidences(state, i), _mask_row(state, entry.mask)
@@ -156,10 +156,10 @@ def _mask_row(state: State, mask: np.ndarray) -> Child:
     if state.pair is not None and state.selected is not None and len(set(state.pair[:2]) - {state.selected}):
         other = state.shown.names[partners(state)[1]]
         hint = f"this one gets the pixels of {other}, and that one its own"
-        buttons.append(button(f"⇄ {other}", "edit:mask:swap", hint))
+        buttons.append(button(f"⇄ {other}", "edit:mask:swap", hint, id="edit-swap"))
     hint = "Shift and drag over the picture in the Image tab to put a rectangle in place of its pixels."
     size = f"{int(mask.sum()):,} pixels · Shift-drag in the picture: a rectangle"
-    return row("Mask", h.div(buttons, cls="chips"), title=hint), h.div(size, cls="dim under-row")
+    return row("Mask", h.div(buttons, cls="chips"), title=hint), h.div(size, cls="dim under-row", id="edit-pixels")
 
 
 def _pair(state: State) -> Child:
@@ -240,8 +240,7 @@ def field(kind: str, value: float, *, hint: str, step: str, name: str, digits: i
     said = f"{value:g}" if digits is None else f"{value:.{digits}f}"
     return h.label(
         h.span(name),
-        h.input(type="number", step=step, value=said, change=kind),
-        id=f"field-{kind}",
+        h.input(type="number", step=step, value=said, change=kind, id=f"field-{kind}"),
         cls="field",
         title=hint,
     )

@@ -40,6 +40,7 @@ def image_html(state: State) -> Element:
         h.div(
             h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false", id="photo"),
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
+            _svg(frame, _ghost_marks(state), "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
             h.button(
                 cls="large",
@@ -85,16 +86,23 @@ def overlay_marks(state: State) -> list[Element]:
         color = hex_color(colors[roles[i]]) if i in roles else "#ffffff"
         drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
         marks.append(h.path(d=drawn, fill="none", stroke=color, stroke_width=f"{1.3 * unit:.2f}"))
-    for ghost in state.ghosts if state.flags.ghosts else ():
-        look = {"stroke_width": f"{1.1 * unit:.2f}", "stroke_dasharray": f"{3 * unit:.1f} {2 * unit:.1f}"}
-        drawn = _edges(ghost.box, frame.camera)
-        marks.append(h.path(d=drawn, fill="none", stroke=hex_color(colors[ghost.role]), **look))
     marks += second_overlay(state, unit)
     for i in order:
         x0, y0 = _name_place(state, i)
         shape, color = (frame.height, frame.width), hex_color(colors[roles.get(i, "other")])
         marks += name_tag(state.shown.names[i], x0, y0 - 14 * unit, shape, unit, color)
     return [*marks, *_measured(state, unit)]
+
+
+def _ghost_marks(state: State) -> list[Element]:
+    """Boxes beside the answer's, which stay while other objects are chosen."""
+    if state.loaded is None or not state.flags.ghosts:
+        return []
+    frame, colors = state.loaded.context.frame, palette(True)
+    unit = frame.width / 360
+    look = {"stroke_width": f"{1.1 * unit:.2f}", "stroke_dasharray": f"{3 * unit:.1f} {2 * unit:.1f}"}
+    drawn = [(_edges(ghost.box, frame.camera), hex_color(colors[ghost.role])) for ghost in state.ghosts]
+    return [h.path(d=edges, fill="none", stroke=color, **look) for edges, color in drawn]
 
 
 def _measured(state: State, unit: float) -> list[Element]:
