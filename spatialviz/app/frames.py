@@ -154,10 +154,11 @@ class FrameStore:
             if self._ahead_runs or not self._ahead:
                 return
             self._ahead_runs = True
-        threading.Thread(target=self._make_ahead, daemon=True, name="ahead").start()
+        # No daemon: one that is ended in the midst of decoding a picture takes the program down with it.
+        threading.Thread(target=self._make_ahead, daemon=False, name="ahead").start()
 
     def _make_ahead(self) -> None:
-        while True:
+        while threading.main_thread().is_alive():
             with self._lock:
                 self._ahead_runs = bool(self._ahead)
                 if not self._ahead_runs:
@@ -224,7 +225,7 @@ class FrameStore:
 
     def _give_way(self, making: _Making | None = None) -> None:
         """What nobody waits for waits itself while a page is being answered."""
-        while (making is None or not making.wanted) and self._busy():
+        while (making is None or not making.wanted) and self._busy() and threading.main_thread().is_alive():
             time.sleep(YIELD_SECONDS)
 
     def tell_up(self, source: str, told: ToldUp | None) -> None:
