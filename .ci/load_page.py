@@ -86,7 +86,7 @@ class Client:
             )  # fmt: skip
             await self.scene.send(msgspec.msgpack.encode(CAMERA))
             self._tasks.append(asyncio.create_task(self._look()))
-            await self.quiet()
+            await self.quiet(cloud=True)
 
     @property
     def _origin(self):
@@ -151,11 +151,13 @@ class Client:
             return None
         return (self.first or time.monotonic()) - start
 
-    async def quiet(self, most: float = 10.0) -> None:
-        """Wait until nothing more comes."""
-        end = time.monotonic() + most
+    async def quiet(self, cloud: bool = False, most: float = 10.0) -> None:
+        """Wait until nothing more comes, and, where a `cloud` does, not before the rest of it."""
         self.last = time.monotonic()
-        while time.monotonic() < min(end, self.last + QUIET_SECONDS):
+        end = self.last + most
+        while time.monotonic() < min(end, self.last + QUIET_SECONDS) or (
+            cloud and time.monotonic() < end and not any("/rest" in name for name in self.cloud)
+        ):
             await asyncio.sleep(0.05)
 
 
@@ -223,7 +225,7 @@ async def one(client: Client, number: int, until: float, period: float, figures:
             figures.lost += 1
         else:
             figures.seconds[kind].append(seconds)
-        await client.quiet()
+        await client.quiet(cloud=kind == "frame")
         await asyncio.sleep(max(0.0, period - (time.monotonic() - start)))
         after = client.taken
         figures.page[kind].append(after[0] - page)
