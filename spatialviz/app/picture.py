@@ -40,6 +40,7 @@ def image_html(state: State) -> Element:
         h.div(
             h.img(src=jpeg_url(picture[::step, ::step]), alt=", ".join(alt), draggable="false", id="photo"),
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
+            _svg(frame, _ghost_marks(state), "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
             h.button(
                 cls="large",
@@ -87,10 +88,6 @@ def overlay_marks(state: State) -> list[Element]:
         entry = state.shown.objects[i]
         drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
         marks.append(_path(drawn, hex_color(colors[roles[i]]) if i in roles else "#ffffff", 1.3 * unit))
-    dashes = f"{3 * unit:.1f} {2 * unit:.1f}"
-    for ghost in state.ghosts if state.flags.ghosts else ():
-        color = hex_color(colors[ghost.role])
-        marks.append(_path(_edges(ghost.box, frame.camera), color, 1.1 * unit, stroke_dasharray=dashes))
     marks += second_overlay(state, unit)
     for i in order:
         x0, y0 = _name_place(state, i)
@@ -104,6 +101,17 @@ def overlay_marks(state: State) -> list[Element]:
         text = f"{state.measured.distance:.3f} m"
         marks += name_tag(text, (x0 + x1) / 2, (y0 + y1) / 2 + 3 * unit, shape, unit, "#f5f7fa")
     return marks
+
+
+def _ghost_marks(state: State) -> list[Element]:
+    """Boxes beside the answer's, which stay while other objects are chosen."""
+    if state.loaded is None or not state.flags.ghosts:
+        return []
+    frame, colors = state.loaded.context.frame, palette(True)
+    unit = frame.width / 360
+    dashes = f"{3 * unit:.1f} {2 * unit:.1f}"
+    drawn = ((_edges(ghost.box, frame.camera), hex_color(colors[ghost.role])) for ghost in state.ghosts)
+    return [_path(edges, color, 1.1 * unit, stroke_dasharray=dashes) for edges, color in drawn]
 
 
 def _rectangle(bbox: np.ndarray) -> str:
