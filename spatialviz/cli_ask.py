@@ -112,6 +112,8 @@ class Frames(Output):
 
     dataset: DatasetArg
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    plan: str | None = None
+    """FRAME: print where the cameras of its scene stand, seen from above, instead."""
     summary: Flag = False
     """Print only counts over all frames; with --json, as one JSON object."""
     remember: Flag = False

@@ -1,4 +1,4 @@
-"""The picture with what is drawn over it, the objects with their pictures, the frames, the log."""
+"""The picture with what is drawn over it, the objects with their pictures, the log."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import depth_colors, depth_ends, hex_color, palette
 from spatialviz.app.beside import name_tag, second_overlay
 from spatialviz.app.frame_cloud import frame_colors
-from spatialviz.app.frames import FrameStore, jpeg_url, png_url
+from spatialviz.app.frames import jpeg_url, png_url
 from spatialviz.app.markup import Child, Element, chosen, h, heading, named, note, panel
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d, tinted
 
 IMAGE_WIDTH = 720
-SHOWN_FRAMES = 24
 
 
 def image_html(state: State) -> Element:
@@ -150,26 +149,6 @@ def _smallest_at(objects: Sequence[SceneObject], x: float, y: float) -> int | No
     u, v = int(np.clip(x * width, 0, width - 1)), int(np.clip(y * height, 0, height - 1))
     hits = [i for i, o in enumerate(objects) if o.mask[v, u]]
     return min(hits, key=lambda i: objects[i].lifted.quality.mask_pixels) if hits else None
-
-
-def window(ids: Sequence[str], current: int) -> range:
-    """The places of the frames that are shown around the current one."""
-    start = max(0, min(current - SHOWN_FRAMES // 2, len(ids) - SHOWN_FRAMES))
-    return range(start, min(start + SHOWN_FRAMES, len(ids)))
-
-
-def frames_html(state: State, ids: Sequence[str], store: FrameStore, ready: int | None = None) -> Element:
-    """Small pictures of the frames around the current one; those beyond `ready` are still to come."""
-    current = ids.index(state.frame_id)
-    cells = []
-    places = window(ids, current)
-    for number, i in enumerate(places):
-        url, reason = store.thumb(state.source, ids[i]) if ready is None or number < ready else ("", "…")
-        image = h.img(src=url, alt="", loading="lazy") if url else h.span(reason, cls="none", title=reason)
-        more = chosen(i == current, "cell")
-        cells.append(h.button(image, h.span(ids[i]), do=f"frame:{i}", id=f"frame-{i}", title=ids[i], **more))
-    more = f"frames {places.start + 1}–{places.stop} of {len(ids)}" if len(ids) > len(places) else f"{len(ids)} frames"
-    return h.div(h.p(more, cls="dim"), h.div(cells, cls="grid"), cls="frames")
 
 
 def log_html(entries: Sequence[tuple[str, str]]) -> Element:

@@ -20,6 +20,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, UnknownClass
 from spatialviz.app.answer import answer_in_words
 from spatialviz.app.beside import BesideLayer
+from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Shared, command, commands_of
 from spatialviz.app.filling import fill_answer, fill_page
@@ -36,7 +37,7 @@ from spatialviz.app.selection import LevelSurface, Pointing, Selection
 from spatialviz.app.stages import opened
 from spatialviz.app.state import NOTHING, shown_objects
 from spatialviz.app.toolbar import offers
-from spatialviz.app.view_settings import FrameSteps, ViewSettings
+from spatialviz.app.view_settings import ViewSettings
 from spatialviz.app.view_strings import BEGINS, Keeping, ViewStrings
 from spatialviz.app.what_if import WhatIf
 
@@ -72,12 +73,12 @@ class Session(Context):
         self._cloud = FrameCloud(self)
         self._runs, self._figures = RunPanel(self), RunTab(self)
         self._what_if = WhatIf(self, self._judged)
-        self._steps = FrameSteps(self)
+        self._browse = Browse(self)
         self._labels = Labelling(self, self._selection)
         self._strings = ViewStrings(self, self._runs)
         parts = (
             self, self._selection, ViewSettings(self), self._runs, self._figures, self._what_if, self._strings,
-            Keeping(self, self._judge, self._strings.now), self._beside, self._steps, level, pointing, Keys(self),
+            Keeping(self, self._judge, self._strings.now), self._beside, self._browse, level, pointing, Keys(self),
             *self._labels.parts,
         )  # fmt: skip
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
@@ -279,7 +280,7 @@ class Session(Context):
             self.note(str(error))
             self._suggestions = ()
             self.draw()
-            self._steps.browse()
+            self._browse.browse()
             return
         self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact))
         self._cloud.place_anew = first
@@ -296,7 +297,7 @@ class Session(Context):
             self._labels.correct.show()
         if correcting:
             self.draw()
-            self._steps.browse()
+            self._browse.browse()
             return
         text = self.state.text if asking is None else asking
         if self.source.detector is None:
@@ -309,7 +310,7 @@ class Session(Context):
         else:
             self.page.call("question", "")
         self.draw()
-        self._steps.browse()
+        self._browse.browse()
 
     def _can_ask(self, loaded: LoadedFrame, text: str) -> bool:
         try:
@@ -432,6 +433,7 @@ class Session(Context):
         self._runs.follow()
         self._figures.follow()
         self._labels.follow()
+        self._browse.follow()
         self._cloud.follow()
         self._draw_scene()
         self.say_address()

@@ -1,12 +1,10 @@
-"""How a client looks at its dataset: which frame, the paint, the camera, what is shown, dark or light."""
+"""How a client looks at a frame: the paint, the camera, what is shown, dark or light."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from pipeline.datasets import moves
 from spatialviz.app.context import Part, command
-from spatialviz.app.picture import frames_html, window
 from spatialviz.app.state import CameraMode, ColorMode
 from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 
@@ -62,59 +60,3 @@ class ViewSettings(Part):
         self.state = replace(state, dark=not state.dark)
         self.ctx.client.set_dark(not state.dark)
         self.ctx.draw()
-
-
-BROWSED = 6
-"""Small pictures that are made at once: whatever the user does comes between."""
-
-
-class FrameSteps(Part):
-    """Opens frames for one client, and fills its grid of them."""
-
-    @property
-    def _ids(self) -> tuple[str, ...]:
-        return tuple(self.ctx.shared.store.sources[self.state.source].dataset.frame_ids)
-
-    @command("open")
-    def open(self, frame_id: str) -> None:
-        """Show the frame of a name."""
-        self.ctx.open_frame(frame_id)
-
-    @command("frame")
-    def open_number(self, number: str) -> None:
-        """Show the frame of a number."""
-        if number.isdecimal() and int(number) < len(self._ids):
-            self.ctx.open_frame(self._ids[int(number)])
-
-    @command("next-frame")
-    def step(self, by: str) -> None:
-        """Show the next frame, or the one before."""
-        if by.lstrip("-").isdecimal():
-            self.open_number(str(self._ids.index(self.state.frame_id) + int(by)))
-
-    @command("move")
-    def move(self, move: str) -> None:
-        """Go where a move of the dataset's robot leads; one that is not possible does nothing."""
-        state = self.state
-        to = moves(self.ctx.shared.store.sources[state.source].dataset, state.frame_id).get(move)
-        if to is not None:
-            self.ctx.open_frame(to)
-
-    def browse(self) -> None:
-        """Fill the grid of small pictures bit by bit, behind whatever the user does."""
-        ids, state = self._ids, self.state
-        current = (state.source, state.frame_id)
-        total = len(window(ids, ids.index(state.frame_id)))
-
-        def fill(ready: int) -> None:
-            now = self.state
-            if (now.source, now.frame_id) != current or self.ctx.closed.is_set():
-                return
-            self.ctx.page.show("frames", frames_html(now, ids, self.ctx.shared.store, ready))
-            if ready < total:
-                self.ctx.post(lambda: fill(min(ready + BROWSED, total)))
-            else:
-                at = ids.index(now.frame_id)
-                self.ctx.shared.store.prepare(now.source, (*ids[at + 1 : at + 2], *ids[max(0, at - 1) : at]))
-
-        self.ctx.post(lambda: fill(min(BROWSED, total)))

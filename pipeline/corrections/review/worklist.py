@@ -85,6 +85,13 @@ class Worklist:
         by_state = dict(zip(STATES, self.tally, strict=True))
         return {"items": sum(self.tally), **by_state, "settled": sum(by_state[s] for s in SETTLED)}
 
+    @cached_property
+    def frame_counts(self) -> dict[str, tuple[int, int]]:
+        """By frame, how many of its items are settled and how many are not, of those that have not gone."""
+        settled = np.isin(self.codes, [STATES.index(s) for s in SETTLED])
+        kept = {frame: indices[~self.gone[indices]] for frame, indices in self.frames.items()}
+        return {f: (int(settled[i].sum()), int((~settled[i]).sum())) for f, i in kept.items()}
+
     def state(self, key: ItemKey) -> State:
         """The state of an item; InputError where the queue has no such item."""
         return STATES[self.codes[self._index(key)]]
