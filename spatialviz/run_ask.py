@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import taken_as, unused_words
@@ -24,10 +25,11 @@ from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
+from pipeline.language.glossary import Term, find_term, glossary, glossary_markdown
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
 from pipeline.system.errors import needed, require
-from spatialviz.cli_ask import Ask, Context, Frames, Measure, Relations, Render
+from spatialviz.cli_ask import Ask, Context, Frames, Glossary, Measure, Relations, Render
 from spatialviz.options import ALL_FRAMES, FINE, NO, numbers, one_frame, print_json, warn_skipped
 from spatialviz.printing import print_rows, print_summary, rate_bar, say
 from spatialviz.report.picture import save_picture
@@ -108,6 +110,21 @@ def print_plan(plan: CameraPlan) -> None:
     say(f"scene {plan.scene}: {counted(len(plan.frame_ids), 'camera')}; metres along the longest spread and across it")
     for frame, (x, y), (a, b) in zip(plan.frame_ids, plan.positions, plan.headings, strict=True):
         say(f"  {frame}  {x:7.2f} {y:7.2f}  looks {math.degrees(math.atan2(b, a)):4.0f}°")
+
+
+def run_glossary(command: Glossary) -> None:
+    if command.markdown:
+        print(glossary_markdown(), end="")
+        return
+    terms = list(glossary().values()) if command.word is None else [find_term(command.word)]
+
+    command.write(map(asdict, terms), print_terms, terms)
+
+
+def print_terms(terms: Iterable[Term]) -> None:
+    """Words with what they mean."""
+    for term in terms:
+        say((term.name, "bold"), f" ({term.group}): {term.hint}")
 
 
 def run_context(command: Context) -> None:
