@@ -1,4 +1,4 @@
-"""The words of the screen, the shell and the documents that are not everybody's, each explained once: `glossary.json`."""
+"""Words of the screen, the shell and the documents that are not everybody's, each explained once: `glossary.json`."""
 
 from __future__ import annotations
 

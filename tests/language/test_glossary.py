@@ -25,7 +25,7 @@ def test_every_verdict_module_and_oracle_is_explained(name):
 def test_a_word_is_found_however_it_is_written():
     assert find_term("opm-conf").name == "OPM-CONF"
     assert find_term("IOU").hint.startswith(find_term("IoU").short)
-    with pytest.raises(InputError, match="zzz.*posterior"):
+    with pytest.raises(InputError, match=r"zzz.*posterior"):
         find_term("zzz")
 
 
