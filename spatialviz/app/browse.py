@@ -105,6 +105,7 @@ class Browse(Part):
             self._listed = () if which == "all" else tuple(listed)
         return range(len(self._ids)) if which == "all" or not counts else self._listed
 
+    @command("strip")
     def follow(self) -> None:
         """Say what the strip lists, and where the frame that is shown stands in it."""
         state, counts, places = self.state, self._counts, self._places

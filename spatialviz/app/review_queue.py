@@ -325,7 +325,9 @@ class ReviewQueue(Part):
                 self.make()
                 making = self._taken(name)
         work, names, item = self._work, self._known_names(name), self._item
-        self.ctx.reviewed = {} if work is None else work.frame_counts
+        if work is not None and self.ctx.reviewed is not work.frame_counts:
+            self.ctx.reviewed = work.frame_counts
+            self.ctx.post(lambda: self.ctx.handle("strip"))
         shown = None
         if work is not None and item is not None and item.plain in work.indices and not work.is_gone(item):
             shown = panel(item_html(work, names, item))

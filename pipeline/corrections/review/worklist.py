@@ -88,9 +88,13 @@ class Worklist:
     @cached_property
     def frame_counts(self) -> dict[str, tuple[int, int]]:
         """By frame, how many of its items are settled and how many are not, of those that have not gone."""
-        settled = np.isin(self.codes, [STATES.index(s) for s in SETTLED])
-        kept = {frame: indices[~self.gone[indices]] for frame, indices in self.frames.items()}
-        return {f: (int(settled[i].sum()), int((~settled[i]).sum())) for f, i in kept.items()}
+        places = list(self.frames.values())
+        number = np.repeat(np.arange(len(places)), [len(indices) for indices in places])
+        items = np.concatenate(places or [np.zeros(0, np.int64)])
+        settled = np.isin(self.codes[items], [STATES.index(s) for s in SETTLED])
+        kept = ~self.gone[items]
+        counts = (np.bincount(number[kept & those], minlength=len(places)).tolist() for those in (settled, ~settled))
+        return dict(zip(self.frames, zip(*counts, strict=True), strict=True))
 
     def state(self, key: ItemKey) -> State:
         """The state of an item; InputError where the queue has no such item."""
