@@ -33,7 +33,6 @@ KEPT_FRAMES = 8
 AHEAD = 6
 """Frames that wait to be made ready; a newer wish takes the place of the oldest."""
 YIELD_SECONDS = 0.01
-THUMB_WIDTH = 160
 Key: TypeAlias = tuple[str, str]
 """Source and frame."""
 
@@ -125,7 +124,6 @@ class FrameStore:
         self._making: dict[Key, _Making] = {}
         self._ahead: OrderedDict[Key, Callable[[LoadedFrame], object] | None] = OrderedDict()
         self._ahead_runs = False
-        self._thumbs: dict[Key, bytes | str] = {}
         self._lock = threading.Lock()
         self.told: dict[str, ToldUp] = {}
         """By source what was said last of its up."""
@@ -218,7 +216,6 @@ class FrameStore:
                 second = second_detections(opened, context, objects)
             except InputError as error:
                 problem = str(error)
-        self._thumbs[key] = _small(context.frame.rgb)
         return LoadedFrame(context, objects, problem, second, self.told.get(key[0]))
 
     def _give_way(self, making: _Making | None = None) -> None:
@@ -241,21 +238,6 @@ class FrameStore:
             for known in (self._loaded, self._shown, self._making):
                 for key in [key for key in list(known) if key[0] == source]:
                     known.pop(key, None)
-
-    def thumb(self, source: str, frame_id: str) -> tuple[str, str]:
-        """(where the page finds a small picture, ""), or ("", reason) for a broken frame."""
-        key = (source, frame_id)
-        if key not in self._thumbs:
-            try:
-                self._thumbs[key] = _small(self.sources[source].dataset.load(frame_id).rgb)
-            except InputError as error:
-                self._thumbs[key] = str(error)
-        kept = self._thumbs[key]
-        return ("", kept) if isinstance(kept, str) else (IMAGES.url(kept, "jpg"), "")
-
-
-def _small(rgb: np.ndarray) -> bytes:
-    return jpeg(_resized(rgb, THUMB_WIDTH, rgb.shape[0] * THUMB_WIDTH / rgb.shape[1]))
 
 
 def _resized(rgb: np.ndarray, width: float, height: float) -> np.ndarray:

@@ -360,6 +360,9 @@ class ReviewQueue(LabelPart):
         work, shown = queue.work, None
         if work is not None and item is not None and item.plain in work.indices and not work.is_gone(item):
             shown = panel(item_html(work, queue.names, item))
+        if work is not None and self.ctx.reviewed is not work.frame_counts:
+            self.ctx.reviewed = work.frame_counts
+            self.ctx.post(lambda: self.ctx.handle("strip"))
         page.show("review-item", shown)
         page.show("review-list", queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names))
 

@@ -100,7 +100,7 @@ def start(
     access = access or Access.of(host)
     pages = Pages(shared, access, max_clients)
     try:
-        with served_by(Site(access, pages)), redirect_stdout(io.StringIO()):
+        with served_by(Site(access, pages, shared.pictures)), redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error

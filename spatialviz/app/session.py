@@ -27,6 +27,7 @@ from spatialviz.app import (
     what_if,
 )
 from spatialviz.app.answer import answer_in_words
+from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Shared, command, commands_of
 from spatialviz.app.frames import LoadedFrame
@@ -66,7 +67,7 @@ class Session(Context):
         self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
         self._beside = beside.BesideLayer(self)
         self._runs = run_panel.RunPanel(self)
-        self._what_if, self._steps = what_if.WhatIf(self, self._judge.judge), selection.FrameSteps(self)
+        self._what_if, self._browse = what_if.WhatIf(self, self._judge.judge), Browse(self)
         self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs)
         parts = (
             self,
@@ -75,7 +76,7 @@ class Session(Context):
             self._what_if,
             self._strings,
             self._beside,
-            self._steps,
+            self._browse,
             level,
             pointing,
             selection.ViewSettings(self),
@@ -291,7 +292,7 @@ class Session(Context):
             if not correcting:
                 self._ask_first(loaded, first, asking)
         self.draw()
-        self._steps.browse()
+        self._browse.browse()
 
     def _load(self, first: bool, scored: bool) -> LoadedFrame:
         """Take the frame into the state, with what may be asked of it where it is to be `scored`."""
@@ -419,6 +420,7 @@ class Session(Context):
         filling.fill_page(self, self._suggestions)
         self._runs.follow()
         self._labels.follow()
+        self._browse.follow()
         self._cloud.follow()
         self._draw_scene()
         self.say_address()

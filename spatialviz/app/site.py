@@ -30,6 +30,7 @@ from spatialviz.app.channel import LONGEST_COMMAND, LONGEST_DRAWING
 from spatialviz.app.frames import IMAGES
 
 if TYPE_CHECKING:
+    from spatialviz.app.frame_pictures import FramePictures
     from spatialviz.app.pages import Pages
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
@@ -84,8 +85,8 @@ class Nobody:
 class Site:
     """Answers every request of one server."""
 
-    def __init__(self, access: Access, pages: Pages) -> None:
-        self._access, self._pages = access, pages
+    def __init__(self, access: Access, pages: Pages, pictures: FramePictures) -> None:
+        self._access, self._pages, self._pictures = access, pages, pictures
         self._waiting = 0
         static = resources.files("spatialviz.app") / "static"
         self._files = {f.name: f.read_bytes() for f in static.iterdir() if Path(f.name).suffix in KINDS}
@@ -106,6 +107,11 @@ class Site:
         entered = self._access.entered(request)
         if entered is not None:
             return entered
+        if parts.path.startswith("/app/frame/"):
+            picture = await self._pictures.get(parts.path)
+            if picture is None:
+                return _response(http.HTTPStatus.NOT_FOUND, b"no such picture\n")
+            return _response(http.HTTPStatus.OK, picture, ".jpg", {"Cache-Control": "private, max-age=600"})
         return self._file(parts.path, parse_qs(parts.query))
 
     def _page_of(self, parts: SplitResult) -> str:
