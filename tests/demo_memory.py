@@ -73,7 +73,7 @@ def _each(do: Callable[[Any], Any], values: Any) -> None:
 def _content(value: Any) -> Any:
     """What tells one argument of lifting from another."""
     if isinstance(value, np.ndarray):
-        return value.shape, value.dtype.str, xxhash.xxh3_128_digest(np.ascontiguousarray(value))
+        return value.shape, value.dtype.str, xxhash.xxh3_128_digest(np.ascontiguousarray(value).tobytes())
     if is_dataclass(value):
         return type(value), *(_content(getattr(value, f.name)) for f in fields(value))
     return value
