@@ -16,10 +16,11 @@ from pipeline.corrections.journal.replay import history, redo, undo
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.unsaved import Waiting, decided
 from pipeline.datasets import Dataset
+from pipeline.labels.by_hand import with_frames
 from pipeline.labels.reading import Labels
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 
-_NOT_IN_THE_JOURNAL = 2**62
+NOT_IN_THE_JOURNAL = 2**62
 """Edits that wait to be saved come after every event of the journal."""
 Outcome = Saved | Conflict | Waiting
 """What comes of saving."""
@@ -53,6 +54,19 @@ class LabelEditor:
 
     def __contains__(self, frame: str) -> bool:
         return frame in self.corrector.index.of_frame
+
+    def take_in(self, frame: str) -> None:
+        """Have a frame of the dataset among labels that were begun by hand; what is there already stays.
+
+        Raises
+        ------
+        InputError
+            As `with_frames`, or the dataset is not at hand.
+        """
+        if frame not in self:
+            dataset = needed(self._dataset, "this needs the dataset, and it is not at hand")
+            self.labels = with_frames(self.labels, dataset, [frame])
+            self.__dict__.pop("corrector", None)
 
     @property
     def waiting(self) -> tuple[Waiting, ...]:
@@ -129,7 +143,7 @@ class LabelEditor:
         return [*found, *(e for e in self._unsaved(frame) if e.group not in groups)]
 
     def _unsaved(self, frame: str) -> list[Event]:
-        return [e for w in self.waiting for e in w.events(_NOT_IN_THE_JOURNAL, "") if e.ref.frame == frame]
+        return [e for w in self.waiting for e in w.events(NOT_IN_THE_JOURNAL, "") if e.ref.frame == frame]
 
     def news(self, frame: str) -> tuple[Event, ...]:
         """What is saved in a frame that was not there when it was last looked at. Any thread may ask.

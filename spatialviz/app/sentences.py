@@ -169,7 +169,7 @@ def _of_case(state: State, view: LabelView, judged: Diagnosis) -> State:
     case, numbers = judged.case, judged.truth.numbers
     ends = [view.place(int(numbers[k])) for k in (case.target_object, case.reference_object)]
     pair = None if None in ends or ends[0] == ends[1] else tuple(p for p in ends if p is not None)
-    name = case.id if case.id in view.frame.auto.expressions else None
+    name = case.id if case.id in view.frame.sentences else None
     return replace(state, labels=replace(view, expression=name, relation=case.relation), pair=pair, selected=ends[0])
 
 
