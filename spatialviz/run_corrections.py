@@ -128,6 +128,7 @@ def run_confirm(command: Confirm) -> int:
     require(1 <= command.pair <= len(pairs), "the answer has no such pair", got=command.pair, expected=len(pairs))
     editor.take_in(name)
     edits = right_pair(editor, trace, pairs[command.pair - 1])
+    editor.keep_frames([name])
     done = location.to_write().append(edits, command.author)
     found = judged(trace, source, context, effective_truth(editor.frame(name)))
     record = {**outcome_record(done), "verdict": found.verdict}

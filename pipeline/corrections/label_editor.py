@@ -16,7 +16,7 @@ from pipeline.corrections.journal.replay import history, redo, undo
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.unsaved import Waiting, decided
 from pipeline.datasets import Dataset
-from pipeline.labels.by_hand import with_frames
+from pipeline.labels.by_hand import NewLabels, seen_with, with_frames
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError, needed, require
 
@@ -56,17 +56,22 @@ class LabelEditor:
         return frame in self.corrector.index.of_frame
 
     def take_in(self, frame: str) -> None:
-        """Have a frame of the dataset among labels that were begun by hand; what is there already stays.
+        """Have a frame of the dataset among labels that were begun by hand; it is kept from the first edit on.
 
         Raises
         ------
         InputError
-            As `with_frames`, or the dataset is not at hand.
+            The labels do not grow, or the dataset is not at hand or cannot load it.
         """
         if frame not in self:
             dataset = needed(self._dataset, "this needs the dataset, and it is not at hand")
-            self.labels = with_frames(self.labels, dataset, [frame])
+            self.labels = seen_with(self.labels, dataset, frame)
             self.__dict__.pop("corrector", None)
+
+    def keep_frames(self, frames: Iterable[str]) -> None:
+        """Write frames that came in, where they are not written yet; InputError where they cannot be."""
+        if isinstance(self.labels, NewLabels) and self._dataset is not None:
+            with_frames(self.labels, self._dataset, dict.fromkeys(frames))
 
     @property
     def waiting(self) -> tuple[Waiting, ...]:
@@ -230,9 +235,10 @@ class LabelEditor:
         Raises
         ------
         InputError
-            It is no action: see `Journal.append`.
+            It is no action: see `Journal.append`; or its frame cannot be taken in.
         """
         edits, self._again = tuple(edits), None
+        self.keep_frames(e.ref.frame for e in edits)
         # Read once: another thread may save what waits at this moment.
         if waiting := self.waiting:
             # What is made on an edit that waits is saved after it.

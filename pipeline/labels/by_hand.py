@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -26,16 +26,28 @@ from pipeline.system.errors import as_input_error, require
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import temporary_folder
 
+if sys.platform != "win32":
+    import fcntl
+
 BY_HAND = "by-hand"
 """In place of the detector: nothing was found by a machine."""
 
 
+@dataclass(frozen=True)
 class NewLabels(Labels):
-    """Labels that are not on the disk yet: `with_frames` writes them."""
+    """Labels that are not on the disk yet, as a whole or with these frames: `with_frames` writes them.
+
+    Attributes
+    ----------
+    rows : pyarrow.Table or None
+        All of their table `frames`.
+    """
+
+    rows: pa.Table | None = None
 
     def table(self, name: str) -> pa.Table:
-        """An empty one."""
-        return build_table(name, {})
+        """One of the tables; all but the frames are empty."""
+        return self.rows if name == "frames" and self.rows is not None else build_table(name, {})
 
 
 def grows(labels: Labels) -> bool:
@@ -104,6 +116,16 @@ def begun_labels(
     return NewLabels(folder, manifest)
 
 
+def seen_with(labels: Labels, dataset: Dataset, name: str) -> Labels:
+    """The labels as `with_frames` would make them with one frame more, to be looked at; nothing is written."""
+    require(grows(labels), "only labels that were begun by hand take in frames", path=labels.root)
+    require(name in dataset.frame_ids, "the dataset has no such frame", got=name, path=dataset.root)
+    rows = {table.column("frame")[k].as_py(): table.slice(k, 1)
+            for table in (labels.frames, _on_disk(labels).frames) for k in range(table.num_rows)}  # fmt: skip
+    rows.setdefault(name, _frame_row(dataset, name, labels))
+    return NewLabels(labels.root, labels.manifest, pa.concat_tables(rows.values()).sort_by("frame_index"))
+
+
 def with_frames(labels: Labels, dataset: Dataset, names: Iterable[str] = ()) -> Labels:
     """The labels with these frames of their dataset in them, without objects, written to their folder.
 
@@ -118,10 +140,8 @@ def with_frames(labels: Labels, dataset: Dataset, names: Iterable[str] = ()) -> 
     ids = dataset.frame_ids
     absent = next((n for n in names if n not in ids), None)
     require(absent is None, "the dataset has no such frame", got=absent, path=dataset.root)
-    kept = labels.manifest.config
-    config = LabelConfig(vocabulary=kept["vocabulary"], lift=LiftConfig(**kept["lift"]))
     known = _on_disk(labels)
-    rows = [_frame_row(dataset, name, config) for name in names if name not in _names(known)]
+    rows = [_frame_row(dataset, name, labels) for name in names if name not in _names(known)]
     with as_input_error("the labels cannot be written", OSError, got=lambda e: e.strerror, path=labels.root):
         labels.root.mkdir(parents=True, exist_ok=True)
         with _alone(labels.root):
@@ -134,14 +154,18 @@ def with_frames(labels: Labels, dataset: Dataset, names: Iterable[str] = ()) -> 
 
 
 def _on_disk(labels: Labels) -> Labels:
-    return open_labels(labels.root) if (labels.root / MANIFEST_FILE).exists() else labels
+    return (
+        open_labels(labels.root) if (labels.root / MANIFEST_FILE).exists() else NewLabels(labels.root, labels.manifest)
+    )
 
 
 def _names(labels: Labels) -> set[str]:
     return set(labels.frames.column("frame").to_pylist())
 
 
-def _frame_row(dataset: Dataset, name: str, config: LabelConfig) -> pa.Table:
+def _frame_row(dataset: Dataset, name: str, labels: Labels) -> pa.Table:
+    kept = labels.manifest.config
+    config = LabelConfig(vocabulary=kept["vocabulary"], lift=LiftConfig(**kept["lift"]))
     context = prepare_frame(dataset, dataset.load(name), config.lift)
     index, scene = dataset.frame_ids.index(name), scene_of(dataset, name)
     rows = label_objects(context, (), config, frame_index=index, scene=scene, exact=False)
@@ -175,7 +199,6 @@ def _alone(folder: Path) -> Iterator[None]:
     """Nobody else, of any process of this machine, writes the tables of a folder meanwhile."""
     with open(folder / ".lock", "w") as lock:
         if sys.platform != "win32":
-            import fcntl  # Not on Windows, where the last writer wins, and what is lost is taken in again.
-
+            # On Windows the last writer wins, and what is lost is taken in again.
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
+from typing import Any
 
 import pytest
 from editor_checks import Open, desk, place  # noqa: F401
@@ -27,7 +29,7 @@ def work(demo_labels: Labels) -> Worklist:
     return worklist(review_queue(demo_labels, QueueConfig(None)))
 
 
-def words(row: dict) -> str:
+def words(row: Mapping[str, Any]) -> str:
     return f"{row['relation']} {row['label']}"
 
 

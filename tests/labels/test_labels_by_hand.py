@@ -73,6 +73,7 @@ def test_an_outlined_thing_is_saved_and_every_command_reads_it(dataset: Dataset,
     assert name not in ann
     ann.take_in(name)
     assert name in ann
+    assert not labels.root.exists()
     frame = ann.frame(name)
     annotated = [a for a in dataset.load(name).annotations if a.mask is not None and np.count_nonzero(a.mask) > 2000]
     for annotation in annotated[:2]:
