@@ -42,18 +42,20 @@ def right_pair(editor: LabelEditor, trace: Trace, pair: ScoredPair) -> Edits:
     reference = needed(pair.reference, "the answer is no pair")
     frame = editor.frame(trace.frame.id)
     ends = (words[0], trace.objects[pair.target]), (words[2], trace.objects[reference])
-    known = [_labelled(name, entry, frame) for name, entry in ends]
-    added = [() if number is not None else add_object(frame, name, mask=entry.mask)
-             for number, (name, entry) in zip(known, ends, strict=True)]  # fmt: skip
-    a, b = (number if number is not None else edits[0].ref.numbers[0]
-            for number, edits in zip(known, added, strict=True))  # fmt: skip
-    new = (*added[0], *added[1])
+    numbers: list[int] = []
+    new: Edits = ()
+    for name, entry in ends:
+        number = _labelled(name, entry, frame)
+        if number is None:
+            made = add_object(frame, name, mask=entry.mask)
+            number, new = made[0].ref.numbers[0], (*new, *made)
+        numbers.append(number)
     if new:
         # The relation and the sentence are made on the frame with these objects in it.
-        made = Waiting(new, editor.author, new_ulid(), datetime.now(timezone.utc), "")
-        events = [*editor.events(frame.frame), *made.events(NOT_IN_THE_JOURNAL, "")]
+        waiting = Waiting(new, editor.author, new_ulid(), datetime.now(timezone.utc), "")
+        events = [*editor.events(frame.frame), *waiting.events(NOT_IN_THE_JOURNAL, "")]
         frame = editor.corrector.frame(frame.frame, events)
-    return (*new, *add_sentence(frame, trace.query.text, words, a, b, "this pair is right"))
+    return (*new, *add_sentence(frame, trace.query.text, words, numbers[0], numbers[1], "this pair is right"))
 
 
 def right_objects(frame: EffectiveFrame, query: Query, a: int, b: int) -> Edits:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from typing import Any
@@ -29,7 +28,7 @@ def work(demo_labels: Labels) -> Worklist:
     return worklist(review_queue(demo_labels, QueueConfig(None)))
 
 
-def words(row: Mapping[str, Any]) -> str:
+def words(row: dict[str, Any]) -> str:
     return f"{row['relation']} {row['label']}"
 
 

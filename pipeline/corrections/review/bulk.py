@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta, tzinfo
 from typing import Any
@@ -46,7 +46,7 @@ def say_of_item(frame: EffectiveFrame, item: ItemKey, status: str, author: str) 
 
 
 def found_items(
-    work: Worklist, words: Callable[[Mapping[str, Any]], str], kind: str | None = None, text: str = ""
+    work: Worklist, words: Callable[[dict[str, Any]], str], kind: str | None = None, text: str = ""
 ) -> list[int]:
     """The places of open items of a kind whose words, reasons or frame hold each word of a text, in their order.
 

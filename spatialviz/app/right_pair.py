@@ -1,0 +1,100 @@
+"""*This pair is right*, under any answer: it becomes the truth by which the answer gets its verdict at once."""
+
+from __future__ import annotations
+
+from pipeline.corrections.confirming import right_objects, right_pair, words_of
+from pipeline.corrections.journal.events import Saved
+from pipeline.corrections.wording import outcome_text
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.system.errors import InputError
+from spatialviz.app.context import Context, Part, command
+from spatialviz.app.correct import Correct
+from spatialviz.app.markup import Element, button, h
+
+
+class RightPair(Part):
+    """Says what is true of the question of one client."""
+
+    def __init__(self, ctx: Context, correct: Correct) -> None:
+        super().__init__(ctx)
+        self._correct = correct
+        self._kept = ""
+
+    @command("right-pair")
+    def confirm(self) -> None:
+        """The chosen pair, or the first one, is right."""
+        state, desk = self.state, self._correct.desk
+        pair = state.chosen or next(iter(state.ranked), None)
+        if desk is None or state.trace is None or pair is None or state.labels is not None:
+            return
+        try:
+            desk.take_in(state.frame_id)
+            outcome = desk.save(right_pair(desk, state.trace, pair))
+        except InputError as error:
+            self._correct.refuse(str(error))
+            return
+        said, bad = outcome_text(outcome, "kept as true", desk.frame(state.frame_id))
+        self._kept = state.text if isinstance(outcome, Saved) else ""
+        self.ctx.page.toast("Not saved" if bad else "This pair is right", said, bad)
+        self.ctx.ask(state.text)
+
+    @command("right-undo")
+    def take_back(self) -> None:
+        """It is not, after all."""
+        desk = self._correct.desk
+        if desk is None or not self._kept:
+            return
+        try:
+            outcome = desk.undo()
+        except InputError as error:
+            self._correct.refuse(str(error))
+            return
+        self._kept = ""
+        self.ctx.page.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
+        self.ctx.ask(self.state.text)
+
+    @command("right-objects")
+    def means(self) -> None:
+        """The question that was asked last means the two objects that are chosen among the labels."""
+        state = self.state
+        view = state.labels
+        if view is None or state.pair is None or not state.text:
+            return
+        a, b = (view.numbers[k] for k in state.pair[:2])
+        try:
+            query = self.ctx.source.read(state.text)
+        except InputError as error:
+            self._correct.refuse(str(error))
+            return
+        self._correct.save(lambda frame: right_objects(frame, query, a, b))
+
+    def follow(self) -> None:
+        """Offer it under an answer that has a pair."""
+        self.ctx.page.show("right-pair", self._offer())
+
+    def _offer(self) -> Element | None:
+        state = self.state
+        if state.source not in self.ctx.shared.journals:
+            return None
+        if state.labels is not None:
+            if state.pair is None or not state.text or not self._plain(state.text):
+                return None
+            hint = "the two chosen objects become the true answer to the question"
+            return h.div(button(f"“{state.text}” means this pair", "right-objects", hint), cls="rightpair panel")
+        pair = state.chosen or next(iter(state.ranked), None)
+        if state.trace is None or pair is None or pair.reference is None or not self._plain(state.text):
+            return None
+        if self._kept == state.text:
+            back = button("Undo", "right-undo", "this pair is not right after all")
+            return h.div(h.span("This pair is kept as true.", cls="dim"), back, cls="rightpair panel")
+        known = isinstance(state.judged, Diagnosis)
+        hint = "it is kept as true, with its objects, and the answer is judged by it at once"
+        made = button("This pair is right", "right-pair", hint, cls="try" if known else "try go")
+        return h.div(made, None if known else h.span("No truth is known here yet.", cls="dim"), cls="rightpair panel")
+
+    def _plain(self, text: str) -> bool:
+        try:
+            words_of(self.ctx.source.read(text))
+        except InputError:
+            return False
+        return True
