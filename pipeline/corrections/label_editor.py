@@ -16,7 +16,7 @@ from pipeline.corrections.journal.replay import history, redo, undo
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.unsaved import Waiting, decided
 from pipeline.datasets import Dataset
-from pipeline.labels.by_hand import NewLabels, seen_with, with_frames
+from pipeline.labels.by_hand import NewLabels, grows, seen_with, with_frames
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError, needed, require
 
@@ -132,7 +132,12 @@ class LabelEditor:
 
     def corrected(self, frame: str) -> EffectiveFrame | None:
         """As `frame`; None where nobody has corrected anything in it."""
-        return self.frame(frame) if self.events(frame) and frame in self else None
+        if not self.events(frame):
+            return None
+        if frame not in self and grows(self.labels) and self._dataset is not None:
+            # Somebody else has labelled it since.
+            self.take_in(frame)
+        return self.frame(frame) if frame in self else None
 
     def events(self, frame: str) -> list[Event]:
         """The events of a frame, then those that wait.

@@ -15,8 +15,10 @@ from spatialviz.app.label_object import LabelObject
 from spatialviz.app.pixels import Pixels
 from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.review_queue import ReviewQueue
+from spatialviz.app.right_pair import RightPair
 from spatialviz.app.selection import Selection
 from spatialviz.app.sentences import Conflicts, Sentences
+from spatialviz.app.side_panel import SidePanel
 
 
 class Labelling:
@@ -26,6 +28,7 @@ class Labelling:
         self.correct = correct = Correct(ctx)
         self.pixels = Pixels(ctx, correct, selection)
         self.object = LabelObject(ctx, correct)
+        self._sides, self._right = SidePanel(ctx, correct), RightPair(ctx, correct)
         self._queue = ReviewQueue(ctx, correct)
         self._retrain = RetrainPanel(ctx, user_data_path("spatialviz") / "retrained")
         conflicts = Conflicts(ctx, correct)
@@ -34,6 +37,8 @@ class Labelling:
             correct,
             self.pixels,
             self.object,
+            self._sides,
+            self._right,
             self._queue,
             self._retrain,
             Sentences(ctx, correct),
@@ -48,6 +53,8 @@ class Labelling:
         self._queue.follow()
         self._retrain.draw()
         self.pixels.follow()
+        self._sides.follow()
+        self._right.follow()
 
 
 PERIOD_SECONDS = 2.0

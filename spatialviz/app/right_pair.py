@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from pipeline.corrections.confirming import right_objects, right_pair, words_of
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.wording import outcome_text
 from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.language.tree import Query
 from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.correct import Correct
@@ -19,6 +22,7 @@ class RightPair(Part):
         super().__init__(ctx)
         self._correct = correct
         self._kept = ""
+        self._query: Query | None = None
 
     @command("right-pair")
     def confirm(self) -> None:
@@ -58,18 +62,16 @@ class RightPair(Part):
         """The question that was asked last means the two objects that are chosen among the labels."""
         state = self.state
         view = state.labels
-        if view is None or state.pair is None or not state.text:
+        query = self._query
+        if view is None or state.pair is None or query is None:
             return
         a, b = (view.numbers[k] for k in state.pair[:2])
-        try:
-            query = self.ctx.source.read(state.text)
-        except InputError as error:
-            self._correct.refuse(str(error))
-            return
         self._correct.save(lambda frame: right_objects(frame, query, a, b))
 
     def follow(self) -> None:
         """Offer it under an answer that has a pair."""
+        if self.state.trace is not None:
+            self._query = self.state.trace.query
         self.ctx.page.show("right-pair", self._offer())
 
     def _offer(self) -> Element | None:
@@ -77,12 +79,12 @@ class RightPair(Part):
         if state.source not in self.ctx.shared.journals:
             return None
         if state.labels is not None:
-            if state.pair is None or not state.text or not self._plain(state.text):
+            if state.pair is None or self._query is None or not self._plain:
                 return None
             hint = "the two chosen objects become the true answer to the question"
-            return h.div(button(f"“{state.text}” means this pair", "right-objects", hint), cls="rightpair panel")
+            return h.div(button(f"“{self._query.text}” means this pair", "right-objects", hint), cls="rightpair panel")
         pair = state.chosen or next(iter(state.ranked), None)
-        if state.trace is None or pair is None or pair.reference is None or not self._plain(state.text):
+        if state.trace is None or pair is None or pair.reference is None or not self._plain:
             return None
         if self._kept == state.text:
             back = button("Undo", "right-undo", "this pair is not right after all")
@@ -92,9 +94,9 @@ class RightPair(Part):
         made = button("This pair is right", "right-pair", hint, cls="try" if known else "try go")
         return h.div(made, None if known else h.span("No truth is known here yet.", cls="dim"), cls="rightpair panel")
 
-    def _plain(self, text: str) -> bool:
-        try:
-            words_of(self.ctx.source.read(text))
-        except InputError:
-            return False
-        return True
+    @property
+    def _plain(self) -> bool:
+        """Whether the question is one that can be kept."""
+        with suppress(InputError):
+            return self._query is not None and bool(words_of(self._query))
+        return False

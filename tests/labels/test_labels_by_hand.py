@@ -85,8 +85,10 @@ def test_an_outlined_thing_is_saved_and_every_command_reads_it(dataset: Dataset,
     assert all(row["center"] is not None for row in frame.objects.values())
     # Another one of the same journal, who has not seen the frame come in.
     bob = LabelEditor(labels, location, "bob", dataset)
-    bob.take_in(name)
-    assert set(bob.frame(name).objects) == {one, other}
+    assert bob.corrected(dataset.frame_ids[1]) is None
+    seen = bob.corrected(name)
+    assert seen is not None
+    assert set(seen.objects) == {one, other}
     materialise(open_labels(labels.root), location.to_write(), tmp_path / "effective", dataset=dataset)
     written = open_labels(tmp_path / "effective")
     assert written.objects.num_rows == 2

@@ -5,9 +5,9 @@ import {byId, calls, el, send} from './core.mjs';
 
 /* Axes a, b, c of each view, to the right and up, and the one that it is looked along. */
 const VIEWS = [
-  {name: 'top', title: 'From above', h: 0, v: 1, along: 2},
-  {name: 'front', title: 'From the front', h: 0, v: 2, along: 1},
-  {name: 'side', title: 'From the side', h: 1, v: 2, along: 0},
+  {name: 'top', title: 'Top', h: 0, v: 1, along: 2},
+  {name: 'front', title: 'Front', h: 0, v: 2, along: 1},
+  {name: 'side', title: 'Side', h: 1, v: 2, along: 0},
 ];
 const LEAST = 0.01, NEAR = 8, GRIP = 5, TURN = 22, STEP = 0.01, ANGLE = Math.PI / 90, REST_MS = 700;
 const KEYS = {ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowDown: [1, -1], ArrowUp: [1, 1]};
@@ -40,7 +40,7 @@ const after = (box, moves) => {
 
 // ---- drawing
 
-const half = view => [view.h, view.v].map(k => S.data.size[k] / 2 + 0.15 + 0.35 * Math.max(...S.data.size));
+const half = view => [view.h, view.v].map(k => S.data.size[k] / 2 + 0.1 + 0.3 * Math.max(...S.data.size));
 const placed = view => {
   const {width, height} = view.canvas, [x, y] = half(view);
   return {scale: view.zoom * Math.min(width / (2 * x), height / (2 * y)), x: width / 2, y: height / 2};
