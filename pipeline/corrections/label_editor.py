@@ -18,7 +18,7 @@ from pipeline.corrections.unsaved import Waiting, decided
 from pipeline.datasets import Dataset
 from pipeline.labels.by_hand import NewLabels, grows, seen_with, with_frames
 from pipeline.labels.reading import Labels
-from pipeline.system.errors import InputError, needed, require
+from pipeline.system.errors import InputError, require
 
 NOT_IN_THE_JOURNAL = 2**62
 """Edits that wait to be saved come after every event of the journal."""
@@ -53,7 +53,9 @@ class LabelEditor:
         return Corrector(self.labels, self._dataset)
 
     def __contains__(self, frame: str) -> bool:
-        return frame in self.corrector.index.of_frame
+        """Whether the labels have a frame, or take it in: see `take_in`."""
+        known, dataset = frame in self.corrector.index.of_frame, self._dataset
+        return known or (dataset is not None and grows(self.labels) and frame in dataset.frame_ids)
 
     def take_in(self, frame: str) -> None:
         """Have a frame of the dataset among labels that were begun by hand; it is kept from the first edit on.
@@ -61,11 +63,10 @@ class LabelEditor:
         Raises
         ------
         InputError
-            The labels do not grow, or the dataset is not at hand or cannot load it.
+            The dataset cannot load it.
         """
-        if frame not in self:
-            dataset = needed(self._dataset, "this needs the dataset, and it is not at hand")
-            self.labels = seen_with(self.labels, dataset, frame)
+        if frame not in self.corrector.index.of_frame and frame in self and self._dataset is not None:
+            self.labels = seen_with(self.labels, self._dataset, frame)
             self.__dict__.pop("corrector", None)
 
     def keep_frames(self, frames: Iterable[str]) -> None:
@@ -122,6 +123,7 @@ class LabelEditor:
         InputError
             The labels have no such frame, or the journal or the dataset cannot be read.
         """
+        self.take_in(frame)
         # An event that waits is named by its group, so that one that was saved is another.
         return self.corrector.frame(frame, self.events(frame))
 
@@ -132,12 +134,7 @@ class LabelEditor:
 
     def corrected(self, frame: str) -> EffectiveFrame | None:
         """As `frame`; None where nobody has corrected anything in it."""
-        if not self.events(frame):
-            return None
-        if frame not in self and grows(self.labels) and self._dataset is not None:
-            # Somebody else has labelled it since.
-            self.take_in(frame)
-        return self.frame(frame) if frame in self else None
+        return self.frame(frame) if self.events(frame) and frame in self else None
 
     def events(self, frame: str) -> list[Event]:
         """The events of a frame, then those that wait.

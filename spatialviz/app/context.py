@@ -19,6 +19,7 @@ from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
 from spatialviz.app.channel import Channel, Incoming
 from spatialviz.app.frames import FrameStore
+from spatialviz.app.label_editors import LabelEditors
 from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.place import Place
 from spatialviz.app.scene import SceneView
@@ -92,6 +93,8 @@ class Context:
         Times and lines of what happened.
     closed : threading.Event
         Set when the page has gone.
+    editors : LabelEditors
+        Of the labels that may be corrected.
     leave : list of callable
         Called then, such as to listen no more to what runs on for others.
     """
@@ -106,6 +109,7 @@ class Context:
         self.post = self.channel.post
         self.page = Page(self.channel.send)
         self.dialog = Dialog(self.page)
+        self.editors = LabelEditors(shared.journals, shared.store.sources, shared.author)
         self.client = SceneClient()
         self.scene = SceneView(self.client, lambda pixel, boxes: self.post(lambda: self.clicked(pixel, boxes)))
 

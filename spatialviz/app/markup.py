@@ -194,6 +194,15 @@ def button(label: Child, do: str, title: str = "", cls: str = "", **more: object
     return h.button(label, cls=f"try {cls}".strip(), do=do, title=title or None, **more)
 
 
+def progress(name: str, done: float, of: float) -> Element:
+    """How far something is."""
+    share = done / of if of else 0.0
+    return h.div(
+        h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
+        aria_label=name,
+    )  # fmt: skip
+
+
 def joined(parts: Iterable[Child], between: str = " · ") -> Child:
     """Parts with the same between each two."""
     return [(between if k else None, part) for k, part in enumerate(parts)]

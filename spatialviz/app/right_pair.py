@@ -10,34 +10,28 @@ from pipeline.corrections.wording import outcome_text
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.language.tree import Query
 from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, Part, command
-from spatialviz.app.correct import Correct
+from spatialviz.app.context import Context, command
+from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import Element, button, h
 
 
-class RightPair(Part):
+class RightPair(LabelPart):
     """Says what is true of the question of one client."""
 
-    def __init__(self, ctx: Context, correct: Correct) -> None:
+    def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._correct = correct
         self._kept = ""
         self._query: Query | None = None
 
     @command("right-pair")
     def confirm(self) -> None:
         """The chosen pair, or the first one, is right."""
-        state, desk = self.state, self._correct.desk
+        state, editor = self.state, self.editor
         pair = state.chosen or next(iter(state.ranked), None)
-        if desk is None or state.trace is None or pair is None or state.labels is not None:
+        if state.trace is None or pair is None or state.labels is not None:
             return
-        try:
-            desk.take_in(state.frame_id)
-            outcome = desk.save(right_pair(desk, state.trace, pair))
-        except InputError as error:
-            self._correct.refuse(str(error))
-            return
-        said, bad = outcome_text(outcome, "kept as true", desk.frame(state.frame_id))
+        outcome = editor.save(right_pair(editor, state.trace, pair))
+        said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
         self._kept = state.text if isinstance(outcome, Saved) else ""
         self.ctx.page.toast("Not saved" if bad else "This pair is right", said, bad)
         self.ctx.ask(state.text)
@@ -45,14 +39,9 @@ class RightPair(Part):
     @command("right-undo")
     def take_back(self) -> None:
         """It is not, after all."""
-        desk = self._correct.desk
-        if desk is None or not self._kept:
+        if not self._kept:
             return
-        try:
-            outcome = desk.undo()
-        except InputError as error:
-            self._correct.refuse(str(error))
-            return
+        outcome = self.editor.undo()
         self._kept = ""
         self.ctx.page.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
         self.ctx.ask(self.state.text)
@@ -60,13 +49,11 @@ class RightPair(Part):
     @command("right-objects")
     def means(self) -> None:
         """The question that was asked last means the two objects that are chosen among the labels."""
-        state = self.state
-        view = state.labels
-        query = self._query
-        if view is None or state.pair is None or query is None:
+        pair, query = self.state.pair, self._query
+        if pair is None or query is None:
             return
-        a, b = (view.numbers[k] for k in state.pair[:2])
-        self._correct.save(lambda frame: right_objects(frame, query, a, b))
+        a, b = (self.view.numbers[k] for k in pair[:2])
+        self.save(lambda frame: right_objects(frame, query, a, b))
 
     def follow(self) -> None:
         """Offer it under an answer that has a pair."""

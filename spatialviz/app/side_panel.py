@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -22,9 +22,9 @@ from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.geometry.viewer import viewer_axes
 from pipeline.proposals.annotations import box_mask
 from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, Part, command
-from spatialviz.app.correct import Correct
+from spatialviz.app.context import Context, command
 from spatialviz.app.frames import jpeg_url
+from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.markup import Element, h
 from spatialviz.report.picture import box_edges_2d
@@ -36,12 +36,11 @@ CROP_MARGIN, CROP_LEAST = 0.35, 96
 """Around what is shown large: share of its longer side; pixels at least."""
 
 
-class SidePanel(Part):
+class SidePanel(LabelPart):
     """The views of one client."""
 
-    def __init__(self, ctx: Context, correct: Correct) -> None:
+    def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._correct = correct
         self._key = ""
         self._views: SideViews | None = None
 
@@ -74,7 +73,7 @@ class SidePanel(Part):
         if chosen is None or key != self._key:
             self.ctx.page.call("sidesBack")
             return
-        self._save(lambda frame: drag_box(frame, chosen[1], moves))
+        self._dragged(lambda frame: drag_box(frame, chosen[1], moves))
 
     @command("side-fit")
     def fit(self, said: str) -> None:
@@ -88,11 +87,15 @@ class SidePanel(Part):
             box = dragged(views.box, views.axes, [face_to_points(views, int(axis), int(side))])
             return set_box(frame, chosen[1], box, "a face fitted to the points")
 
-        self._save(made)
+        self._dragged(made)
 
-    def _save(self, made: object) -> None:
-        if self._correct.save(made) is None:  # pyright: ignore[reportArgumentType]
+    def _dragged(self, made: Callable[[EffectiveFrame], Edits]) -> None:
+        """Save it; the box in the browser goes back where it cannot be."""
+        try:
+            self.save(made)
+        except InputError:
             self.ctx.page.call("sidesBack")
+            raise
 
     def follow(self) -> None:
         """Bring the views up to the state; points travel only where they, or the box, are others."""

@@ -70,9 +70,9 @@ def test_an_outlined_thing_is_saved_and_every_command_reads_it(dataset: Dataset,
     labels = begun_labels(dataset, tmp_path / "mine")
     location = JournalLocation(labels)
     ann, name = LabelEditor(labels, location, "ann", dataset), dataset.frame_ids[0]
-    assert name not in ann
-    ann.take_in(name)
     assert name in ann
+    assert "nowhere" not in ann
+    ann.take_in(name)
     assert not labels.root.exists()
     frame = ann.frame(name)
     annotated = [a for a in dataset.load(name).annotations if a.mask is not None and np.count_nonzero(a.mask) > 2000]
