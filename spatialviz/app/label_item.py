@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,7 @@ from pipeline.relations.relations import F, T, U, letter
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.markup import Child, Element, button, h, heading, panel
 
+RULE = re.compile(r"^[a-z]+/[a-z-]+: ")
 UNNAMED = "unnamed"
 """The class of what is outlined and has no name yet."""
 SAYS = {T: "true", U: "undecided", F: "false"}
@@ -41,6 +43,22 @@ class Upcoming:
     reason: str
     frame: str
     shot: str
+
+
+def plain_reason(reason: str) -> str:
+    """A reason without the name of the rule that gave it."""
+    return RULE.sub("", reason)
+
+
+def idle_card(queued: bool) -> Element:
+    """What to do while no item is open and nothing is selected."""
+    start = answer("Begin", "J", "next-item:1", "open the first item of the queue", "yes")
+    return h.div(
+        h.div("One label after the other" if queued else "The queue is being made", cls="claim"),
+        h.div("Each is asked with its reason; one key settles it and opens the next.", cls="dim"),
+        h.div(start, cls="answers") if queued else None,
+        cls="task-item",
+    )
 
 
 def answer(name: str, key: str, do: str, hint: str, cls: str = "", **more: object) -> Element:
@@ -124,7 +142,11 @@ def _frame(
     view: LabelView, claim: str, ask: str, reasons: Sequence[str], answers: Element, accept: str,
     change: tuple[str, str] | None,
 ) -> Element:  # fmt: skip
-    why = h.ul((h.li(reason) for reason in reasons), cls="because", aria_label="why it is asked") if reasons else None
+    why = (
+        h.ul((h.li(plain_reason(reason)) for reason in reasons), cls="because", aria_label="why it is asked")
+        if reasons
+        else None
+    )
     lesser = h.div(
         small("Accept", "Y", "accept-item", accept) if accept else None,
         small("Unsure", "⇧U", "unsure-item", "ask somebody else") if accept else None,
