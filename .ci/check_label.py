@@ -52,7 +52,8 @@ def drag_an_edge(tab: Tab, journal: Path, labels: Path) -> None:
     tab.click("queue-kind:object")
     tab.press("j")
     tab.see("#sides .side-view canvas")
-    tab.page.wait_for_timeout(500)
+    tab.poll(f"document.querySelector('#crop figcaption b')?.textContent === {CLAIM}")
+    tab.page.wait_for_timeout(1000)
     size = "[...document.querySelectorAll('#sides .side-view figcaption span')].map(e => e.textContent)[0]"
     before = tab.poll(size)
     edge = tab.page.evaluate("import('/app/sides.mjs').then(m => m.sideEdge('top', 0, 1))")
@@ -62,7 +63,7 @@ def drag_an_edge(tab: Tab, journal: Path, labels: Path) -> None:
     mouse.move(edge["x"] + 18, edge["y"], steps=4)
     assert tab.poll(f"was => {size} !== was && {size}", before), "the box does not follow the hand"
     mouse.up()
-    tab.see("#side .note", "saved")
+    tab.see("#side .note", "3D box")
     (made,) = boxes(events(labels, "--journal", journal))
     grown = [round(a - b, 4) for a, b in zip(made["after"]["size"], made["before"]["size"], strict=True)]
     assert sum(g > 0.005 for g in grown) == 1, grown

@@ -56,7 +56,9 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
     said = note(view.said, BAD if view.bad else GOOD) if view and view.said and not (waiting and view.bad) else None
     kept = f"{counted(len(waiting), 'action')} not saved yet, kept here and tried again every few seconds: "
     decide = "Somebody was faster than you: nothing of yours is saved until you decide."
+    title = h.h2("Labelling", h.span("every action is saved at once", cls="dim"), cls="mode-title")
     return panel(
+        None if view is None else title,
         h.div(show, None if desk is None else _reviewer(desk.author), cls="nav"),
         said,
         (note(kept + waiting[-1].problem, BAD), button("try again", "save-again", cls="go")) if waiting else None,

@@ -422,10 +422,12 @@ class ReviewQueue(LabelPart):
 
     def _shot(self, queue: SourceQueue, key: ItemKey) -> str:
         """A small picture of an item's object, where its frame is loaded."""
-        loaded, view = self.ctx.shared.store.kept(self.state.source, key.frame), self.view
-        objects = view.frame if key.frame == view.frame.frame else None
-        row = None if objects is None else objects.objects.get(key.a)
-        return "" if loaded is None or row is None else loaded.thumb(np.array(row["bbox"], np.float32))
+        loaded = self.ctx.shared.store.kept(self.state.source, key.frame)
+        with suppress(InputError):
+            row = None if loaded is None else self.editor.corrector.index.rows(key.frame).objects.get(key.a)
+            if loaded is not None and row is not None:
+                return loaded.thumb(np.array(row["bbox"], np.float32))
+        return ""
 
     def _paced(self) -> Pace | None:
         """How fast this person worked today; None while the journal is away."""

@@ -59,7 +59,9 @@ class SidePanel(LabelPart):
         state = self.state
         if state.labels is not None and (count := len(state.labels.numbers)):
             at = -1 if state.selected is None and step > 0 else state.selected or 0
-            self.ctx.handle(f"object:{(at + step) % count}")
+            item = state.labels.item
+            # Who walks along looks at one after the other, and means no pair; that of an open item stays.
+            self.ctx.show(selected=(at + step) % count, pair=None if item is None else state.pair)
 
     @command("side-drag")
     def drag(self, said: str) -> None:
