@@ -35,7 +35,10 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     if trace is None:
         # Why a question could not be asked stands in its stage, PARSE.
         hint = "No answer." if state.error else HINT if can_ask else NOTHING_TO_ASK
-        return panel(level_html(state), h.p(hint, cls="lead dim"), under, cls="answer")
+        # An expression of the run that is not read has its verdict, too.
+        known = state.error and state.expression_id(state.text) is not None
+        chip = h.div(verdict_chip("PARSE", state.unread), cls="verdict") if known else None
+        return panel(level_html(state), h.p(hint, cls="lead dim"), chip, under, cls="answer")
     reason = why_no_answer(trace)
     told_: Child = [note(_capital(reason), BAD), _alone(state)] if reason is not None else _pair(state)
     return panel(level_html(state), before_html(state), told_, verdict_html(state), under, cls="answer")
@@ -124,7 +127,7 @@ def _pair(state: State) -> list[Child]:
         _names(state, pair),
         _headline(pair),
         h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None,
-        h.div(answer.below, cls="dim"),
+        h.div(answer.below, cls="dim", id="answer-below"),
     ]
 
 
@@ -149,7 +152,7 @@ def _names(state: State, pair: ScoredPair) -> Element:
     for k, end in enumerate(() if pair.reference is None else ends):
         joint = h.span("and" if k else state.trace.phrase, cls="dim")
         parts += [" ", joint, " ", named(colors["reference"], state.shown.names[end])]
-    return h.h2(parts, cls="names")
+    return h.h2(parts, cls="names", id="answer-names")
 
 
 def _headline(pair: ScoredPair) -> Element:
@@ -159,7 +162,7 @@ def _headline(pair: ScoredPair) -> Element:
         name, title = TITLES.get(what, (f"P({what})", f"the probability of the {what}"))
         low = "low" if what != "product" and not pair.holds else ""
         cells.append(h.span(f"{name} ", h.b(probability(value), cls=low), title=title))
-    return h.div(cells, cls="heads")
+    return h.div(cells, cls="heads", id="answer-heads")
 
 
 def _capital(text: str) -> str:

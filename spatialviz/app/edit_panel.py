@@ -105,7 +105,7 @@ def _object(state: State, editable: bool) -> Child:
         return heading(name), h.div("Not a candidate of this question: nothing depends on it.", cls="dim")
     hidden = f"#{entry.id}" in state.edits.hidden
     hide = button("show it again" if hidden else "hide it", "edit:hide", "as if it had not been found")
-    head = heading(name, hide)
+    head = heading(name, hide).with_(id="edit-name")
     if hidden:
         return head, h.div("Hidden: as if the detector had not found it.", cls="dim")
     box = entry.lifted.box
@@ -139,13 +139,13 @@ def _mask_row(state: State, mask: np.ndarray) -> Child:
         button("labelled", "edit:mask:label", "the pixels of the label in place of its own")
         if isinstance(state.judged, Diagnosis)
         else None,
-        button(f"⇄ {other}", "edit:mask:swap", f"this one gets the pixels of {other}, and that one its own")
+        button(f"⇄ {other}", "edit:mask:swap", f"it gets the pixels of {other}, and that one its own", id="edit-swap")
         if swaps
         else None,
     )
     hint = "Shift and drag over the picture in the Image tab to put a rectangle in place of its pixels."
     size = f"{int(mask.sum()):,} pixels · Shift-drag in the picture: a rectangle"
-    return row("Mask", h.div(buttons, cls="chips"), title=hint), h.div(size, cls="dim under-row")
+    return row("Mask", h.div(buttons, cls="chips"), title=hint), h.div(size, cls="dim under-row", id="edit-pixels")
 
 
 def _pair(state: State) -> Child:
@@ -223,8 +223,7 @@ def field(kind: str, value: float, *, hint: str, step: str, name: str, digits: i
     said = f"{value:g}" if digits is None else f"{value:.{digits}f}"
     return h.label(
         h.span(name),
-        h.input(type="number", step=step, value=said, change=kind),
-        id=f"field-{kind}",
+        h.input(type="number", step=step, value=said, change=kind, id=f"field-{kind}"),
         cls="field",
         title=hint,
     )

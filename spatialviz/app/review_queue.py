@@ -389,6 +389,9 @@ class ReviewQueue(LabelPart):
                 self._take(queue)
             queue.names.update({(view.frame.frame, n): row["label"] for n, row in view.frame.objects.items()})
         work = queue.work
+        if work is not None and self.ctx.reviewed is not work.frame_counts:
+            self.ctx.reviewed = work.frame_counts
+            self.ctx.post(lambda: self.ctx.handle("strip"))
         page.show("review-item", None if view is None else self._card(queue, item))
         bulk = None if work is None else bulk_html(self._find, len(self._found(work)), len(work))
         rows = queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names, bulk)

@@ -151,7 +151,7 @@ class RunPanel(Part):
             if source != self._source or now is None or now.rows != listing.rows:
                 return
             for frame in missing[:FILLED]:
-                self._thumbs[frame] = self.ctx.shared.store.thumb(source, frame)[0]
+                self._thumbs[frame] = self.ctx.shared.pictures.url(source, frame)
             self._draw()
             self._fill(now)
 

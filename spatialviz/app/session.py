@@ -15,6 +15,7 @@ from pipeline.datasets.base import dataset_notes
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
+from pipeline.language.unreadable import why_unread
 from pipeline.system.errors import InputError, UnknownClass
 from spatialviz.app import (
     beside,
@@ -27,6 +28,7 @@ from spatialviz.app import (
     what_if,
 )
 from spatialviz.app.answer import answer_in_words
+from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Shared, command, commands_of
 from spatialviz.app.frames import LoadedFrame
@@ -66,7 +68,7 @@ class Session(Context):
         self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
         self._beside = beside.BesideLayer(self)
         self._runs = run_panel.RunPanel(self)
-        self._what_if, self._steps = what_if.WhatIf(self, self._judge.judge), selection.FrameSteps(self)
+        self._what_if, self._browse = what_if.WhatIf(self, self._judge.judge), Browse(self)
         self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs)
         parts = (
             self,
@@ -75,7 +77,7 @@ class Session(Context):
             self._what_if,
             self._strings,
             self._beside,
-            self._steps,
+            self._browse,
             level,
             pointing,
             selection.ViewSettings(self),
@@ -206,6 +208,7 @@ class Session(Context):
         if restoring:
             self._runs.follow()
             self._runs.search(place.find)
+            self.state = replace(self.state, camera=place.look or "pair")
         here = self.state
         labelling = restoring and place.task == "label" and here.correctable
         if labelling:
@@ -220,7 +223,10 @@ class Session(Context):
             self.open_frame(frame, first=True, asking=text)
         if restoring:
             self.state = replace(self.state, stage=place.stage or "")
+            self.handle(f"pair:{(place.pair or 1) - 1}")
             self.draw()
+            if same and self.state.loaded is not None:
+                self.scene.viewpoint.place(self.state.camera)
         if place.camera is not None:
             self.scene.viewpoint.turn_to(*place.camera)
 
@@ -291,7 +297,7 @@ class Session(Context):
             if not correcting:
                 self._ask_first(loaded, first, asking)
         self.draw()
-        self._steps.browse()
+        self._browse.browse()
 
     def _load(self, first: bool, scored: bool) -> LoadedFrame:
         """Take the frame into the state, with what may be asked of it where it is to be `scored`."""
@@ -351,7 +357,7 @@ class Session(Context):
             shown = shown_objects(loaded, None, self._exact)
             # Which names a frame has is said beside the field; the detector knows many more.
             said = error.what if isinstance(error, UnknownClass) else str(error)
-            self.state = replace(self.state, error=said, shown=shown, selected=None)
+            self.state = replace(self.state, error=said, unread=why_unread(error), shown=shown, selected=None)
             self.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)
@@ -419,6 +425,7 @@ class Session(Context):
         filling.fill_page(self, self._suggestions)
         self._runs.follow()
         self._labels.follow()
+        self._browse.follow()
         self._cloud.follow()
         self._draw_scene()
         self.say_address()
