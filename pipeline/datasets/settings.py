@@ -16,6 +16,9 @@ from pipeline.system.whole_files import write_whole
 
 FILE_NAME = "spatialviz.toml"
 KEYS = ("name", "intrinsics", "depth_scale", "world_up", "up", "frame_up")
+INTRINSICS = "--intrinsics fx,fy,cx,cy"
+DEPTH_SCALE = "--depth-scale UNITS_PER_METRE"
+"""The options that tell what a recording may not."""
 TABLE = "frame_up"
 """The one key that is a table."""
 
@@ -38,6 +41,8 @@ class Settings:
         Up in the camera frame of single frames; the poses carry it to the others of the scene.
     name : str or None
         The dataset's name for people.
+    browse : bool
+        Pictures are only looked at: what nothing tells of the camera is made up, and said to be (`Camera.untold`).
     """
 
     intrinsics: tuple[float, float, float, float] | None = None
@@ -46,6 +51,7 @@ class Settings:
     name: str | None = None
     up: GivenUp | None = None
     frame_up: Mapping[str, Vector] = field(default_factory=dict)
+    browse: bool = False
 
     def __post_init__(self) -> None:
         if self.intrinsics is not None:
@@ -94,7 +100,7 @@ def unit_notes(settings: Settings, units_per_metre: float, whose: str) -> tuple[
         return ()
     return (
         f"the depth's unit is {whose}, {units_per_metre:g} to a metre, which no file states: "
-        "--depth-scale UNITS_PER_METRE tells another",
+        f"{DEPTH_SCALE} tells another",
     )
 
 
@@ -103,7 +109,7 @@ def camera_notes(settings: Settings, numbers: Sequence[float], whose: str) -> tu
     if settings.intrinsics is not None:
         return ()
     values = ",".join(f"{n:g}" for n in numbers)
-    return (f"the camera is {whose}, {values}, which no file states: --intrinsics fx,fy,cx,cy tells another",)
+    return (f"the camera is {whose}, {values}, which no file states: {INTRINSICS} tells another",)
 
 
 def read_settings(root: Path) -> Settings:
