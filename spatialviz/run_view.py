@@ -48,7 +48,7 @@ def run_view(command: View) -> None:
         found = None if command.labels is None else open_labels(command.labels)
         options = command.source.arguments()
         options = options if found is None else labelled_up(found.manifest, options)
-        sources, left_out = open_sources(dataset, **options, also=command.also)
+        sources, left_out = open_sources(dataset, **options, also=command.also, browse=True)
         for name, reason in left_out.items():
             warn(f"left out {name}: {reason}")
         if found is not None:

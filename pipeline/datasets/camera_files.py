@@ -160,7 +160,8 @@ def stated_beside(paths: Iterable[Path]) -> Stated:
     if not found:
         return Stated(units_per_metre=units)
     for other in found[1:]:
-        same = other.size != found[0].size or np.allclose(other.K, found[0].K, atol=0.01)
+        matrices = [np.asarray(stated.K) for stated in (other, found[0])]
+        same = other.size != found[0].size or np.allclose(*matrices, atol=0.01)
         require(
             same,
             "two camera files disagree",

@@ -22,6 +22,9 @@ from pipeline.datasets.settings import DEPTH_SCALE, Settings
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError, needed
 
+MOST_CAMERA_FILES = 20
+"""So many files that may speak of the camera are read."""
+
 
 @dataclass(frozen=True)
 class _PoseText:
@@ -62,18 +65,17 @@ class Scene:
     pose_problem: str | None = None
 
     @classmethod
-    def of(cls, root: Path, settings: Settings) -> Scene:
+    def of(cls, files: Files) -> Scene:
         """The frames of a folder, listed; InputError where colour and depth do not pair, or its camera files differ."""
-        files = needed(files_by_role(root), "no colour and depth that their names tell", path=root)
+        root = files.root
         colors, depths = files.of("color"), files.of("depth")
         naming = choose_naming(colors, depths, files.flat)
         pairs = pair_files(naming, colors, depths, root)
         keys = {pair.key for pair in pairs}
-        each = {role: {k: n for n in files.of(role) if (k := naming(n)) in keys} for role in ("camera", "label")}
+        each = {role: {naming(name): name for name in files.of(role)} for role in ("camera", "label")}
         stated = NOTHING
-        if settings.intrinsics is None or settings.depth_scale is None:
-            own = set(each["camera"].values())
-            stated = stated_beside(root / name for name in files.of("camera") if name not in own)
+        if not keys & each["camera"].keys():
+            stated = stated_beside(root / name for name in files.of("camera")[:MOST_CAMERA_FILES])
         poses, problem = _poses(files, naming, [pair.key for pair in pairs])
         return cls(files, pairs, stated, each["camera"], each["label"], poses, problem)
 
@@ -111,7 +113,7 @@ class FolderDataset(Recording):
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        self._scenes = {prefix: Scene.of(folder, settings) for prefix, folder in self._folders(root).items()}
+        self._scenes = {prefix: Scene.of(self._files(folder)) for prefix, folder in self._folders(root).items()}
         self._index = {
             frame_id: (prefix, pair)
             for prefix, scene in self._scenes.items()
@@ -126,15 +128,30 @@ class FolderDataset(Recording):
     def _folders(self, root: Path) -> dict[str, Path]:
         return {"": root}
 
+    def _files(self, folder: Path) -> Files:
+        return needed(files_by_role(folder), "no colour and depth that their names tell", path=folder)
+
+    def _camera(self, scene: Scene, pair: Pair) -> Stated:
+        return scene.camera(pair.key)
+
+    def _pose(self, scene: Scene, pair: Pair, notes: list[str]) -> np.ndarray | None:
+        notes += [] if scene.pose_problem is None else [f"no camera pose: {scene.pose_problem}"]
+        text = scene.poses.get(pair.key)
+        return None if text is None else or_note(notes, "no camera pose: ", text.read)
+
+    def _up(self, pose: np.ndarray | None) -> np.ndarray | None:
+        """The up vector, camera frame, that a layout's world declares; plain ones declare none."""
+        return None
+
     def _check(self) -> None:
         """What the first frame of each scene and the suffixes tell of what is missing, without decoding a picture."""
         told, camera, unit, floats = self._settings, False, False, False
         scene = next(iter(self._scenes.values()))
         for scene in self._scenes.values():
-            stated = or_note([], "", scene.camera, scene.pairs[0].key) or NOTHING
+            stated = or_note([], "", self._camera, scene, scene.pairs[0]) or NOTHING
             depths = {os.path.splitext(name)[1].lower() for name in scene.files.of("depth")}
             integer = bool(depths & set(INTEGER_DEPTH_SUFFIXES))
-            no_unit = told.depth_scale is None and stated.units_per_metre is None
+            no_unit = told.depth_scale is stated.units_per_metre is self.rule.units_per_metre is None
             camera |= told.intrinsics is None and stated.K is None
             unit |= no_unit and integer
             floats |= no_unit and not integer
@@ -146,13 +163,11 @@ class FolderDataset(Recording):
         prefix, pair = self._found(self._index, frame_id)
         scene = self._scenes[prefix]
         color, depth = files_of(pair, self.root)
-        notes += [] if scene.pose_problem is None else [f"no camera pose: {scene.pose_problem}"]
-        text = scene.poses.get(pair.key)
-        pose = None if text is None else or_note(notes, "no camera pose: ", text.read)
-        stated = NOTHING if self._told else scene.camera(pair.key)
+        pose = self._pose(scene, pair, notes)
+        stated = NOTHING if self._told else self._camera(scene, pair)
         label = scene.labels.get(pair.key)
         annotate = None if label is None else LabelPicture(scene.files.root / label, self._names).annotations
-        return Listed(color, depth, stated, pose, annotate)
+        return Listed(color, depth, stated, pose, annotate, self._up(pose))
 
     @property
     def _told(self) -> bool:

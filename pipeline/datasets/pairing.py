@@ -95,6 +95,12 @@ def files_by_role(root: Path) -> Files | None:
     return Files(root, False, found)
 
 
+def files_in_roles(root: Path, role: str) -> list[str]:
+    """The files of a role in the folders of that role, as `files_by_role` has them; none without such a folder."""
+    folders = [folder for folder in readable(root)[0] if role_of(folder)[0] == role]
+    return _inside(root, folders, role) if folders else []
+
+
 def _by_name(names: Iterable[str]) -> dict[str, list[str]]:
     """Names of the files of one folder by the role that their words tell; a picture without such a word is colour."""
     found: dict[str, list[str]] = {}

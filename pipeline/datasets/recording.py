@@ -141,14 +141,15 @@ class Recording:
         missing = [option for option, lacks in ((INTRINSICS, camera), (DEPTH_SCALE, unit)) if lacks]
         if not missing:
             return
+        are = "is" if len(missing) == 1 else "are"
         what = " and ".join(name for name, lacks in (("a camera", camera), ("the depth's unit", unit)) if lacks)
         if self._settings.browse:
-            self.notes += (f"{what} is missing, so that nothing can be measured: {' and '.join(missing)}",)
+            self.notes += (f"{what} {are} missing, so that nothing can be measured: {' and '.join(missing)}",)
             return
         raise InputError(
-            f"{seen}; {what} is missing",
+            f"{seen}; {what} {are} missing",
             expected=" and ".join(missing),
-            cause=f"give it on the command line or keep it in {FILE_NAME} beside the data",
+            cause=f"or kept in {FILE_NAME} beside the data",
             path=self.root,
         )
 
