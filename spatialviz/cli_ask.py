@@ -122,6 +122,16 @@ class Frames(Output):
 
 
 @dataclass(frozen=True)
+class ImportRecording(Output):
+    """Write a recording of any layout as color/, depth/, pose/, label/ and spatialviz.toml."""
+
+    dataset: Positional[str]
+    """Dataset folder or capture."""
+    out: Positional[NewFolder]
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+
+
+@dataclass(frozen=True)
 class Context(Output):
     """Fuse the posed frames around a frame into a mesh, in its camera frame (extra: open3d)."""
 

@@ -14,6 +14,7 @@ from pipeline.answering.opening import FrameRelations, open_pipeline, open_sourc
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.suggestions import MissedNames, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
+from pipeline.datasets.importing import import_recording
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.synthetic import render_dataset
@@ -27,7 +28,7 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
 from pipeline.system.errors import require
-from spatialviz.cli_ask import Ask, Context, Frames, Measure, Relations, Render
+from spatialviz.cli_ask import Ask, Context, Frames, ImportRecording, Measure, Relations, Render
 from spatialviz.options import ALL_FRAMES, FINE, NO, numbers, one_frame, print_json, warn, warn_skipped
 from spatialviz.printing import print_rows, print_summary, rate_bar, say
 from spatialviz.report.picture import save_picture
@@ -112,6 +113,19 @@ def _survey_frames(command: Frames, dataset: Dataset, camera: dict[str, Any], na
             say(f"note on {counted(frames, 'frame')}: {note}", style="yellow")
         print_summary(record)
     return record["frames_usable"]
+
+
+def run_import_recording(command: ImportRecording) -> int:
+    dataset = open_pipeline(command.dataset, **command.camera.camera(), srm="rule").dataset
+    with rate_bar("writing", "frames") as advance:
+        report = import_recording(dataset, command.out, advance)
+    for frame_id, reason in report.skipped.items():
+        warn_skipped(frame_id, reason)
+    for note in report.notes:
+        warn(note)
+    record = {"frames": report.frames, "skipped": report.skipped, "notes": report.notes, "out": str(command.out)}
+    command.write(record, say, f"{counted(report.frames, 'frame')} of {dataset.format} -> {command.out}")
+    return FINE
 
 
 def run_context(command: Context) -> None:

@@ -6,6 +6,9 @@ import io
 import json
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any, Protocol
 
@@ -149,6 +152,9 @@ def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
 
     Without `links` a folder that is a link counts as a file.
     """
+    memo = _LISTED.get()
+    if memo is not None and (folder, links) in memo:
+        return memo[folder, links]
     folders: list[str] = []
     files: list[str] = []
     try:
@@ -158,7 +164,33 @@ def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
                     (folders if entry.is_dir(follow_symlinks=links) else files).append(entry.name)
     except OSError as error:
         raise InputError("a folder cannot be listed", got=error.strerror, path=folder) from error
-    return sorted(folders, key=natural), sorted(files, key=natural)
+    found = in_order(folders), in_order(files)
+    if memo is not None:
+        memo[folder, links] = found
+    return found
+
+
+_LISTED: ContextVar[dict[tuple[Path, bool], tuple[list[str], list[str]]] | None] = ContextVar("listed", default=None)
+
+
+@contextmanager
+def listed_once() -> Iterator[None]:
+    """In the block each folder is listed once: every format looks at a dataset before one opens it."""
+    token = _LISTED.set({})
+    try:
+        yield
+    finally:
+        _LISTED.reset(token)
+
+
+_DIGITS = str.maketrans("123456789", "0" * 9)
+
+
+def in_order(names: list[str]) -> list[str]:
+    """Names in natural order."""
+    # Where all digits stand in the same columns, the order of characters is the natural one, and soon found.
+    alike = len({name.translate(_DIGITS) for name in names}) <= 1
+    return sorted(names) if alike else sorted(names, key=natural)
 
 
 def readable(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:

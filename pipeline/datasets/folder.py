@@ -65,8 +65,11 @@ class Scene:
     pose_problem: str | None = None
 
     @classmethod
-    def of(cls, files: Files) -> Scene:
-        """The frames of a folder, listed; InputError where colour and depth do not pair, or its camera files differ."""
+    def of(cls, files: Files, told: bool) -> Scene:
+        """The frames of a folder, listed; InputError where colour and depth do not pair, or its camera files differ.
+
+        `told` says that the intrinsics are known already.
+        """
         root = files.root
         colors, depths = files.of("color"), files.of("depth")
         naming = choose_naming(colors, depths, files.flat)
@@ -75,7 +78,7 @@ class Scene:
         each = {role: {naming(name): name for name in files.of(role)} for role in ("camera", "label")}
         stated = NOTHING
         if not keys & each["camera"].keys():
-            stated = stated_beside(root / name for name in files.of("camera")[:MOST_CAMERA_FILES])
+            stated = stated_beside((root / name for name in files.of("camera")[:MOST_CAMERA_FILES]), told)
         poses, problem = _poses(files, naming, [pair.key for pair in pairs])
         return cls(files, pairs, stated, each["camera"], each["label"], poses, problem)
 
@@ -113,7 +116,8 @@ class FolderDataset(Recording):
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        self._scenes = {prefix: Scene.of(self._files(folder)) for prefix, folder in self._folders(root).items()}
+        told = settings.intrinsics is not None
+        self._scenes = {prefix: Scene.of(self._files(folder), told) for prefix, folder in self._folders(root).items()}
         self._index = {
             frame_id: (prefix, pair)
             for prefix, scene in self._scenes.items()

@@ -9,6 +9,7 @@ from pipeline.datasets import (
     avd,
     bop,
     folder,
+    parquet,
     phones,
     reconstructions,
     redwood,
@@ -21,6 +22,7 @@ from pipeline.datasets import (
     ycb_video,
 )
 from pipeline.datasets.base import Dataset, DatasetFormat
+from pipeline.datasets.files import listed_once
 from pipeline.datasets.settings import GivenUp, read_settings
 from pipeline.datasets.unknown import unknown
 from pipeline.datasets.up import with_given_up
@@ -40,13 +42,14 @@ FORMATS: tuple[DatasetFormat, ...] = (
     reconstructions.NERFSTUDIO,
     reconstructions.COLMAP,
     redwood.FORMAT,
+    parquet.FORMAT,
     avd.FORMAT,
     semantic_abstraction.FORMAT,
 )
 """The formats with marks of their own; the first that recognises a folder opens it.
 A new reader is one file and one line here."""
 
-CAPTURES: tuple[DatasetFormat, ...] = (phones.RECORD3D,)
+CAPTURES: tuple[DatasetFormat, ...] = (phones.RECORD3D, parquet.FORMAT)
 """Formats of single files, which are told by their names."""
 
 FALLBACK = folder.FORMAT
@@ -103,7 +106,8 @@ def open_dataset(
     settings = replace(read_settings(beside).overridden(intrinsics, depth_scale, told), browse=browse)
     added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
     formats = (*FORMATS, *added, FALLBACK) if root.is_dir() else CAPTURES
-    for candidate in formats:
-        if candidate.recognises(root):
-            return with_given_up(candidate.open(root, settings), settings, level_at)
+    with listed_once():
+        for candidate in formats:
+            if candidate.recognises(root):
+                return with_given_up(candidate.open(root, settings), settings, level_at)
     raise unknown(root, lambda path: any(candidate.recognises(path) for candidate in formats))

@@ -172,14 +172,17 @@ def image_files(root: Path, folders: tuple[str, ...], suffixes: tuple[str, ...],
 
 def numbers(name: str) -> Key:
     """Every number in a file's name; a time stamp with its decimals is one number."""
-    found = re.findall(r"[0-9]+(?:\.[0-9]+)?", stem_of(name))
-    return tuple(re.sub(r"^0+(?=[0-9])", "", number) for number in found)
+    return tuple(_ZEROS.sub("", number) for number in _NUMBER.findall(stem_of(name)))
+
+
+_NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
+_ZEROS = re.compile(r"^0+(?=[0-9])")
 
 
 def rest(name: str) -> Key:
     """What the words of its role leave of a file's name."""
     left = role_of(stem_of(name))[1]
-    return (re.sub(r"^0+(?=[0-9])", "", left),)
+    return (_ZEROS.sub("", left),)
 
 
 def choose_naming(colors: list[str], depths: list[str], flat: bool = False) -> Naming:
@@ -190,10 +193,16 @@ def choose_naming(colors: list[str], depths: list[str], flat: bool = False) -> N
     InputError
         Under every way, some folder has a name twice.
     """
-    numbered = all(map(numbers, (*colors, *depths)))
+    known = {name: numbers(name) for name in (*colors, *depths)}
+    numbered = all(known.values())
+
+    def each(name: str) -> Key:
+        return known[name] if name in known else numbers(name)
+
     # Recordings may number their files and add a time that differs between colour and depth.
-    by_number: tuple[Naming, ...] = (lambda name: numbers(name)[-1:], numbers, lambda name: numbers(name)[:1])
-    namings = by_number if numbered else (lambda name: (stem_of(name),),)
+    namings: tuple[Naming, ...] = (lambda name: each(name)[-1:], each, lambda name: each(name)[:1])
+    if not numbered:
+        namings = (lambda name: (stem_of(name),),)
     if flat or not numbered:
         # In one folder other pictures may have numbers too.
         namings = (rest, *namings)
@@ -238,7 +247,10 @@ def pair_files(naming: Naming, colors: list[str], depths: list[str], root: Path)
         got=f"{stem_of(colors[0])} ... {stem_of(colors[-1])} and {stem_of(depths[0])} ... {stem_of(depths[-1])}",
         path=root,
     )
-    keys = sorted(color.keys() | depth.keys(), key=lambda key: [natural(part) for part in key])
+    keys = color.keys() | depth.keys()
+    single = all(len(key) == 1 and key[0].isdecimal() for key in keys)
+    order = (lambda key: (int(key[0]), key)) if single else (lambda key: [natural(part) for part in key])
+    keys = sorted(keys, key=order)
     return [Pair(key, root, color.get(key), depth.get(key)) for key in keys]
 
 

@@ -120,8 +120,12 @@ class Member:
             return _archive(self.archive).read(self.inside)
 
 
-@lru_cache(maxsize=4)
 def _archive(path: Path) -> ZipFile:
+    return _opened(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _opened(path: Path, written: int) -> ZipFile:
     """An open archive; `ZipFile` reads members from several threads."""
     return ZipFile(path)
 
