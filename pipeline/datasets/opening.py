@@ -17,6 +17,7 @@ from pipeline.datasets import (
     scannet,
     semantic_abstraction,
     seven_scenes,
+    streams,
     sunrgbd,
     tum,
     ycb_video,
@@ -43,13 +44,14 @@ FORMATS: tuple[DatasetFormat, ...] = (
     reconstructions.COLMAP,
     redwood.FORMAT,
     parquet.FORMAT,
+    streams.FORMAT,
     avd.FORMAT,
     semantic_abstraction.FORMAT,
 )
 """The formats with marks of their own; the first that recognises a folder opens it.
 A new reader is one file and one line here."""
 
-CAPTURES: tuple[DatasetFormat, ...] = (phones.RECORD3D, parquet.FORMAT)
+CAPTURES: tuple[DatasetFormat, ...] = (phones.RECORD3D, parquet.FORMAT, streams.FORMAT)
 """Formats of single files, which are told by their names."""
 
 FALLBACK = folder.FORMAT

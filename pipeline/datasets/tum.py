@@ -66,7 +66,7 @@ class TumDataset(Recording):
         super().__init__(root, settings)
         colors, depths = _entries(root, "rgb.txt"), _entries(root, "depth.txt")
         times = np.array([entry.time for entry in colors]), np.array([entry.time for entry in depths])
-        matched = _match(*times)
+        matched = match_times(*times)
         require(
             matched,
             "no colour image has a depth image within 20 ms",
@@ -133,7 +133,7 @@ def _entries(root: Path, name: str) -> list[_Entry]:
     return [found[time] for time in sorted(found)]
 
 
-def _match(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
+def match_times(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
     """One-to-one matches of two sorted lists of times within 20 ms, the nearest first.
 
     The greedy rule is that of the dataset's own associate.py.
