@@ -67,16 +67,16 @@ class _Writer:
         self._labels(name, frame)
 
     def _labels(self, name: str, frame: Frame) -> None:
-        masked = [a for a in frame.annotations if a.mask is not None]
+        masked = [(a.mask, a) for a in frame.annotations if a.mask is not None]
         self.boxes += len(frame.annotations) - len(masked)
         if not masked:
             return
         picture = np.zeros(frame.depth.shape, np.uint16)
         # What is smaller lies on top of what holds it.
-        for annotation in sorted(masked, key=lambda a: -int(np.count_nonzero(a.mask))):
+        for mask, annotation in sorted(masked, key=lambda pair: -int(np.count_nonzero(pair[0]))):
             own = annotation.index if annotation.instance is None else annotation.instance
             number = self.numbers.setdefault((annotation.label, own), len(self.numbers) + 1)
-            picture[annotation.mask] = number
+            picture[mask] = number
         self._picture("label", name, picture)
 
     def _picture(self, kind: str, name: str, pixels: np.ndarray, suffix: str = "png") -> None:

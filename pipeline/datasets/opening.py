@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.datasets import (
+    apc,
     avd,
     bop,
     folder,
@@ -33,6 +34,7 @@ from pipeline.system.plugins import load_plugins
 FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,
     bop.FORMAT,
+    apc.FORMAT,
     seven_scenes.FORMAT,
     scannet.FORMAT,
     tum.FORMAT,

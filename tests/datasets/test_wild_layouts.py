@@ -234,6 +234,27 @@ def test_real_layouts_open_with_the_one_option_that_is_named(shared_data: Path) 
     assert all(report.ok and report.has_pose and report.annotations == 4 for report in survey(video))
 
 
+def test_picking_challenge_is_not_taken_for_seven_scenes(tmp_path: Path) -> None:
+    made = truths(2)
+    lines = ["# Environment: shelf", '# Objects: ["a"]', "", "# Color camera intrinsic matrix"]
+    lines += [" ".join(map(str, row)) for row in K] + ["# Depth camera intrinsic matrix", "1 0 0", "0 1 0", "0 0 1"]
+    for number, truth in enumerate(made):
+        write_png(tmp_path / f"frame-00000{number}.color.png", truth.rgb)
+        stored = (truth.millimetres.astype(np.uint32) * 10 % 65536).astype(np.uint16)
+        write_png(tmp_path / f"frame-00000{number}.depth.png", (stored << 3) | (stored >> 13))
+        lines.append(f"# Camera-to-world extrinsic matrix (camera pose) for frame-00000{number}")
+        lines += [" ".join(map(repr, row)) for row in np.asarray(truth.T_world_camera).tolist()]
+    (tmp_path / "cam.info.txt").write_text("\n".join(lines))
+    dataset = open_dataset(tmp_path)
+    assert dataset.format == "apc"
+    assert dataset.frame_ids == ("frame-000000", "frame-000001")
+    for frame_id, truth in zip(dataset.frame_ids, made, strict=True):
+        frame = dataset.load(frame_id)
+        near = truth.millimetres < 6553
+        assert np.abs(frame.depth - truth.depth)[near].max() < 1e-6
+        np.testing.assert_allclose(frame.camera.T_world_camera, truth.T_world_camera, atol=1e-6)  # type: ignore[arg-type]
+
+
 # Reconstructions
 
 
