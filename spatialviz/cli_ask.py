@@ -96,6 +96,15 @@ class Relations(Output):
 
 
 @dataclass(frozen=True)
+class Glossary(Output):
+    """What a word of the page or the shell means; without one, all of them."""
+
+    word: Positional[str | None] = None
+    markdown: Flag = False
+    """Print all as a document."""
+
+
+@dataclass(frozen=True)
 class Measure(Output):
     """How far apart two surface points of a frame are, and by how much to the right, up and forward; in metres."""
 
@@ -115,6 +124,8 @@ class Frames(Output):
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
     all: Flag = False
     """List every frame too. --json lists them without it."""
+    plan: str | None = None
+    """FRAME: print where the cameras of its scene stand, seen from above, instead."""
     summary: Flag = False
     """With --json: one JSON object of the counts, in place of a line for each frame."""
     remember: Flag = False

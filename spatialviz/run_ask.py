@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from pipeline.answering.ask import Trace
@@ -14,6 +15,7 @@ from pipeline.answering.opening import FrameRelations, open_pipeline, open_sourc
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.suggestions import MissedNames, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
+from pipeline.datasets.camera_plan import CameraPlan, camera_plan
 from pipeline.datasets.importing import import_recording
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
@@ -25,10 +27,11 @@ from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
+from pipeline.language.glossary import Term, find_term, glossary, glossary_markdown
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
-from pipeline.system.errors import require
-from spatialviz.cli_ask import Ask, Context, Frames, ImportRecording, Measure, Relations, Render
+from pipeline.system.errors import needed, require
+from spatialviz.cli_ask import Ask, Context, Frames, Glossary, ImportRecording, Measure, Relations, Render
 from spatialviz.options import ALL_FRAMES, FINE, NO, numbers, one_frame, print_json, warn, warn_skipped
 from spatialviz.printing import print_rows, print_summary, rate_bar, say
 from spatialviz.report.picture import save_picture
@@ -94,6 +97,13 @@ def _survey_frames(command: Frames, dataset: Dataset, camera: dict[str, Any], na
     """Tell what is in one dataset; returns how many of its frames can be used."""
     if command.remember:
         write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset))
+    if command.plan is not None:
+        frame = one_frame(dataset.frame_ids, command.plan, dataset.root)
+        plan = needed(
+            camera_plan(dataset, frame), f"fewer than two frames of the scene of {frame} have a pose", path=dataset.root
+        )
+        command.write({**named, **plan.record()}, print_plan, plan)
+        return len(dataset.frame_ids)
     counts, notes = SurveyCounts(), Counter[str]()
     with rate_bar("looking at frames", "frames") as advance:
         if not command.json:
@@ -126,6 +136,28 @@ def run_import_recording(command: ImportRecording) -> int:
     record = {"frames": report.frames, "skipped": report.skipped, "notes": report.notes, "out": str(command.out)}
     command.write(record, say, f"{counted(report.frames, 'frame')} of {dataset.format} -> {command.out}")
     return FINE
+
+
+def print_plan(plan: CameraPlan) -> None:
+    """The cameras of a scene, from above: metres, and degrees counted to the left from the first axis."""
+    say(f"scene {plan.scene}: {counted(len(plan.frame_ids), 'camera')}; metres along the longest spread and across it")
+    for frame, (x, y), (a, b) in zip(plan.frame_ids, plan.positions, plan.headings, strict=True):
+        say(f"  {frame}  {x:7.2f} {y:7.2f}  looks {math.degrees(math.atan2(b, a)):4.0f}°")
+
+
+def run_glossary(command: Glossary) -> None:
+    if command.markdown:
+        print(glossary_markdown(), end="")
+        return
+    terms = list(glossary().values()) if command.word is None else [find_term(command.word)]
+
+    command.write(map(asdict, terms), print_terms, terms)
+
+
+def print_terms(terms: Iterable[Term]) -> None:
+    """Words with what they mean."""
+    for term in terms:
+        say((term.name, "bold"), f" ({term.group}): {term.hint}")
 
 
 def run_context(command: Context) -> None:

@@ -124,7 +124,7 @@ def stated_in(table: Mapping[str, np.ndarray], path: Blob | None = None) -> Stat
             last.setdefault(key, numbers)
     four = [_first(last, names) for names in _NUMBERS]
     width, height = (_first(last, names) for names in _SIZES)
-    size = None if width is None or height is None else (round(width), round(height))
+    size = _size(width, height)
     numbers = [f for f in four if f is not None]
     K = intrinsics(*numbers) if len(numbers) == 4 else None
     for key, found in last.items():
@@ -135,7 +135,7 @@ def stated_in(table: Mapping[str, np.ndarray], path: Blob | None = None) -> Stat
         bare = table[""]
         K = _matrix(bare[2:] if bare.size == 6 else bare)
         if K is not None and bare.size == 6:
-            size = (round(bare[0]), round(bare[1]))
+            size = _size(float(bare[0]), float(bare[1]))
     return Stated(K, size, _units(_first(last, _UNITS)), path)
 
 
@@ -177,6 +177,13 @@ def _units(value: float | None) -> float | None:
     if value is None or not np.isfinite(value):
         return None
     return value if value >= 100 else 1 / value if 0 < value <= 0.01 else None
+
+
+def _size(width: float | None, height: float | None) -> tuple[int, int] | None:
+    """A picture's size in whole pixels; None where the numbers are none."""
+    if width is None or height is None or not (0.5 < width < 1e6 and 0.5 < height < 1e6):
+        return None
+    return round(width), round(height)
 
 
 def _first(table: Mapping[str, np.ndarray], names: Iterable[str]) -> float | None:

@@ -106,8 +106,7 @@ def open_dataset(
     require(root.exists(), "there is no such dataset", expected="a folder", path=root)
     require(up is None or level_at is None, "--up and --level-at say the same", expected="one of them")
     told = None if up is None else GivenUp.parse(up)
-    beside = root if root.is_dir() else root.parent
-    settings = replace(read_settings(beside).overridden(intrinsics, depth_scale, told), browse=browse)
+    settings = replace(read_settings(root).overridden(intrinsics, depth_scale, told), browse=browse)
     added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
     formats = (*FORMATS, *added, FALLBACK) if root.is_dir() else CAPTURES
     with listed_once():

@@ -183,13 +183,15 @@ class ColmapDataset(PosedPictures):
 
     def _read_camera(self, camera: Sequence[str] | None, picture: Path) -> Stated:
         words = needed(camera, "a picture of an unknown camera", path=self.source)
+        require(len(words) >= 5, "a camera without intrinsics", got=" ".join(words)[:60], path=self.source)
         model, *text = words
         values = as_floats(text, len(text), self.source, "a camera")
         width, height, *rest = values.tolist()
         focals = FOCALS.get(model, 2)
         require(len(rest) >= focals + 2, "a camera without intrinsics", got=" ".join(words)[:60], path=self.source)
         K = intrinsics(rest[0], rest[focals - 1], rest[focals], rest[focals + 1])
-        return half_pixel(K, (round(width), round(height)), self.source)
+        size = stated_in({"w": np.array([width]), "h": np.array([height])}).size
+        return half_pixel(K, size, self.source)
 
     def _read_pose(self, pose: Sequence[str]) -> np.ndarray:
         qw, qx, qy, qz, *t = as_floats(pose, 7, self.source, "a pose").tolist()

@@ -120,7 +120,7 @@ def read_settings(root: Path) -> Settings:
     InputError
         Malformed TOML, an unknown key, or a value that cannot be.
     """
-    path = root / FILE_NAME
+    path = settings_file(root)
     if not path.is_file():
         return Settings()
     try:
@@ -172,11 +172,17 @@ def write_settings(
             lines.append(f"{key} = [{', '.join(repr(float(v)) for v in value)}]")
         elif isinstance(value, float):
             lines.append(f"{key} = {value!r}")
-    lines += _tables(root / FILE_NAME)
+    path = settings_file(root)
+    lines += _tables(path)
     if told:
         lines += ["", f"[{TABLE}]", *(f"{_quoted(frame)} = {list(v)!r}" for frame, v in told.items())]
-    write_whole(root / FILE_NAME, ("\n".join(lines) + "\n").encode(), "the settings", make_folder=False)
-    return root / FILE_NAME
+    write_whole(path, ("\n".join(lines) + "\n").encode(), "the settings", make_folder=False)
+    return path
+
+
+def settings_file(root: Path) -> Path:
+    """Where the settings of a dataset stand: in its folder, or beside a capture, which may share it with others."""
+    return (root.parent if root.is_file() else root) / FILE_NAME
 
 
 def _tables(path: Path) -> list[str]:

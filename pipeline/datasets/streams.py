@@ -110,13 +110,17 @@ class Stream:
         """The message of a topic that was written at a time, or its first one."""
         with self.lock:
             for connection, _, data in self.raw([topic], at, None if at is None else at + 1):
-                return self.reader.deserialize(data, connection.msgtype)
+                return self._decoded(connection, data)
         raise InputError(f"no message of {topic} at {at}", path=self.path)
 
     def all(self, topics: list[str]) -> Any:
         with self.lock:
             for connection, _, data in self.raw(topics):
-                yield connection.topic, self.reader.deserialize(data, connection.msgtype)
+                yield connection.topic, self._decoded(connection, data)
+
+    def _decoded(self, connection: Any, data: bytes) -> Any:
+        with as_input_error(f"a message of {connection.topic} that cannot be read", Exception, got=str, path=self.path):
+            return self.reader.deserialize(data, connection.msgtype)
 
 
 def _stream(path: Path) -> Stream:
