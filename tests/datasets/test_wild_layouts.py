@@ -3,44 +3,23 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-from dataset_writers import HEIGHT, WIDTH, K, Truth, random_truth, write_png
+from dataset_writers import HEIGHT, WIDTH, K, write_bop, write_nerfstudio, write_png
 from reader_checks import FOLDER, refused
+from recording_checks import check_frame, truths
 from scipy.io import savemat
-from scipy.spatial.transform import Rotation
 
 from pipeline.datasets import open_dataset, survey
 from pipeline.datasets.importing import import_recording
 from pipeline.datasets.pairing import role_of
-from pipeline.geometry.frame import Frame
 from pipeline.geometry.measure import measure
 from pipeline.geometry.viewer import viewer_axes
 
-GL = np.diag([1.0, -1, -1, 1])
 BARE = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-
-
-def truths(count: int) -> list[Truth]:
-    rng = np.random.default_rng(7)
-    return [random_truth(rng) for _ in range(count)]
-
-
-def check(frame: Frame, truth: Truth, posed: bool = False, atol: float = 0.0) -> None:
-    assert np.abs(frame.depth - truth.depth).max() <= atol
-    np.testing.assert_allclose(frame.camera.K, K, atol=1e-6)
-    pose = frame.camera.T_world_camera
-    assert (pose is not None) == posed
-    if pose is not None:
-        np.testing.assert_allclose(pose, truth.T_world_camera, atol=1e-6)
 
 
 # Names
@@ -69,7 +48,7 @@ def test_pairs_are_told_by_the_words_of_their_names(tmp_path: Path, color: str, 
         write_png(tmp_path / other, truth.rgb)
     dataset = open_dataset(tmp_path, **FOLDER)
     assert dataset.frame_ids == (frame_id,)
-    check(dataset.load(frame_id), truth)
+    check_frame(dataset.load(frame_id), truth)
 
 
 def test_a_role_is_a_whole_word() -> None:
@@ -114,7 +93,7 @@ def test_a_single_frame_with_its_camera_file_opens_as_it_comes(tmp_path: Path, w
     write(tmp_path / "desk/camera")
     dataset = open_dataset(tmp_path / "desk")
     assert dataset.frame_ids == ("desk",)
-    check(dataset.load("desk"), truth)
+    check_frame(dataset.load("desk"), truth)
 
 
 def test_each_frame_may_have_its_camera(tmp_path: Path) -> None:
@@ -132,7 +111,7 @@ def test_a_camera_file_of_another_size_is_scaled_or_refused(tmp_path: Path) -> N
     write_png(tmp_path / "depth/1.png", truth.millimetres)
     camera = {"fx": 120, "fy": 122, "cx": 63.5, "cy": 47.5, "width": 2 * WIDTH, "height": 2 * HEIGHT}
     (tmp_path / "camera.json").write_text(json.dumps(camera))
-    check(open_dataset(tmp_path, depth_scale=1000).load("1"), truth)
+    check_frame(open_dataset(tmp_path, depth_scale=1000).load("1"), truth)
     (tmp_path / "camera.json").write_text(json.dumps({**camera, "width": WIDTH}))
     refused(lambda: open_dataset(tmp_path, depth_scale=1000).load("1"), "another image size", "camera.json")
 
@@ -168,7 +147,7 @@ def test_depth_in_npz_and_exr(tmp_path: Path) -> None:
     dataset = open_dataset(tmp_path, intrinsics=FOLDER["intrinsics"])
     assert "--depth-scale" in dataset.notes[0]  # type: ignore[attr-defined]
     for name in ("1", "2"):
-        check(dataset.load(name), truth)
+        check_frame(dataset.load(name), truth)
 
 
 # What nothing tells
@@ -255,160 +234,6 @@ def test_picking_challenge_is_not_taken_for_seven_scenes(tmp_path: Path) -> None
         np.testing.assert_allclose(frame.camera.T_world_camera, truth.T_world_camera, atol=1e-6)  # type: ignore[arg-type]
 
 
-# Reconstructions
-
-
-def write_nerfstudio(root: Path, depth: bool = True) -> list[Truth]:
-    made, frames = truths(3), []
-    for number, truth in enumerate(made, start=1):
-        write_png(root / f"images/frame_{number:05d}.png", truth.rgb)
-        write_png(root / f"depth/frame_{number:05d}.png", truth.millimetres)
-        pose = np.asarray(truth.T_world_camera) @ GL
-        frame: dict[str, Any] = {"file_path": f"./images/frame_{number:05d}.png", "transform_matrix": pose.tolist()}
-        frames.append({**frame, "depth_file_path": f"depth/frame_{number:05d}.png"} if depth else frame)
-    table = {"w": WIDTH, "h": HEIGHT, "fl_x": 60.0, "fl_y": 61.0, "cx": 32.0, "cy": 24.0, "camera_model": "OPENCV"}
-    (root / "transforms.json").write_text(json.dumps({**table, "frames": frames}))
-    return made
-
-
-@pytest.mark.parametrize("named", [True, False])
-def test_nerfstudio(tmp_path: Path, named: bool) -> None:
-    made = write_nerfstudio(tmp_path, named)
-    dataset = open_dataset(tmp_path)
-    assert dataset.format == "nerfstudio"
-    assert "nerfstudio's, 1000 to a metre" in dataset.notes[0]  # type: ignore[attr-defined]
-    for frame_id, truth in zip(dataset.frame_ids, made, strict=True):
-        check(dataset.load(frame_id), truth, posed=True)
-
-
-def test_nerfstudio_leaves_what_it_cannot_use_in_one_line(tmp_path: Path) -> None:
-    write_nerfstudio(tmp_path)
-    table = json.loads((tmp_path / "transforms.json").read_text())
-    table["k1"] = 0.1
-    table["frames"][0]["transform_matrix"] = [[1, 2], [3, 4]]
-    (tmp_path / "transforms.json").write_text(json.dumps(table))
-    dataset = open_dataset(tmp_path)
-    assert "distortion" in dataset.notes[-1]  # type: ignore[attr-defined]
-    assert "transform_matrix" in dataset.load("frame_00001").notes[0]
-    table["frames"][0]["file_path"] = "../../etc/passwd"
-    (tmp_path / "transforms.json").write_text(json.dumps(table))
-    refused(lambda: open_dataset(tmp_path), "outside the dataset")
-    (tmp_path / "transforms.json").write_text(json.dumps({"frames": [{"file_path": "images/frame_00001.png"}]}))
-    for path in (tmp_path / "depth").iterdir():
-        path.unlink()
-    refused(lambda: open_dataset(tmp_path), "depth")
-
-
-def test_colmap_text_model_with_a_depth_folder(tmp_path: Path) -> None:
-    made, lines = truths(3), ["# Image list with two lines of data per image:"]
-    for number, truth in enumerate(made, start=1):
-        write_png(tmp_path / f"images/view {number}.png", truth.rgb)
-        write_png(tmp_path / f"depth/view {number}.png", truth.millimetres)
-        T = np.linalg.inv(np.asarray(truth.T_world_camera))
-        x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat()
-        pose = " ".join(repr(float(v)) for v in (w, x, y, z, *T[:3, 3]))
-        # Points of the last picture may be none: an empty line.
-        lines += [
-            f"{number} {pose} 1 view {number}.png",
-            "1.5 2.5 -1 20.25 30.5 7 3.5 4.5 8 9.5 1.5 12" if number < 3 else "",
-        ]
-    (tmp_path / "sparse/0").mkdir(parents=True)
-    (tmp_path / "sparse/0/images.txt").write_text("\n".join(lines) + "\n")
-    (tmp_path / "sparse/0/cameras.txt").write_text(f"# comment\n1 PINHOLE {WIDTH} {HEIGHT} 60 61 32 24\n")
-    refused(lambda: open_dataset(tmp_path), "3 posed pictures", "--depth-scale")
-    dataset = open_dataset(tmp_path, depth_scale=1000)
-    assert dataset.format == "colmap"
-    assert dataset.frame_ids == ("view 1", "view 2", "view 3")
-    for frame_id, truth in zip(dataset.frame_ids, made, strict=True):
-        check(dataset.load(frame_id), truth, posed=True)
-
-
-# Phones
-
-
-def test_arkitscenes(tmp_path: Path) -> None:
-    made, lines = truths(3), []
-    root = tmp_path / "41069021"
-    for number, truth in enumerate(made):
-        name = f"41069021_{305.123 + number / 10:.3f}"
-        write_png(root / f"lowres_wide/{name}.png", truth.rgb)
-        write_png(root / f"lowres_depth/{name}.png", truth.millimetres)
-        write_png(root / f"confidence/{name}.png", np.ones((HEIGHT, WIDTH), np.uint8))
-        pincam = root / f"lowres_wide_intrinsics/41069021_{305.124 + number / 10:.3f}.pincam"
-        pincam.parent.mkdir(exist_ok=True)
-        pincam.write_text(f"{WIDTH} {HEIGHT} 60 61 31.5 23.5")
-        T = np.linalg.inv(np.asarray(truth.T_world_camera))
-        vector = cv2.Rodrigues(T[:3, :3])[0].ravel()
-        lines.append(" ".join(repr(float(v)) for v in (305.1234 + number / 10, *vector, *T[:3, 3])))
-    (root / "lowres_wide.traj").write_text("\n".join(lines[:2]))
-    dataset = open_dataset(root)
-    assert dataset.format == "arkitscenes"
-    assert dataset.frame_ids[0] == "41069021_305.123"
-    for number, (frame_id, truth) in enumerate(zip(dataset.frame_ids, made, strict=True)):
-        frame = dataset.load(frame_id)
-        check(frame, truth, posed=number < 2)
-        assert (frame.camera.up_source == "declared") == (number < 2)
-    assert "none within" in dataset.load(dataset.frame_ids[2]).notes[0]
-
-
-def test_record3d(tmp_path: Path) -> None:
-    lzfse = pytest.importorskip("liblzfse")
-    made = truths(2)
-    poses = []
-    with zipfile.ZipFile(tmp_path / "room.r3d", "w") as archive:
-        for number, truth in enumerate(made):
-            large = cv2.resize(truth.rgb, (2 * WIDTH, 2 * HEIGHT))
-            archive.writestr(f"rgbd/{number}.jpg", cv2.imencode(".jpg", large)[1].tobytes())
-            depth = np.where(truth.depth > 0, truth.depth, np.nan).astype(np.float32)
-            archive.writestr(f"rgbd/{number}.depth", lzfse.compress(depth.tobytes()))
-            T = np.asarray(truth.T_world_camera) @ GL
-            poses.append([*Rotation.from_matrix(T[:3, :3]).as_quat(), *T[:3, 3]])
-        camera = [120.0, 0, 0, 0, 122.0, 0, 63.5, 47.5, 1]
-        sizes = {"w": 2 * WIDTH, "h": 2 * HEIGHT, "dw": WIDTH, "dh": HEIGHT}
-        archive.writestr("metadata", json.dumps({"K": camera, **sizes, "fps": 60, "poses": poses}))
-    dataset = open_dataset(tmp_path / "room.r3d")
-    assert dataset.format == "record3d"
-    for frame_id, truth in zip(dataset.frame_ids, made, strict=True):
-        frame = dataset.load(frame_id)
-        check(frame, truth, posed=True)
-        assert frame.camera.up_source == "declared"
-    (tmp_path / "other.r3d").write_bytes(b"PK\x03\x04 cut off")
-    refused(lambda: open_dataset(tmp_path / "other.r3d"), "not a Record3D capture")
-
-
-# Tables
-
-
-def encoded(pixels: np.ndarray) -> dict[str, Any]:
-    pixels = pixels[..., ::-1] if pixels.ndim == 3 else pixels
-    return {"bytes": cv2.imencode(".png", pixels)[1].tobytes(), "path": None}
-
-
-def test_parquet_with_picture_columns(tmp_path: Path) -> None:
-    made = truths(3)
-    columns = {
-        "id": ["a", "b", "c"],
-        "image": [encoded(truth.rgb) for truth in made],
-        "depth": [encoded(truth.millimetres) for truth in made],
-        "intrinsics": [K.tolist()] * 3,
-        "prompt": ["mug", "table", "box"],
-    }
-    (tmp_path / "data").mkdir()
-    pq.write_table(pa.table(columns), tmp_path / "data/train-00000-of-00001.parquet", row_group_size=2)
-    refused(lambda: open_dataset(tmp_path), "3 rows with image and depth", "the depth's unit", "--depth-scale")
-    for path in (tmp_path, tmp_path / "data/train-00000-of-00001.parquet"):
-        dataset = open_dataset(path, depth_scale=1000)
-        assert dataset.format == "parquet"
-        assert dataset.frame_ids == ("a", "b", "c")
-        for frame_id, truth in zip(dataset.frame_ids, made, strict=True):
-            check(dataset.load(frame_id), truth)
-    floats = {"image": columns["image"], "depth": [truth.depth.tolist() for truth in made]}
-    pq.write_table(pa.table(floats), tmp_path / "x.parquet")
-    check(open_dataset(tmp_path / "x.parquet", intrinsics=tuple(BARE)).load("2"), made[2])  # type: ignore[arg-type]
-    pq.write_table(pa.table({"image": columns["image"]}), tmp_path / "x.parquet")
-    refused(lambda: open_dataset(tmp_path / "x.parquet"), "without a depth column", "image")
-
-
 # Messages
 
 
@@ -453,7 +278,7 @@ def test_what_is_imported_is_read_back_exactly(tmp_path: Path) -> None:
     assert again.notes == ()  # type: ignore[attr-defined]
     for frame_id, truth in zip(again.frame_ids, made, strict=True):
         frame = again.load(frame_id)
-        check(frame, truth, posed=True)
+        check_frame(frame, truth, posed=True)
         assert np.array_equal(frame.rgb, truth.rgb)
     refused(lambda: import_recording(source, tmp_path / "out"), "not empty")
 
@@ -473,8 +298,6 @@ def test_import_keeps_masks_cameras_and_scenes_apart(tmp_path: Path, bop_frames:
 
 @pytest.fixture
 def bop_frames(tmp_path: Path) -> Path:
-    from dataset_writers import write_bop
-
     root = tmp_path / "bop"
     root.mkdir()
     write_bop(root, {"000001": [1, 2], "000002": [3]})
@@ -496,4 +319,4 @@ def test_a_hundred_thousand_frames_are_listed_without_being_opened(tmp_path: Pat
     # A fifth of the frames in a fifth of 3 s, doubled for a slow machine.
     assert time.process_time() - start < 1.2
     assert len(dataset.frame_ids) == 20_000
-    check(dataset.load("019999"), truth)
+    check_frame(dataset.load("019999"), truth)
