@@ -51,6 +51,9 @@ def run_view(command: View) -> None:
         sources, left_out = open_sources(dataset, **options, also=command.also, browse=True)
         for name, reason in left_out.items():
             warn(f"left out {name}: {reason}")
+        for name, opened in sources.items():
+            if missing := getattr(opened.dataset, "untold", ()):
+                warn(f"{name} can only be looked at, nothing is measured without {' and '.join(missing)}")
         if found is not None:
             require(
                 len(sources) <= 1, "--labels are of one dataset", got=f"{len(sources)} datasets", path=command.labels

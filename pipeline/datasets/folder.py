@@ -20,6 +20,7 @@ from pipeline.datasets.pairing import Files, Key, Naming, Pair, choose_naming, f
 from pipeline.datasets.recording import Listed, Recording, files_of
 from pipeline.datasets.settings import DEPTH_SCALE, Settings
 from pipeline.geometry.frame import Frame
+from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, needed
 
 MOST_CAMERA_FILES = 20
@@ -185,7 +186,7 @@ class FolderDataset(Recording):
 def _seen(scene: Scene) -> str:
     """The colour and depth files of a scene in a few words."""
     first = next((p for p in scene.pairs if p.color_name and p.depth_name), scene.pairs[0])
-    return f"{len(scene.pairs)} pairs such as {first.color_name} and {first.depth_name}"
+    return f"{counted(len(scene.pairs), 'pair')} such as {first.color_name} and {first.depth_name}"
 
 
 def _poses(files: Files, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _PoseText], str | None]:

@@ -137,7 +137,7 @@ class LzfseDepth(Member):
     size: tuple[int, int] = (0, 0)
 
     def pixels(self) -> np.ndarray:
-        lzfse = extra_module("liblzfse", "depth of Record3D", "record3d")
+        lzfse = extra_module("lzfse", "depth of Record3D", "record3d")
         with as_input_error("depth that cannot be decompressed", Exception, got=str, path=self):
             data = lzfse.decompress(self.read_bytes())
         width, height = self.size

@@ -91,6 +91,8 @@ class Recording:
     frame_ids: tuple[str, ...] = ()
     class_names: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    untold: tuple[str, ...] = ()
+    """Options that would tell what nothing tells; frames can then only be looked at."""
 
     def __init__(self, root: Path, settings: Settings) -> None:
         self.root = root
@@ -137,19 +139,19 @@ class Recording:
         return read_depth(found.depth, units, rule.nothing, rule.rotated), ()
 
     def _ask_for(self, seen: str, camera: bool, unit: bool) -> None:
-        """Raise InputError where the camera or the unit is missing; where pictures are only browsed, note it."""
+        """Raise InputError where the camera or the unit is missing; where pictures are only browsed, keep it."""
         missing = [option for option, lacks in ((INTRINSICS, camera), (DEPTH_SCALE, unit)) if lacks]
         if not missing:
             return
         are = "is" if len(missing) == 1 else "are"
         what = " and ".join(name for name, lacks in (("a camera", camera), ("the depth's unit", unit)) if lacks)
         if self._settings.browse:
-            self.notes += (f"{what} {are} missing, so that nothing can be measured: {' and '.join(missing)}",)
+            self.untold = tuple(missing)
             return
         raise InputError(
             f"{seen}; {what} {are} missing",
             expected=" and ".join(missing),
-            cause=f"or kept in {FILE_NAME} beside the data",
+            cause=f"{'1000 for millimetres; ' if unit else ''}or kept in {FILE_NAME} beside the data",
             path=self.root,
         )
 
@@ -174,6 +176,8 @@ class Recording:
     ) -> Frame:
         """A Frame; `source` is to blame for the intrinsics, `up` ((3,), camera frame) is what the dataset declares."""
         camera = make_camera(K, pair[1].shape, pose, self._settings, source, untold)
+        if camera.untold:
+            notes = [*notes, f"nothing can be measured, sizes are made up: {' and '.join(camera.untold)}"]
         if up is not None:
             camera = camera.with_up(up, "declared")
         return make_frame(frame_id, pair, camera, depth_path, annotations, tuple(notes))

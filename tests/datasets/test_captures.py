@@ -106,7 +106,7 @@ def test_arkitscenes(tmp_path: Path) -> None:
 
 
 def test_record3d(tmp_path: Path) -> None:
-    lzfse = pytest.importorskip("liblzfse")
+    lzfse = pytest.importorskip("lzfse")
     made = truths(2)
     poses = []
     with zipfile.ZipFile(tmp_path / "room.r3d", "w") as archive:

@@ -157,7 +157,7 @@ def test_what_nothing_tells_can_be_looked_at_and_not_measured(tmp_path: Path) ->
     (truth,) = truths(1)
     write_png(tmp_path / "1.png", truth.rgb)
     write_png(tmp_path / "1_depth.png", truth.millimetres)
-    refused(lambda: open_dataset(tmp_path), "1 pairs such as 1.png and 1_depth.png", "--intrinsics", "--depth-scale")
+    refused(lambda: open_dataset(tmp_path), "1 pair such as 1.png and 1_depth.png", "--intrinsics", "--depth-scale")
     dataset = open_dataset(tmp_path, browse=True)
     frame = dataset.load("1")
     assert np.array_equal(frame.rgb, truth.rgb)
@@ -168,7 +168,7 @@ def test_what_nothing_tells_can_be_looked_at_and_not_measured(tmp_path: Path) ->
     (report,) = survey(dataset)
     assert report.ok
     assert report.median_depth is None
-    assert "--intrinsics" in report.dataset_notes[0]
+    assert "--intrinsics" in report.notes[0]
     told = open_dataset(tmp_path, browse=True, **FOLDER).load("1")
     assert told.camera.untold == ()
 
