@@ -85,7 +85,9 @@ def files_by_role(root: Path) -> Files | None:
     """The files of a recording in a folder; None where it holds no colour and depth that its names tell."""
     folders, names = readable(root)
     own = _by_name(names)
-    if own.get("depth") and own.get("color"):
+    beside = sum(len(_files(root, folder, "depth")) for folder in folders if role_of(folder)[0] == "depth")
+    # A picture or two beside the folders are no recording of their own.
+    if own.get("color") and len(own.get("depth", ())) > beside:
         return Files(root, True, own | {"camera": [*own.get("camera", ()), *_inside(root, folders, "camera")]})
     roles = {folder: role_of(folder)[0] for folder in folders}
     if not {"color", "depth"} <= set(roles.values()):

@@ -51,6 +51,15 @@ def test_pairs_are_told_by_the_words_of_their_names(tmp_path: Path, color: str, 
     check_frame(dataset.load(frame_id), truth)
 
 
+def test_a_pair_beside_the_folders_of_frames_is_not_the_recording(tmp_path: Path) -> None:
+    for number, truth in enumerate(truths(3)):
+        write_png(tmp_path / f"color/{number}.png", truth.rgb)
+        write_png(tmp_path / f"depth/{number}.png", truth.millimetres)
+    write_png(tmp_path / "test_color.png", truth.rgb)
+    write_png(tmp_path / "test_depth.png", truth.millimetres)
+    assert open_dataset(tmp_path, **FOLDER).frame_ids == ("0", "1", "2")
+
+
 def test_a_role_is_a_whole_word() -> None:
     assert [role_of(name)[0] for name in ("indepth", "grgb", "depths", "camera", "kitchen")] == [
         "", "", "depth", "camera", ""
