@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.answering.agreement.agreement import MIN_IOU
 from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.palette import RGB, hex_color, ink, palette, second_color
+from pipeline.geometry.palette import RGB, hex_color, ink, palette
 from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.markup import DOUBT, GOOD, Child, Element, detector_score, dot, h, heading, note, panel, segments
 from spatialviz.app.scene import GHOST_GROWTH, Tag, edges, half_size
@@ -71,7 +71,7 @@ class BesideLayer(Part):
         if live or marks == self._drawn:
             return self._tags
         self._drawn = marks
-        color, alike = second_color(state.dark), _alike(state)
+        color, alike = palette(state.dark)["second"], _alike(state)
         boxes = {j: self.ctx.scene.shown_box(o.lifted.box) for j, o in enumerate(objects) if o.lifted.box is not None}
         shown = boxes if state.boxes_shown else {}
         drawn = (
@@ -86,7 +86,7 @@ class BesideLayer(Part):
         return self._tags
 
     def _tag(self, beside: SecondDetections, j: int, box: Box3D) -> Tag:
-        anchor, color = self.ctx.client.anchor(ANCHOR, box.center), hex_color(second_color(self.state.dark))
+        anchor, color = self.ctx.client.anchor(ANCHOR, box.center), hex_color(palette(self.state.dark)["second"])
         name, detail = f"B {second_name(beside, j)}", detector_score(beside.objects[j].score)
         return Tag(anchor, name, detail, color, True, extent=half_size(box))
 
@@ -128,7 +128,7 @@ def second_overlay(state: State, unit: float) -> list[Element]:
     beside = state.beside
     if beside is None or not state.second_layer or not (state.boxes_shown or state.second_selected is not None):
         return []
-    color, tag = hex_color(second_color(True)), hex_color(second_color(False))
+    color, tag = hex_color(palette(True)["second"]), hex_color(palette(False)["second"])
     alike = _alike(state)
     parts = []
     for j, entry in enumerate(beside.objects):
@@ -171,7 +171,7 @@ def agreement_html(state: State) -> Element:
         reason = "The detectors are compared beside an answer, not beside labels."
         return panel(note(reason if state.labels is not None else "There is nothing to compare in this frame."))
     sums, a, b = beside.sums, *beside.names
-    second, other = hex_color(second_color(state.dark)), hex_color(palette(state.dark)["other"])
+    second, other = hex_color(palette(state.dark)["second"]), hex_color(palette(state.dark)["other"])
     whose = (dot(palette(state.dark)["other"]), f"A {a} \u2003", hollow(second), f"B {b}")
     title = heading("Agreement", h.span(whose, title=f"A: {a}, B: {b}"))
     if not sums.a + sums.b:
@@ -228,7 +228,7 @@ def _rows(state: State, beside: SecondDetections) -> Child:
             name = f"{found.labels_a[i]}·{state.shown.names[i].rpartition('·')[2]}"
             own = _cells(dot(colors[state.roles.get(i, "other")]), name, float(found.scores_a[i]))
         if j is not None:
-            mark = hollow(hex_color(second_color(state.dark)))
+            mark = hollow(hex_color(palette(state.dark)["second"]))
             other = _cells(mark, second_name(beside, j), float(found.scores_b[j]))
         if i is not None and j is not None:
             overlap, hint = iou[i, j], "overlap of the two"

@@ -10,7 +10,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.lifting import Pixel
-from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette, second_color
+from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
@@ -100,7 +100,7 @@ def object_html(state: State) -> Element | None:
     i, j, second = state.selected, state.second_selected, None
     own = i is not None and i < len(state.shown.objects) and state.own_layer
     if j is not None and state.beside is not None and state.second_layer:
-        title = h.b(hollow(hex_color(second_color(state.dark))), f"B {second_name(state.beside, j)}")
+        title = h.b(hollow(hex_color(palette(state.dark)["second"])), f"B {second_name(state.beside, j)}")
         second = (_brief if own else _facts)(state.second_layer[j], title)
     if i is None or not own:
         return None if second is None else panel(second)
