@@ -12,7 +12,20 @@ from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.palette import RGB, hex_color, ink, palette
 from spatialviz.app.context import Context, Part, choice, command
-from spatialviz.app.markup import DOUBT, GOOD, Child, Element, detector_score, dot, h, heading, note, panel, segments
+from spatialviz.app.markup import (
+    DOUBT,
+    GOOD,
+    Child,
+    Element,
+    detector_score,
+    dot,
+    h,
+    heading,
+    note,
+    panel,
+    segments,
+    term,
+)  # fmt: skip
 from spatialviz.app.scene import GHOST_GROWTH, Tag, edges, half_size
 from spatialviz.app.state import Layers, State
 from spatialviz.report.picture import dashed
@@ -183,10 +196,10 @@ def agreement_html(state: State) -> Element:
         (sums.only_b, second, "only B", "second"),
     )
     figures = (
-        ("agreement", sums.share, "2 alike / (A + B): what kappa tends to where empty places are beyond counting"),
-        ("of places", sums.share_placed, "the same, however the two name what they both found"),
-        ("mean IoU", sums.mean_iou, "of what both found"),
-        ("scores ρ", sums.score_correlation, "rank correlation of the scores of what both found"),
+        ("agreement", sums.share),
+        ("of places", sums.share_placed),
+        ("mean IoU", sums.mean_iou),
+        ("scores ρ", sums.score_correlation),
     )
     return panel(
         title,
@@ -205,9 +218,7 @@ def agreement_html(state: State) -> Element:
             ),
             cls="legend",
         ),
-        h.div(
-            (h.span(h.b(_figure(value)), name, cls="dim", title=hint) for name, value, hint in figures), cls="kappas"
-        ),
+        h.div((h.span(h.b(_figure(value)), term(name), cls="dim") for name, value in figures), cls="kappas"),
         _rows(state, beside),
         _beyond(beside),
     )
@@ -245,8 +256,8 @@ def _rows(state: State, beside: SecondDetections) -> Child:
         )  # fmt: skip
     if not rows:
         return h.div("They disagree on nothing.", cls="dim")
-    score = h.th("score", cls="n s", title="the detector's own")
-    head = h.tr(h.th("A"), score, h.th("B"), score, h.th("IoU", cls="n s"))
+    score = h.th(term("score"), cls="n s")
+    head = h.tr(h.th("A"), score, h.th("B"), score, h.th(term("IoU"), cls="n s"))
     return (
         heading(f"Disagreements ({len(rows)})", h.kbd("Shift"), " ", h.kbd("J"), " next"),
         h.div(h.table(head, rows, cls="apart"), cls="scroll disagreements"),

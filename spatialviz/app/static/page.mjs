@@ -7,6 +7,7 @@ import './scale.mjs';
 import './shot.mjs';
 import './strip.mjs';
 import './tags.mjs';
+import './tip.mjs';
 
 const kept = (name, value) => {
   try { if (value === undefined) return localStorage.getItem(name) || ''; localStorage.setItem(name, value); } catch { return ''; }
