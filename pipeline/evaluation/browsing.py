@@ -13,14 +13,36 @@ from pipeline.evaluation.comparing import CHANGE, SECOND, SECOND_COLUMNS, with_s
 from pipeline.evaluation.facets import Facet, Facets
 from pipeline.evaluation.run_notes import MARKS, Key, keep_filter, mark, notes_path, read_notes
 from pipeline.evaluation.search import find_rows
+from pipeline.labels.reading import Labels, read_table
 from pipeline.system.arrow import pa
+from pipeline.system.errors import require
 
 SHOWN = (
     "id", "frame", "text", "target", "relation", "reference", "verdict", "detail", "lucky", "said", "repair", "margin",
-    "p_target", "p_reference", "p_relation", "box", "reference_box", "set_correct", MARKS, CHANGE,
+    "p_target", "p_reference", "p_relation", "object_distance", "box", "reference_box", "set_correct", MARKS, CHANGE,
     *(f"{SECOND}{name}" for name in SECOND_COLUMNS),
 )  # fmt: skip
 """Columns of a row that is shown."""
+
+
+def labelled_boxes(records: pa.Table, labels: Labels) -> np.ndarray:
+    """(N, 2, 4) float64: the labelled target's and reference's box of each expression; x0, y0, x1, y1, pixels.
+
+    Raises
+    ------
+    InputError
+        The labels are damaged, or not those of the run.
+    """
+    objects = read_table(labels.root / "objects.parquet", "objects", ["frame_index", "bbox"])
+    frame = objects.column("frame_index").to_numpy()
+    boxes = objects.column("bbox").combine_chunks().flatten().to_numpy(zero_copy_only=False).reshape(-1, 4)
+    index = records.column("frame_index").to_numpy()
+    ends = [records.column(name).to_numpy() for name in ("target_object", "reference_object")]
+    # The records count the objects of a frame as the labels order them.
+    at = np.searchsorted(frame, index)[:, None] + np.stack(ends, axis=1)
+    known = (at < len(frame)) & (frame[np.minimum(at, len(frame) - 1)] == index[:, None])
+    require(known.all(), "these are not the labels that the run was made with", path=labels.root)
+    return boxes[at]
 
 
 class RunRows:
@@ -46,6 +68,8 @@ class RunRows:
         self.notes = read_notes(self.path)
         self.records = self._marked()
         self._facets = Facets(self.records)
+        self.stamp = 0
+        """Another number after every mark."""
 
     def _marked(self) -> pa.Table:
         return self._bare.append_column(MARKS, pa.array(self.notes.marks_of(self.keys), pa.list_(pa.string())))
@@ -87,6 +111,7 @@ class RunRows:
         self.notes = mark(self.path, [self.keys[k] for k in rows], name, on)
         self.records = self._marked()
         self._facets = self._facets.marked(self.records)
+        self.stamp += 1
 
     def keep(self, name: str, query: str | None) -> None:
         """Keep a search under a name, or forget it; raises InputError as `run_notes.keep_filter`."""

@@ -26,8 +26,8 @@ _VERDICT, _CHANGE, _SECOND, _MARKS = (Dimension(name, title, name) for name, tit
     (MARKS, "marks"),
 ))  # fmt: skip
 FACETS = (
-    _CHANGE, _VERDICT, _SECOND, Dimension("detail", "detail of the verdict", "detail"), DIMENSIONS["relation"],
-    DIMENSIONS["class"], DIMENSIONS["reference"], _MARKS,
+    _CHANGE, _VERDICT, _SECOND, DIMENSIONS["relation"], DIMENSIONS["class"], DIMENSIONS["reference"], _MARKS,
+    Dimension("detail", "detail of the verdict", "detail"),
     Dimension("mends", "one oracle that alone mends it", "mends"), Dimension("lucky", "correct by luck", "lucky"),
     Dimension("parse_ok", "read as it was meant", "parse_ok"),
     Dimension("ambiguous", "several right answers", "ambiguous"), DIMENSIONS["distance"], DIMENSIONS["size"],

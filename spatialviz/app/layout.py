@@ -13,7 +13,19 @@ from spatialviz.app.markup import BAD, Child, Element, changed, h, note
 
 LISTED_FRAMES = 1000
 """A list of more frames would be slow to open; around the current one are enough to pick from."""
-KEPT_CALLS = ("tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure")
+KEPT_CALLS = (
+    "tags",
+    "keys",
+    "theme",
+    "task",
+    "pixels",
+    "pixelsPicture",
+    "asking",
+    "scale",
+    "measure",
+    "found",
+    "chosen",
+)
 """Calls that a page which comes back must hear again."""
 
 

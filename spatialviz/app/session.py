@@ -22,6 +22,7 @@ from spatialviz.app.answer import answer_in_words
 from spatialviz.app.beside import BesideLayer
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Shared, command, commands_of
+from spatialviz.app.evaluate import Evaluate
 from spatialviz.app.filling import fill_answer, fill_page
 from spatialviz.app.frame_cloud import FrameCloud, SceneAids
 from spatialviz.app.frames import LoadedFrame
@@ -31,7 +32,6 @@ from spatialviz.app.label_view import Target
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
-from spatialviz.app.run_panel import RunPanel, RunTab
 from spatialviz.app.selection import LevelSurface, Pointing, Selection
 from spatialviz.app.stages import opened
 from spatialviz.app.state import NOTHING, shown_objects
@@ -70,13 +70,13 @@ class Session(Context):
         self._selection = Selection(self, pointing.on_pixel)
         self._beside = BesideLayer(self)
         self._cloud = FrameCloud(self)
-        self._runs, self._figures = RunPanel(self), RunTab(self)
+        self._runs = Evaluate(self, self._judge)
         self._what_if = WhatIf(self, self._judged)
         self._steps = FrameSteps(self)
         self._labels = Labelling(self, self._selection)
-        self._strings = ViewStrings(self, self._runs)
+        self._strings = ViewStrings(self, self._runs.reveal)
         parts = (
-            self, self._selection, ViewSettings(self), self._runs, self._figures, self._what_if, self._strings,
+            self, self._selection, ViewSettings(self), self._runs, self._what_if, self._strings,
             Keeping(self, self._judge, self._strings.now), self._beside, self._steps, level, pointing, Keys(self),
             *self._labels.parts,
         )  # fmt: skip
@@ -161,7 +161,7 @@ class Session(Context):
 
     def _begin(self, place: Place) -> None:
         """Show what the address says, else what the server was started with, else the first failure or frame."""
-        if place.frame is not None or place.text is not None:
+        if place.frame is not None or place.text is not None or place.task == "evaluate":
             if place.text is None and place.task is None and self.state.correctable:
                 self._labels.correct.stay()
             self.go(place, restoring=True)
@@ -430,7 +430,6 @@ class Session(Context):
             log=self.log,
         )
         self._runs.follow()
-        self._figures.follow()
         self._labels.follow()
         self._cloud.follow()
         self._draw_scene()
