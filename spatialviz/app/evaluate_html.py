@@ -15,8 +15,8 @@ from spatialviz.app.markup import BAD, Child, Element, button, h, note, panel, s
 from spatialviz.app.run_figures import FAILED, Listing
 from spatialviz.app.run_words import CHANGES, MODULES, WORDS
 
-SHOWN_VALUES = 7
-"""Of a facet, before the rest is asked for."""
+SHOWN_VALUES, FEW_VALUES = 7, 11
+"""Of a facet, before the rest is asked for; of up to so many all are shown."""
 VIEWS = {"grid": "Grid", "table": "Table"}
 TITLES = {"mends": "mended by one module alone"}
 LEGEND = (
@@ -51,11 +51,12 @@ def facets_html(facets: Sequence[Facet], opened: Collection[str], error: str) ->
 def _facet(facet: Facet, opened: bool) -> Element:
     most = max((v.count for v in facet.values), default=0) or 1
     asked = [v for v in facet.values if v.state]
-    shown = facet.values if opened else facet.values[:SHOWN_VALUES]
+    few = len(facet.values) <= FEW_VALUES
+    shown = facet.values if opened or few else facet.values[:SHOWN_VALUES]
     shown = (*shown, *(v for v in asked if v not in shown))
     rest = len(facet.values) - len(shown)
     more = None
-    if rest or (opened and len(facet.values) > SHOWN_VALUES):
+    if rest or (opened and not few):
         more = h.button(
             f"{rest} more" if rest else "fewer", cls="more", do=f"facet-more:{facet.name}",
             aria_expanded=str(not rest).lower(),
@@ -126,8 +127,8 @@ def filters_html(listing: Listing, notes: Notes, first: str, second: bool, view:
         chips.append(h.span(_filter(name, query, listing.query), drop, cls="kept"))
     known = listing.query in (*ready.values(), *notes.filters.values())
     keep = None if known or listing.error else h.input(
-        cls="naming", enter="filter-keep", value="", placeholder="keep as …", autocomplete="off", maxlength=40,
-        aria_label="Keep this search under a name", title="a name, then Enter: the search is kept with the run",
+        cls="naming", field="naming", enter="filter-keep", value="", placeholder="keep as …", maxlength=40,
+        autocomplete="off", aria_label="Keep this search under a name", title="a name, then Enter: kept with the run",
     )  # fmt: skip
     shown_as = segments("rows-view", VIEWS, view, "Show as")
     return h.div(
@@ -158,7 +159,8 @@ def bar_html(listing: Listing, view: str, selected: int, marks: Mapping[str, int
         own = h.div(
             h.b(f"{selected:,} selected"),
             h.input(
-                cls="naming", enter="mark-rows", value="", placeholder="mark as …", list="known-marks", maxlength=40,
+                cls="naming", field="naming", enter="mark-rows", value="", placeholder="mark as …", maxlength=40,
+                list="known-marks",
                 aria_label="Mark the selected", title="one word, then Enter", autocomplete="off",
             ),
             h.datalist((h.option(value=name) for name in notes.marks), id="known-marks"),

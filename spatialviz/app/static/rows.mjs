@@ -4,7 +4,7 @@ The server says by `calls.found` how many there are; what comes into sight is as
 by `calls.rows`, pictures by `calls.pictures`, what is selected by `calls.chosen`. Elements are put to their places, and
 one that leaves the sight is removed. The list has the focus as one; `aria-activedescendant` is the row that keys act on. */
 
-import {byId, calls, make, send, typing} from './core.mjs';
+import {byId, calls, fields, locals, make, send, typing} from './core.mjs';
 
 const KEPT = 800, GAP = 12, CARD = 216, TEXT = 92, LINE = 52, HEAD = 32;
 const list = byId('rows'), space = list.appendChild(document.createElement('div'));
@@ -250,3 +250,19 @@ window.addEventListener('keydown', e => {
   else return;
   e.preventDefault();
 });
+
+/* A name that is typed, for a mark or for a search that is kept: Enter sends it, and the list goes on. */
+fields.naming = {
+  keydown(e, field) {
+    if (e.key !== 'Enter' && e.key !== 'Escape') return;
+    if (e.key === 'Enter' && field.value.trim()) send(`${field.dataset.enter}:${field.value}`);
+    e.preventDefault();
+    field.value = '';
+    list.focus({preventScroll: true});
+  },
+};
+
+locals.figures = button => {
+  const bare = byId('evaluate').classList.toggle('bare');
+  button.setAttribute('aria-pressed', String(!bare));
+};
