@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any, TypeVar
@@ -119,6 +119,11 @@ class Context:
         """Its run."""
         return self.shared.runs.get(self.state.source)
 
+    @property
+    def can_ask(self) -> bool:
+        """Whether the source has a detector."""
+        return self.source.detector is not None
+
     def note(self, text: str) -> None:
         """Write a line of the log."""
         self.log = [*self.log, (datetime.now().strftime("%H:%M:%S"), text)][-LOG_LENGTH:]
@@ -140,7 +145,7 @@ class Context:
         """A click in the scene: the pixel that was hit, and the boxes on the way, the smallest first."""
 
     def handle(self, message: str) -> None:
-        """Carry out a command such as "pair:3"; unknown ones are ignored."""
+        """Carry out a command such as "pair:3"; unknown ones are ignored, and what cannot be done is said."""
 
     def draw(self, live: bool = False) -> None:
         """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""
@@ -175,6 +180,13 @@ class Part:
     @state.setter
     def state(self, state: State) -> None:
         self.ctx.state = state
+
+
+def choice(options: Sequence[str], now: str, wanted: str) -> str | None:
+    """One of several by its name, or the "next" after the one that is on; None where there is none such."""
+    if wanted == "next":
+        return options[(options.index(now) + 1) % len(options)]
+    return wanted if wanted in options else None
 
 
 def command(*names: str) -> Callable[[Method], Method]:

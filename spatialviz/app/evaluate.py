@@ -373,9 +373,14 @@ class Evaluate(Part):
     def _save(self, folder: Path, row: dict[str, Any]) -> None:
         name, source, figures = self.state.source, self.ctx.source, self._figures
         assert figures is not None
-        context = self.ctx.shared.store.load(name, row["frame"]).context
-        truth = self._judge.truth(name, source, context)
-        known = self._judge.known(name, context, truth, row["id"])
+        context, here = self.ctx.shared.store.load(name, row["frame"]).context, self.state
+        # What is judged is what is looked at.
+        self.state = replace(here, frame_id=row["frame"])
+        try:
+            truth = self._judge.truth(source, context)
+            known = self._judge.known(truth, row["id"])
+        finally:
+            self.state = here
         run = {"run": str(figures.run.folder), "expression": row["id"]}
         save_case(folder, source, context, row["text"], truth=truth, run=run, **known)
 

@@ -88,14 +88,13 @@ class LoadedFrame:
         return cloud_of(self.context)
 
 
+@dataclass(eq=False)
 class _Making:
-    """A frame that is being made, by whoever asked first."""
+    """A frame that is being made, by whoever asked first; `wanted` where a page waits for it."""
 
-    def __init__(self, opened: Pipeline) -> None:
-        self.opened = opened
-        self.frame: Future[LoadedFrame] = Future()
-        self.wanted = False
-        """A page waits for it."""
+    opened: Pipeline
+    frame: Future[LoadedFrame] = field(default_factory=Future)
+    wanted: bool = False
 
 
 class FrameStore:
@@ -197,8 +196,7 @@ class FrameStore:
         self._give_way(making)
         context = prepare_frame(opened.dataset, raw, opened.config.lift)
         self._give_way(making)
-        objects: tuple[SceneObject, ...] = ()
-        problem, second = "", None
+        objects, problem, second = tuple[SceneObject, ...](), "", None
         if opened.detector is not None:
             try:
                 objects = all_objects(context, opened.detector)
@@ -206,7 +204,7 @@ class FrameStore:
                 second = second_detections(opened, context, objects)
             except InputError as error:
                 problem = str(error)
-        self._thumbs[key] = jpeg(_small(context.frame.rgb))
+        self._thumbs[key] = _small(context.frame.rgb)
         return LoadedFrame(context, objects, problem, second, self.told.get(key[0]))
 
     def _give_way(self, making: _Making | None = None) -> None:
@@ -235,32 +233,32 @@ class FrameStore:
         key = (source, frame_id)
         if key not in self._thumbs:
             try:
-                self._thumbs[key] = jpeg(_small(self.sources[source].dataset.load(frame_id).rgb))
+                self._thumbs[key] = _small(self.sources[source].dataset.load(frame_id).rgb)
             except InputError as error:
                 self._thumbs[key] = str(error)
         kept = self._thumbs[key]
         return ("", kept) if isinstance(kept, str) else (IMAGES.url(kept, "jpg"), "")
 
 
-def _small(rgb: np.ndarray) -> np.ndarray:
-    height = max(1, round(rgb.shape[0] * THUMB_WIDTH / rgb.shape[1]))
-    return cv2.resize(rgb, (THUMB_WIDTH, height), interpolation=cv2.INTER_AREA)
+def _small(rgb: np.ndarray) -> bytes:
+    return jpeg(_resized(rgb, THUMB_WIDTH, rgb.shape[0] * THUMB_WIDTH / rgb.shape[1]))
+
+
+def _resized(rgb: np.ndarray, width: float, height: float) -> np.ndarray:
+    return cv2.resize(rgb, (max(1, round(width)), max(1, round(height))), interpolation=cv2.INTER_AREA)
 
 
 def object_thumb(rgb: np.ndarray, bbox: np.ndarray, pixels: int = 68) -> bytes:
     """A square picture around an object as JPEG; empty where it lies outside the picture."""
-    height, width = rgb.shape[:2]
-    x0, y0, x1, y1 = (float(v) for v in bbox)
-    half = max(x1 - x0, y1 - y0) * 0.58 + 2
-    cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
-    left, top = int(max(cx - half, 0)), int(max(cy - half, 0))
-    right, bottom = int(min(cx + half + 1, width)), int(min(cy + half + 1, height))
+    low, high = np.asarray(bbox, np.float64).reshape(2, 2)
+    half, center = (high - low).max() * 0.58 + 2, (low + high) / 2
+    left, top = np.maximum(center - half, 0).astype(int)
+    right, bottom = np.minimum(center + half + 1, rgb.shape[1::-1]).astype(int)
     crop = rgb[top:bottom, left:right]
     if not crop.size:
         return b""
     scale = pixels / max(crop.shape[:2])
-    size = (max(1, round(crop.shape[1] * scale)), max(1, round(crop.shape[0] * scale)))
-    return jpeg(cv2.resize(crop, size, interpolation=cv2.INTER_AREA), 78)
+    return jpeg(_resized(crop, crop.shape[1] * scale, crop.shape[0] * scale), 78)
 
 
 MAX_POINTS = 320_000
@@ -353,8 +351,8 @@ def _part(points: np.ndarray, group: np.ndarray, start: int, size: float) -> Par
     at = slice(start, int(np.searchsorted(group, number, side="right")))
     center = cv2.reduce(points[at], 0, cv2.REDUCE_MIN)[0] / 2 + cv2.reduce(points[at], 0, cv2.REDUCE_MAX)[0] / 2
     first = number < SPAN // 2
-    level = number if first else number - SPAN
-    return Part(first, at, center, (points[at] - center).astype(np.float16), float(BAND_RATIO ** (level + 0.6) * size))
+    size = float(BAND_RATIO ** (number - (0 if first else SPAN) + 0.6) * size)
+    return Part(first, at, center, (points[at] - center).astype(np.float16), size)
 
 
 KEPT_BYTES = 96 * 2**20

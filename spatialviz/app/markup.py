@@ -21,9 +21,9 @@ script or a style, as the page's content policy forbids both. What an element do
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeAlias
 
 from pipeline.geometry.lifting import Pixel
@@ -76,19 +76,6 @@ class Element:
         return replace(self, attributes=_attributes(self.name, dict(self.attributes) | attributes))
 
 
-class Tag:
-    """Makes elements of one name: `h.div("text", h.span("more"), cls="row", do="pair:3")`.
-
-    An attribute that is None or False is left out, True stands by its name; `cls` is the class; `_` stands for `-`.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __call__(self, *children: Child, **attributes: object) -> Element:
-        return Element(self.name, _attributes(self.name, attributes), tuple(_flat(children)))
-
-
 def _attributes(name: str, given: Mapping[str, object]) -> tuple[tuple[str, str], ...]:
     made: dict[str, str] = {}
     for key, value in given.items():
@@ -116,17 +103,23 @@ def _flat(children: Iterable[Child]) -> Iterator[Element | str]:
         if isinstance(child, Element):
             yield child
         elif isinstance(child, (str, int, float)):
-            if child != "":
-                yield str(child)
+            yield from filter(None, [str(child)])
         elif child is not None:
             yield from _flat(child)
 
 
-class Tags:
-    """Makes the tags by their names: `h.div`, `h.tr`."""
+def _element(name: str, /, *children: Child, **attributes: object) -> Element:
+    return Element(name, _attributes(name, attributes), tuple(_flat(children)))
 
-    def __getattr__(self, name: str) -> Tag:
-        return Tag(name)
+
+class Tags:
+    """Makes elements by their names: `h.div("text", h.span("more"), cls="row", do="pair:3")`.
+
+    An attribute that is None or False is left out, True stands by its name; `cls` is the class; `_` stands for `-`.
+    """
+
+    def __getattr__(self, name: str) -> Callable[..., Element]:
+        return partial(_element, name)
 
 
 h = Tags()
@@ -232,3 +225,8 @@ def was(now: float, before: float | None) -> str | None:
 def cell(content: Child, hint: str | None = None, cls: str = "n") -> Element:
     """A cell of a table, marked where its number was another one."""
     return h.td(content, cls=f"{cls} chg".strip() if hint else cls, title=hint)
+
+
+def detector_score(value: float) -> str:
+    """A detector's score; nothing where the objects are the dataset's own."""
+    return "" if value >= 0.9995 else f"{value:.2f}"
