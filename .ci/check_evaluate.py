@@ -208,9 +208,10 @@ def many_rows_scroll(tab: Tab) -> dict[str, float]:
         started = time.monotonic()
         tab.page.locator("#rows").evaluate("(list, part) => { list.scrollTop = part * list.scrollHeight; }", part)
         tab.poll(
-            "part => { const l = document.getElementById('rows'), y = l.getBoundingClientRect();"
-            " const e = document.elementFromPoint(y.left + 60, y.top + y.height / 2)?.closest('.expr');"
-            " return e && !e.classList.contains('wait') && +e.id.slice(4) / 50000 > part - .03; }", part,
+            "part => { const l = document.getElementById('rows').getBoundingClientRect(), y = l.top + l.height / 2;"
+            " return [...document.querySelectorAll('#rows .space > .expr:not(.wait)')].some(e => {"
+            "  const r = e.getBoundingClientRect();"
+            "  return r.top < y + 9 && r.bottom > y - 9 && Math.abs(+e.id.slice(4) / 50000 - part) < .03; }); }", part,
         )  # fmt: skip
         waits.append(time.monotonic() - started)
         nodes = max(nodes, tab.page.locator(ROWS).count())

@@ -67,7 +67,8 @@ class Session(Context):
         self._beside = beside.BesideLayer(self)
         self._runs = evaluate.Evaluate(self, self._judge)
         self._what_if, self._steps = what_if.WhatIf(self, self._judge.judge), selection.FrameSteps(self)
-        self._labels, self._strings = Labelling(self, self._selection), view_strings.ViewStrings(self, self._runs.reveal)
+        self._labels = Labelling(self, self._selection)
+        self._strings = view_strings.ViewStrings(self, self._runs.reveal)
         parts = (
             self,
             self._selection,

@@ -169,7 +169,7 @@ calls.pictures = ({version: now, urls}) => {
 calls.place = k => { if (k !== null) reveal(k); };
 /* A picture that the server keeps no more is made again. */
 list.addEventListener('error', e => {
-  const row = e.target.closest?.('.expr');
+  const row = e.target.closest?.('.space > .expr');
   if (!row) return;
   e.target.removeAttribute('src');
   pictures.delete(numberOf(row));
@@ -207,7 +207,7 @@ function select(k, extend) {
 }
 
 list.addEventListener('click', e => {
-  const row = e.target.closest('.expr');
+  const row = e.target.closest('.space > .expr');
   if (!row || row.classList.contains('wait')) return;
   const k = numberOf(row);
   list.focus({preventScroll: true});
