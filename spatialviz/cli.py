@@ -29,6 +29,7 @@ from spatialviz.cli_ask import (
     Eval,
     Failures,
     Frames,
+    Glossary,
     Measure,
     Query,
     Relations,
@@ -80,6 +81,7 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "frames": (Frames, "run_ask"),
         "context": (Context, "run_ask"),
         "render": (Render, "run_ask"),
+        "glossary": (Glossary, "run_ask"),
     },
     "label, check, correct": {
         "label": (Label, "run_labels"),

@@ -124,7 +124,7 @@ def _pair(state: State) -> list[Child]:
         _names(state, pair),
         _headline(pair),
         h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None,
-        h.div(answer.below, cls="dim"),
+        h.div(answer.below, cls="dim", id="answer-below"),
     ]
 
 
@@ -149,7 +149,7 @@ def _names(state: State, pair: ScoredPair) -> Element:
     for k, end in enumerate(() if pair.reference is None else ends):
         joint = h.span("and" if k else state.trace.phrase, cls="dim")
         parts += [" ", joint, " ", named(colors["reference"], state.shown.names[end])]
-    return h.h2(parts, cls="names")
+    return h.h2(parts, cls="names", id="answer-names")
 
 
 def _headline(pair: ScoredPair) -> Element:
@@ -159,7 +159,7 @@ def _headline(pair: ScoredPair) -> Element:
         name, title = TITLES.get(what, (f"P({what})", f"the probability of the {what}"))
         low = "low" if what != "product" and not pair.holds else ""
         cells.append(h.span(f"{name} ", h.b(probability(value), cls=low), title=title))
-    return h.div(cells, cls="heads")
+    return h.div(cells, cls="heads", id="answer-heads")
 
 
 def _capital(text: str) -> str:

@@ -6,7 +6,7 @@ import hashlib
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -26,13 +26,13 @@ from pipeline.datasets.up import with_frame_up
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import flying_pixels
 from pipeline.system.errors import InputError
+from spatialviz.app import memory
 
 KEPT_FRAMES = 8
 """The frames used last, of 15 to 25 MB each at 640x480; those that a page shows are kept beside."""
 AHEAD = 6
 """Frames that wait to be made ready; a newer wish takes the place of the oldest."""
 YIELD_SECONDS = 0.01
-THUMB_WIDTH = 160
 Key: TypeAlias = tuple[str, str]
 """Source and frame."""
 
@@ -74,6 +74,9 @@ class LoadedFrame:
     beside: SecondDetections | None = None
     told: ToldUp | None = None
     _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
+    _painted: WeakValueDictionary[Hashable, np.ndarray] = field(
+        default_factory=WeakValueDictionary, repr=False, compare=False
+    )
 
     def thumb(self, bbox: np.ndarray) -> str:
         """Where the page finds a small picture of an object, made when it is first needed."""
@@ -86,6 +89,13 @@ class LoadedFrame:
     def cloud(self) -> Cloud:
         """Its points, made when they are first needed."""
         return cloud_of(self.context)
+
+    def painted(self, key: Hashable, colors: Callable[[], np.ndarray]) -> np.ndarray:
+        """(N, 3) uint8 of its points in colours ((H, W, 3)) of a key: one array for all who show them."""
+        found = self._painted.get(key)
+        if found is None:
+            found = self._painted[key] = self.cloud.painted(colors())
+        return found
 
 
 @dataclass(eq=False)
@@ -114,7 +124,6 @@ class FrameStore:
         self._making: dict[Key, _Making] = {}
         self._ahead: OrderedDict[Key, Callable[[LoadedFrame], object] | None] = OrderedDict()
         self._ahead_runs = False
-        self._thumbs: dict[Key, bytes | str] = {}
         self._lock = threading.Lock()
         self.told: dict[str, ToldUp] = {}
         """By source what was said last of its up."""
@@ -142,14 +151,15 @@ class FrameStore:
             if self._ahead_runs or not self._ahead:
                 return
             self._ahead_runs = True
-        threading.Thread(target=self._make_ahead, daemon=True, name="ahead").start()
+        # No daemon: one that is ended in the midst of decoding a picture takes the program down with it.
+        threading.Thread(target=self._make_ahead, daemon=False, name="ahead").start()
 
     def _make_ahead(self) -> None:
-        while True:
+        while threading.main_thread().is_alive():
             with self._lock:
                 self._ahead_runs = bool(self._ahead)
                 if not self._ahead_runs:
-                    return
+                    break
                 key, then = self._ahead.popitem(last=False)
             # Whoever opens it is told what is wrong with it.
             with suppress(InputError, KeyError):
@@ -158,6 +168,8 @@ class FrameStore:
                 _ = loaded.cloud
                 if then is not None:
                     then(loaded)
+        # Frames were let go for those that came.
+        memory.trim()
 
     def _load(self, key: Key, wanted: bool) -> LoadedFrame:
         with self._lock:
@@ -204,12 +216,11 @@ class FrameStore:
                 second = second_detections(opened, context, objects)
             except InputError as error:
                 problem = str(error)
-        self._thumbs[key] = _small(context.frame.rgb)
         return LoadedFrame(context, objects, problem, second, self.told.get(key[0]))
 
     def _give_way(self, making: _Making | None = None) -> None:
         """What nobody waits for waits itself while a page is being answered."""
-        while (making is None or not making.wanted) and self._busy():
+        while (making is None or not making.wanted) and self._busy() and threading.main_thread().is_alive():
             time.sleep(YIELD_SECONDS)
 
     def tell_up(self, source: str, told: ToldUp | None) -> None:
@@ -227,21 +238,6 @@ class FrameStore:
             for known in (self._loaded, self._shown, self._making):
                 for key in [key for key in list(known) if key[0] == source]:
                     known.pop(key, None)
-
-    def thumb(self, source: str, frame_id: str) -> tuple[str, str]:
-        """(where the page finds a small picture, ""), or ("", reason) for a broken frame."""
-        key = (source, frame_id)
-        if key not in self._thumbs:
-            try:
-                self._thumbs[key] = _small(self.sources[source].dataset.load(frame_id).rgb)
-            except InputError as error:
-                self._thumbs[key] = str(error)
-        kept = self._thumbs[key]
-        return ("", kept) if isinstance(kept, str) else (IMAGES.url(kept, "jpg"), "")
-
-
-def _small(rgb: np.ndarray) -> bytes:
-    return jpeg(_resized(rgb, THUMB_WIDTH, rgb.shape[0] * THUMB_WIDTH / rgb.shape[1]))
 
 
 def _resized(rgb: np.ndarray, width: float, height: float) -> np.ndarray:

@@ -23,6 +23,7 @@ KEYS: Mapping[str, Rows] = {
         ("K", "Previous ranked pair", "next-pair:-1"),
         ("N", "Next frame", "next-frame:1"),
         ("P", "Previous frame", "next-frame:-1"),
+        ("Shift+W", "All frames as pictures", "frame-grid"),
         ("T", "Next failure of the list", "next-failure:1"),
         ("I", "Previous failure of the list", "next-failure:-1"),
     ),

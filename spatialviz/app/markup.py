@@ -23,7 +23,7 @@ from __future__ import annotations
 import html
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import TypeAlias
 
 from pipeline.geometry.lifting import Pixel
@@ -36,7 +36,7 @@ ACTIVE = ("a", "button", "input", "select", "textarea", "option", "summary")
 VOID = ("br", "img", "input", "hr", "meta", "link")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Element:
     """An element of the page.
 
@@ -57,7 +57,7 @@ class Element:
         """What it is known by on the page; "" where it is only a part of what has one."""
         return dict(self.attributes).get("id", "")
 
-    @cached_property
+    @property
     def html(self) -> str:
         """The element as HTML."""
         attributes = "".join(f' {name}="{html.escape(value, quote=True)}"' for name, value in self.attributes)
@@ -66,7 +66,7 @@ class Element:
         inner = "".join(html.escape(c, quote=False) if isinstance(c, str) else c.html for c in self.children)
         return f"<{self.name}{attributes}>{inner}</{self.name}>"
 
-    @cached_property
+    @property
     def text(self) -> str:
         """Its text without elements."""
         return "".join(c if isinstance(c, str) else c.text for c in self.children)
@@ -192,6 +192,15 @@ def note(text: Child, color: str = DOUBT) -> Element:
 def button(label: Child, do: str, title: str = "", cls: str = "", **more: object) -> Element:
     """A small button: what it says, the command that it sends, and what that is for."""
     return h.button(label, cls=f"try {cls}".strip(), do=do, title=title or None, **more)
+
+
+def progress(name: str, done: float, of: float) -> Element:
+    """How far something is."""
+    share = done / of if of else 0.0
+    return h.div(
+        h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
+        aria_label=name,
+    )  # fmt: skip
 
 
 def joined(parts: Iterable[Child], between: str = " · ") -> Child:

@@ -1,4 +1,4 @@
-"""The picture with what is drawn over it, the objects with their pictures, the frames, the log."""
+"""The picture with what is drawn over it, the objects with their pictures, the log."""
 
 from __future__ import annotations
 
@@ -13,15 +13,13 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import depth_colors, depth_ends, hex_color, palette
 from spatialviz.app.beside import name_tag, second_overlay
 from spatialviz.app.frame_cloud import frame_colors
-from spatialviz.app.frames import FrameStore, jpeg_url, png_url
-from spatialviz.app.layout import window
+from spatialviz.app.frames import jpeg_url, png_url
 from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d, tinted
 
 IMAGE_WIDTH = 720
-SHOWN_FRAMES = 24
 
 
 def image_html(state: State) -> Element:
@@ -40,6 +38,7 @@ def image_html(state: State) -> Element:
         h.div(
             h.img(src=jpeg_url(picture[::step, ::step]), alt=", ".join(alt), draggable="false", id="photo"),
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
+            _svg(frame, _ghost_marks(state), "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
             h.button(
                 cls="large",
@@ -87,10 +86,6 @@ def overlay_marks(state: State) -> list[Element]:
         entry = state.shown.objects[i]
         drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
         marks.append(_path(drawn, hex_color(colors[roles[i]]) if i in roles else "#ffffff", 1.3 * unit))
-    dashes = f"{3 * unit:.1f} {2 * unit:.1f}"
-    for ghost in state.ghosts if state.flags.ghosts else ():
-        color = hex_color(colors[ghost.role])
-        marks.append(_path(_edges(ghost.box, frame.camera), color, 1.1 * unit, stroke_dasharray=dashes))
     marks += second_overlay(state, unit)
     for i in order:
         x0, y0 = _name_place(state, i)
@@ -104,6 +99,17 @@ def overlay_marks(state: State) -> list[Element]:
         text = f"{state.measured.distance:.3f} m"
         marks += name_tag(text, (x0 + x1) / 2, (y0 + y1) / 2 + 3 * unit, shape, unit, "#f5f7fa")
     return marks
+
+
+def _ghost_marks(state: State) -> list[Element]:
+    """Boxes beside the answer's, which stay while other objects are chosen."""
+    if state.loaded is None or not state.flags.ghosts:
+        return []
+    frame, colors = state.loaded.context.frame, palette(True)
+    unit = frame.width / 360
+    dashes = f"{3 * unit:.1f} {2 * unit:.1f}"
+    drawn = ((_edges(ghost.box, frame.camera), hex_color(colors[ghost.role])) for ghost in state.ghosts)
+    return [_path(edges, color, 1.1 * unit, stroke_dasharray=dashes) for edges, color in drawn]
 
 
 def _rectangle(bbox: np.ndarray) -> str:
@@ -129,19 +135,6 @@ def smallest_at(objects: Sequence[SceneObject], pixel: tuple[int, int] | None) -
     """The smallest object whose mask holds a pixel (u, v)."""
     hits = [] if pixel is None else [i for i, o in enumerate(objects) if o.mask[pixel[::-1]]]
     return min(hits, key=lambda i: objects[i].lifted.quality.mask_pixels, default=None)
-
-
-def frames_html(state: State, ids: Sequence[str], store: FrameStore, ready: int | None = None) -> Element:
-    """Small pictures of the frames around the current one; those beyond `ready` are still to come."""
-    current = ids.index(state.frame_id)
-    places, cells = window(len(ids), current, SHOWN_FRAMES), []
-    for number, i in enumerate(places):
-        url, reason = store.thumb(state.source, ids[i]) if ready is None or number < ready else ("", "…")
-        image = h.img(src=url, alt="", loading="lazy") if url else h.span(reason, cls="none", title=reason)
-        how = {"do": f"frame:{i}", "id": f"frame-{i}", "title": ids[i], **chosen(i == current, "cell")}
-        cells.append(h.button(image, h.span(ids[i]), **how))
-    more = f"frames {places.start + 1}–{places.stop} of {len(ids)}" if len(ids) > len(places) else f"{len(ids)} frames"
-    return h.div(h.p(more, cls="dim"), h.div(cells, cls="grid"), cls="frames")
 
 
 def log_html(entries: Sequence[tuple[str, str]]) -> Element:

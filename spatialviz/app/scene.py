@@ -196,7 +196,9 @@ class SceneView:
             strong = role_of[i] != "other" or i == selected
             if strong or every:
                 detail = detector_score(shown.objects[i].score)
-                anchor, color = self._client.anchor(f"/tags/{i}", box.center), hex_color(colors[role_of[i]])
+                # The target's name goes from one to the other: a node that moves is less to send than a new one.
+                place = "target" if role_of[i] == "target" else i
+                anchor, color = self._client.anchor(f"/tags/{place}", box.center), hex_color(colors[role_of[i]])
                 tags.append(Tag(anchor, shown.names[i], detail, color, strong, extent=half_size(box)))
         # Names of the answer are put last so that they lie on top of the others.
         return sorted(tags, key=lambda t: t.strong)
@@ -223,7 +225,7 @@ class SceneView:
 
 def half_size(box: Box3D) -> tuple[float, float, float]:
     """Half of what a box takes along the axes of the scene, metres."""
-    return triple((box.corners.max(axis=0) - box.corners.min(axis=0)) / 2)
+    return triple(np.round((box.corners.max(axis=0) - box.corners.min(axis=0)) / 2, 4))
 
 
 def edges(boxes: Sequence[Box3D], growth: float = 0.0) -> np.ndarray:

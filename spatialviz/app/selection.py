@@ -8,7 +8,7 @@ from typing import get_args
 
 import numpy as np
 
-from pipeline.datasets import moves, write_settings
+from pipeline.datasets import write_settings
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.camera import depth_at
 from pipeline.geometry.level_plane import level_normal_at
@@ -16,8 +16,7 @@ from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.frames import LoadedFrame, ToldUp
 from spatialviz.app.label_view import paired
-from spatialviz.app.layout import window
-from spatialviz.app.picture import SHOWN_FRAMES, frames_html, smallest_at
+from spatialviz.app.picture import smallest_at
 from spatialviz.app.state import CameraMode, ColorMode, Tool
 from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 
@@ -222,51 +221,3 @@ class ViewSettings(Part):
         """Dark becomes light, and light dark."""
         self.ctx.client.set_dark(not self.state.dark)
         self.ctx.show(dark=not self.state.dark)
-
-
-BROWSED = 6
-"""Small pictures that are made at once: whatever the user does comes between."""
-
-
-class FrameSteps(Part):
-    """Opens frames for one client, and fills its grid of them."""
-
-    @property
-    def _ids(self) -> tuple[str, ...]:
-        return tuple(self.ctx.source.dataset.frame_ids)
-
-    @command("frame")
-    def open_number(self, number: str) -> None:
-        """Show the frame of a number."""
-        if number.isdecimal() and int(number) < len(self._ids):
-            self.ctx.open_frame(self._ids[int(number)])
-
-    @command("next-frame")
-    def step(self, by: str) -> None:
-        """Show the next frame, or the one before."""
-        if by.lstrip("-").isdecimal():
-            self.open_number(str(self._ids.index(self.state.frame_id) + int(by)))
-
-    @command("move")
-    def move(self, move: str) -> None:
-        """Go where a move of the dataset's robot leads; one that is not possible does nothing."""
-        to = moves(self.ctx.source.dataset, self.state.frame_id).get(move)
-        if to is not None:
-            self.ctx.open_frame(to)
-
-    def browse(self) -> None:
-        """Fill the grid of small pictures bit by bit, behind whatever the user does."""
-        ids, source, frame = self._ids, self.state.source, self.state.frame_id
-        at = ids.index(frame)
-        total = len(window(len(ids), at, SHOWN_FRAMES))
-
-        def fill(ready: int) -> None:
-            if (self.state.source, self.state.frame_id) != (source, frame) or self.ctx.closed.is_set():
-                return
-            self.ctx.page.show("frames", frames_html(self.state, ids, self.ctx.shared.store, ready))
-            if ready < total:
-                self.ctx.post(lambda: fill(min(ready + BROWSED, total)))
-            else:
-                self.ctx.shared.store.prepare(source, (*ids[at + 1 : at + 2], *ids[max(0, at - 1) : at]))
-
-        self.ctx.post(lambda: fill(min(BROWSED, total)))

@@ -27,11 +27,12 @@ from spatialviz.app import (
     what_if,
 )
 from spatialviz.app.answer import answer_in_words
+from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Shared, command, commands_of
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
-from spatialviz.app.label_view import Target
+from spatialviz.app.label_view import ANYTHING, Target
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
@@ -58,7 +59,7 @@ class Session(Context):
         self._begun = self._correcting = False
         self._pushed: Place | None = None
         self._turning: asyncio.TimerHandle | None = None
-        self._judge = Judge(self, lambda *at: self._labels.correct.corrected(*at))
+        self._judge = Judge(self, self.editors.corrected)
         self.client.camera.on_update(self._turned)
         level = selection.LevelSurface(self)
         pointing = selection.Pointing(self, {"level": level.on_pixel})
@@ -66,9 +67,8 @@ class Session(Context):
         self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
         self._beside = beside.BesideLayer(self)
         self._runs = evaluate.Evaluate(self, self._judge)
-        self._what_if, self._steps = what_if.WhatIf(self, self._judge.judge), selection.FrameSteps(self)
-        self._labels = Labelling(self, self._selection)
-        self._strings = view_strings.ViewStrings(self, self._runs.reveal)
+        self._what_if, self._browse = what_if.WhatIf(self, self._judge.judge), Browse(self)
+        self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs.reveal)
         parts = (
             self,
             self._selection,
@@ -76,7 +76,7 @@ class Session(Context):
             self._what_if,
             self._strings,
             self._beside,
-            self._steps,
+            self._browse,
             level,
             pointing,
             selection.ViewSettings(self),
@@ -109,7 +109,10 @@ class Session(Context):
             if message.theme:
                 self.state = replace(self.state, dark=message.theme == "dark")
             self.client.set_dark(self.state.dark)
-            self._labels.correct.greeted(message.author)
+            try:
+                self.editors.greet(message.author)
+            except InputError as error:
+                self.note(str(error))
             self._begin(Place.read(message.address, self.shared.store.sources))
         elif isinstance(message, Go):
             self.go(Place.read(message.address, self.shared.store.sources), restoring=True)
@@ -118,7 +121,7 @@ class Session(Context):
 
     def signed_as(self, name: str) -> None:
         """Labels are corrected under the name of the token that the browser has, and under no other."""
-        self.post(lambda: self._labels.correct.signed_as(name))
+        self.post(lambda: self.editors.sign_for_token(name))
 
     def attach(self, client: viser.ClientHandle) -> None:
         """The browser's frame is there: show the scene in it."""
@@ -170,7 +173,7 @@ class Session(Context):
         """Show what the address says, else what the server was started with, else the first failure or frame."""
         if place.frame is not None or place.text is not None or place.task == "evaluate":
             if place.text is None and place.task is None and self.state.correctable:
-                self._labels.correct.stay()
+                self.editors.wanted = ANYTHING
             self.go(place, restoring=True)
         elif self.shared.first_view is not None:
             try:
@@ -179,7 +182,7 @@ class Session(Context):
                 self.fail(error)
         elif self.state.source in self.shared.labels:
             # Labels were named to be looked at; the queue begins to be built.
-            self._labels.correct.stay()
+            self.editors.wanted = ANYTHING
         if not self._begun:
             # With a run, its first failure; the frames follow.
             self._runs.follow()
@@ -207,7 +210,7 @@ class Session(Context):
         here = self.state
         labelling = restoring and place.task == "label" and here.correctable
         if labelling:
-            self._labels.correct.stay(Target(frame, place.item or ()))
+            self.editors.wanted = Target(frame, place.item or ())
         elif restoring:
             here = self.state = replace(here, labels=None)
         same = (source, frame) == (here.source, here.frame_id) and text in (None, here.text)
@@ -250,7 +253,7 @@ class Session(Context):
         """Explain, evaluate, or label: what the page is for now."""
         self.state = replace(self.state, evaluating=task == "evaluate")
         if (self.state.labels is not None) != (task == "label"):
-            self._labels.correct.toggle()
+            self.handle("labels")
         self.draw()
 
     @command("ask-typed")
@@ -271,9 +274,9 @@ class Session(Context):
             return
         self._begun, self._suggestions = True, ()
         self.page.call("working", "finding the objects")
-        stays = self._labels.correct.stays and asking is None
+        stays = asking is None and (self.state.labels is not None or self.editors.wanted is not None)
         # A frame that the labels lack is shown with its answer, and why is said.
-        correcting = stays and (desk := self._labels.correct.desk) is not None and frame_id in desk
+        correcting = stays and (editor := self.editors.of(self.state.source)) is not None and frame_id in editor
         self.state = replace(self.state.unasked, frame_id=frame_id, problem="", marks=())
         try:
             loaded = self._load(first, scored=not correcting)
@@ -282,11 +285,14 @@ class Session(Context):
             self.note(str(error))
         else:
             if stays:
-                self._labels.correct.show()
+                try:
+                    self._labels.show()
+                except InputError as error:
+                    self.fail(error)
             if not correcting:
                 self._ask_first(loaded, first, asking)
         self.draw()
-        self._steps.browse()
+        self._browse.browse()
 
     def _load(self, first: bool, scored: bool) -> LoadedFrame:
         """Take the frame into the state, with what may be asked of it where it is to be `scored`."""
@@ -406,7 +412,7 @@ class Session(Context):
                 self.page.call("overlay", "".join(mark.html for mark in overlay_marks(self.state)))
             return
         self._what_if.check()
-        self._labels.correct.chosen()
+        self._labels.detail()
         correcting = self.state.labels is not None
         if correcting != self._correcting:
             # A drag that only tries something must not become one that is saved.
@@ -414,6 +420,7 @@ class Session(Context):
         filling.fill_page(self, self._suggestions)
         self._runs.follow()
         self._labels.follow()
+        self._browse.follow()
         self._cloud.follow()
         self._draw_scene()
         self.say_address()
