@@ -17,7 +17,7 @@ from pipeline.answering.opening import open_pipeline
 from pipeline.diagnosis.marks import read_marks
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.browsing import RunRows
-from pipeline.evaluation.comparing import Comparison, compare
+from pipeline.evaluation.comparing import CHANGES, Comparison, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
 from pipeline.evaluation.records import read_records
@@ -45,8 +45,6 @@ SHOWN = ("id", "frame", "text", "target", "relation", "reference", "verdict", "d
          "margin", "p_target", "p_reference", "p_relation", "marks", "change", "second_verdict", "second_detail",
          "second_said")  # fmt: skip
 """Columns of a failure in JSON."""
-CHANGED = {"fixed": "fixed", "broken": "broken", "other_reason": "right for another reason",
-           "verdict": "another verdict", None: "not in the second run"}  # fmt: skip
 
 
 def run_eval(command: Eval) -> None:
@@ -359,7 +357,9 @@ def _print_found(command: Failures, name: str, expressions: int, found: pa.Table
     say((f"{what}: {found.num_rows} of {of}", "bold"), (f"  in {name}", "dim"))
     for row in found.slice(0, command.limit).to_pylist():
         verdict = "CORRECT LUCKY" if row["lucky"] else " ".join(filter(None, (row["verdict"], row["detail"])))
-        changed = f"  {CHANGED[row['change']]}: {row['second_verdict']}" if row.get("change", "same") != "same" else ""
+        changed = ""
+        if row.get("change") not in (None, "same"):
+            changed = f"  {CHANGES[row['change']]}: {row['second_verdict']}"
         marks = "".join(f"  #{name}" for name in row["marks"])
         say((row["frame"], "dim"), "  ", row["text"], (f"  {verdict}", "bold yellow"), changed, (marks, "cyan"))
         say(f"    {row['said'] or ''}  ({row['id']})", style="dim")

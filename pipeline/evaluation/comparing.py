@@ -16,9 +16,13 @@ from pipeline.system.arrow import pa
 from pipeline.system.errors import require
 
 MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
-CHANGES = ("fixed", "broken", "other_reason", "verdict", "same")
-"""What became of an expression: it is right only after, right only before, right both times by another target, another
-reference or a pair that is acceptable only once, none of these but with another verdict, or none of all this."""
+CHANGES = {
+    "fixed": "fixed", "broken": "broken", "other_reason": "right for another reason", "verdict": "changed verdict",
+    "same": "the same",
+}  # fmt: skip
+"""What became of an expression, in the words of the glossary: it is right only after, right only before, right both
+times by another target, another reference or a pair that is acceptable only once, none of these but with another
+verdict, or none of all this."""
 CHANGE, SECOND = "change", "second_"
 """The column that says what became of an expression, and what stands before the names of the second run's columns."""
 SECOND_COLUMNS = ("verdict", "detail", "lucky", "said", "margin", "box", "reference_box")
@@ -131,7 +135,7 @@ def changes(first: pa.Table, second: pa.Table, measure: str = "set_correct") -> 
     verdicts = [np.array(t.column("verdict").to_pylist() if judged else [], object) for t in (first, second)]
     other = verdicts[0] != verdicts[1] if judged else False
     return np.select(
-        [~was & now, was & ~now, was & now & ~same, np.broadcast_to(other, was.shape)], CHANGES[:4], "same"
+        [~was & now, was & ~now, was & now & ~same, np.broadcast_to(other, was.shape)], list(CHANGES)[:4], "same"
     )
 
 

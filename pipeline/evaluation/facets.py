@@ -34,7 +34,7 @@ FACETS = (
     DIMENSIONS["occlusion"], DIMENSIONS["same_class"], DIMENSIONS["scene"], DIMENSIONS["frame"],
 )  # fmt: skip
 """What a run is looked at by, in this order; what it has no column for is left out."""
-_ORDERS = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, CHANGE: CHANGES, "relation": PAIRWISE,
+_ORDERS = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, CHANGE: tuple(CHANGES), "relation": PAIRWISE,
            "mends": ALL_ORACLES, "lucky": _YES_NO, "parse_ok": _YES_NO, "ambiguous": _YES_NO}  # fmt: skip
 
 

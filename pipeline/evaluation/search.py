@@ -292,7 +292,7 @@ def _text(field: Field, operator: str, value: Value, _single: bool) -> Condition
     return f"lower({column}) = lower(?)", [value.text]
 
 
-_KNOWN = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, "relation": PAIRWISE, CHANGE: CHANGES}
+_KNOWN = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, "relation": PAIRWISE, CHANGE: tuple(CHANGES)}
 
 
 def _named(field: Field, value: Value) -> tuple[Value, ...]:

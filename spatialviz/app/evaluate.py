@@ -29,7 +29,7 @@ from spatialviz.app.evaluate_html import (
 from spatialviz.app.figures_html import CUTS, comparison_html, confusion_html, slices_html, summary_html
 from spatialviz.app.judging import Judge
 from spatialviz.app.place import Place
-from spatialviz.app.run_figures import Listing, RunFigures, figures_of
+from spatialviz.app.run_figures import STANDS_IN, Listing, RunFigures, figures_of
 from spatialviz.app.view_strings import CASES, folder_name
 
 FIRST = ("-verdict:CORRECT,LABEL", "-verdict:CORRECT", "")
@@ -126,6 +126,9 @@ class Evaluate(Part):
         listing, figures = self._now or (None, None)
         assert listing is not None
         assert figures is not None
+        if STANDS_IN in query:
+            # That column is there once it was worked out.
+            _ = figures.confusion
         try:
             self._found = figures.rows.find(query)
         except InputError as error:

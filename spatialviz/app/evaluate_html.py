@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.facets import Facet, FacetValue
 from pipeline.evaluation.run_notes import MARKS, Notes
 from pipeline.geometry.palette import ON_DARK, hex_color
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.language.counted import counted
-from spatialviz.app.answer import MEANING, verdict_chip
+from pipeline.language.glossary import glossary
+from spatialviz.app.answer import verdict_chip
 from spatialviz.app.markup import BAD, Child, Element, button, h, note, panel, segments
 from spatialviz.app.run_figures import FAILED, Listing
-from spatialviz.app.run_words import CHANGES, MODULES, WORDS
 
 SHOWN_VALUES, FEW_VALUES = 7, 11
 """Of a facet, before the rest is asked for; of up to so many all are shown."""
 VIEWS = {"grid": "Grid", "table": "Table"}
+EXPLAINED = ("change", "verdict", "second_verdict", "mends")
+"""Facets whose values are words of the glossary."""
 TITLES = {"mends": "mended by one module alone"}
 LEGEND = (
     ("answered target", hex_color(ON_DARK["target"]), "thick"),
@@ -31,6 +34,11 @@ SYNTAX_HINT = (
     ">= = !=; yes-or-no fields stand alone; free words and quoted phrases must stand in the expression; sort:FIELD or "
     "sort:-FIELD. Tab takes what is offered, Enter searches."
 )
+
+
+def hint(word: str) -> str:
+    """What the glossary says of a word."""
+    return glossary()[word].hint
 
 
 def searches(query: str) -> dict[str, str]:
@@ -63,7 +71,7 @@ def _facet(facet: Facet, opened: bool) -> Element:
         )  # fmt: skip
     name = f"facet-{facet.name}"
     return h.section(
-        h.h3(TITLES.get(facet.name, facet.title), id=f"{name}-name", title=WORDS["facet"]),
+        h.h2(TITLES.get(facet.name, facet.title), id=f"{name}-name", title=hint("facet")),
         h.div((_value(facet, v, most) for v in shown), role="group", aria_labelledby=f"{name}-name"),
         more,
         id=name, cls="facet",
@@ -71,15 +79,15 @@ def _facet(facet: Facet, opened: bool) -> Element:
 
 
 def _value(facet: Facet, value: FacetValue, most: int) -> Element:
-    hint = {"verdict": MEANING, "second_verdict": MEANING, "mends": MODULES}.get(facet.name, {}).get(value.name, "")
     name, color = value.name, COLORS.get(value.name)
-    if facet.name == "change" and name in CHANGES:
-        name, hint = CHANGES[name]
+    if facet.name == "change":
+        name = CHANGES.get(name, name)
+    said = hint(name) if name in glossary() and facet.name in EXPLAINED else name
     on = {1: "true", -1: "mixed"}.get(value.state, "false")
     css = {"--v": f"{value.count / most:.3f}"} | ({} if color is None else {"--c": hex_color(color)})
     row = h.button(
         h.span(cls="box"), h.span(name, cls="which"), h.span(f"{value.count:,}", cls="n"), do=f"facet:{value.term}",
-        role="checkbox", aria_checked=on, css=css, title=hint or name, cls="value",
+        role="checkbox", aria_checked=on, css=css, title=said, cls="value",
     )  # fmt: skip
     leave = None
     if not facet.ranges:
@@ -145,7 +153,7 @@ def _filter(name: str, query: str, now: str) -> Element:
 
 def bar_html(listing: Listing, view: str, selected: int, marks: Mapping[str, int], notes: Notes) -> Element:
     """How many were found, how they are shown, and what can be done with the selected ones."""
-    found = h.h2(h.b(f"{listing.count:,}"), f" of {listing.total:,} found", cls="count", role="status")
+    found = h.h2(h.span(h.b(f"{listing.count:,}"), f" of {listing.total:,} found", role="status"), cls="count")
     if listing.error:
         return h.div(note(listing.error, BAD), cls="foundbar")
     legend = (h.span(h.i(cls=f"stroke {style}", css={"--c": color}), name) for name, color, style in LEGEND)
@@ -182,7 +190,7 @@ def bar_html(listing: Listing, view: str, selected: int, marks: Mapping[str, int
 
 COLUMNS = {
     "text": ("expression", ""), "verdict": ("verdict", ""), "second_verdict": ("second run", ""),
-    "margin": ("margin", WORDS["margin"]),
+    "margin": ("margin", hint("margin")),
     "p_relation": ("P(relation)", "the probability of the asked relation for the answer"),
     "object_distance": ("distance", "of the labelled target, metres"), "frame": ("frame", ""),
 }  # fmt: skip
@@ -199,12 +207,12 @@ def heads_html(query: str, second: bool) -> Element:
         h.div(role="columnheader", aria_label=label, cls=f"c-{name}")
         for name, label in (("tick", "selected"), ("shot", "picture"))
     ]
-    for name, (title, hint) in COLUMNS.items():
+    for name, (title, said) in COLUMNS.items():
         if name == "second_verdict" and not second:
             continue
         up, down = f"sort:{name}", f"sort:-{name}"
         then, order, mark = {up: (down, "ascending", " ↑"), down: ("", "descending", " ↓")}.get(now, (up, "none", ""))
-        press = h.button(f"{title}{mark}", title=hint or None, **searches(" ".join([*plain, then]).strip()))
+        press = h.button(f"{title}{mark}", title=said or None, **searches(" ".join([*plain, then]).strip()))
         numeric = " n" if name in NUMBERS else ""
         cells.append(h.div(press, role="columnheader", aria_sort=order, cls=f"c-{name}{numeric}"))
     cells.append(h.div("marks", role="columnheader", cls="c-marks"))
@@ -221,7 +229,7 @@ def row_html(row: Mapping[str, Any], view: str) -> Element:
     if view == "grid":
         facts = (row["frame"], f"margin {margin}" if margin else None)
         return h.div(
-            h.div(image, h.span(cls="tick"), h.span(marks, cls="marks"), cls="shot"),
+            h.div(image, h.span(cls="tick"), h.span(marks, cls="marks"), cls="crop"),
             h.div(verdict, changed, cls="says"),
             h.div(row["text"], cls="asked"),
             h.div(" · ".join(filter(None, facts)), cls="dim"),
@@ -233,7 +241,7 @@ def row_html(row: Mapping[str, Any], view: str) -> Element:
         **({"second_verdict": changed} if "change" in row else {}), "margin": margin, **numbers, "frame": row["frame"],
         "marks": marks,
     }  # fmt: skip
-    looks = {"shot": " shot", "frame": " dim cut", "marks": " marks"} | dict.fromkeys(NUMBERS, " n")
+    looks = {"shot": " crop", "frame": " dim cut", "marks": " marks"} | dict.fromkeys(NUMBERS, " n")
     return h.div(
         (h.div(cell, role="gridcell", cls=f"c-{name}{looks.get(name, '')}") for name, cell in cells.items()),
         cls="expr", role="row", title=_hint(row),
@@ -248,7 +256,7 @@ def _changed(row: Mapping[str, Any]) -> Child:
     if change is None:
         return h.span("not in the second run", cls="dim")
     detail = "lucky" if row.get("second_lucky") else row.get("second_detail")
-    return h.span(h.i(CHANGES[change][0], cls=f"change {change}"), " → ", verdict_chip(row["second_verdict"], detail))
+    return h.span(h.i(CHANGES[change], cls=f"change {change}"), " → ", verdict_chip(row["second_verdict"], detail))
 
 
 def _hint(row: Mapping[str, Any]) -> str:
@@ -259,7 +267,7 @@ def _hint(row: Mapping[str, Any]) -> str:
 def _label(row: Mapping[str, Any]) -> str:
     parts = [row["text"], row["verdict"], row["frame"], *(f"marked {name}" for name in row[MARKS])]
     if row.get("change") not in (None, "same"):
-        parts.insert(2, f"{CHANGES[row['change']][0]} in the second run: {row['second_verdict']}")
+        parts.insert(2, f"{CHANGES[row['change']]} in the second run: {row['second_verdict']}")
     return ", ".join(parts)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.evaluation.comparing import Comparison
+from pipeline.evaluation.comparing import CHANGES, Comparison
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.shared_makers import Share, title_of
@@ -19,11 +19,10 @@ from pipeline.geometry.palette import hex_color
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
-from spatialviz.app.answer import MEANING, verdict_chip
-from spatialviz.app.evaluate_html import searches
+from spatialviz.app.answer import verdict_chip
+from spatialviz.app.evaluate_html import hint, searches
 from spatialviz.app.markup import Child, Element, h, heading, note, panel, segments
 from spatialviz.app.run_figures import STANDS_IN, RunFigures
-from spatialviz.app.run_words import CHANGES, MODULES, WORDS
 
 CUTS = {
     "relation": "relation", "class": "class", "distance": "distance", "size": "size", "occlusion": "occlusion",
@@ -56,11 +55,11 @@ def shares_html(shares: Sequence[Share]) -> Element | None:
     """What the figures below can show and cannot, in a line; in full where the mouse rests."""
     if not shares:
         return None
-    hint = "\n".join(share.sentence for share in shares)
+    told = "\n".join(share.sentence for share in shares)
     title = title_of(shares)
     if title:
-        return note(title[:1].upper() + title[1:]).with_(title=hint)
-    return h.div(shares[0].sentence, cls="small dim oneline", title=hint)
+        return note(title[:1].upper() + title[1:]).with_(title=told)
+    return h.div(shares[0].sentence, cls="small dim oneline", title=told)
 
 
 def percent(e: Estimate) -> str:
@@ -100,7 +99,7 @@ def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
     first = h.div(
         h.span(h.b("as it is"), " ", between(summary.accuracy), cls="module"), h.b(percent(summary.accuracy), cls="n"),
         h.span(), h.span(h.i(css=scaled(low, base), cls="base"), cls="track"),
-        cls="fall", title=f"{WORDS['accuracy']}\n{between(summary.accuracy)}: {WORDS['interval']}",
+        cls="fall", title=f"{hint('accuracy')}\n{between(summary.accuracy)}: {hint('interval')}",
     )  # fmt: skip
     rows, at = [first], base
     for name, e in shares.items():
@@ -108,10 +107,9 @@ def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
         mark = None if single is None else h.u(css={"left": f"{(base + single.value - low) / span:.2%}"})
         bar = h.i(css=scaled(at, at + e.value), cls="less" if e.value < 0 else "")
         reached = h.span("" if single is None else f"alone {100 * (base + single.value):.1f}", cls="n dim")
-        hint = f"{name}: {MODULES[name]}\nFair share {e.formatted(signed=True)} points."
+        said = f"{name}: {hint(name)}\nFair share {e.formatted(signed=True)} points."
         if single is not None:
-            hint += f" With it alone: {signed(single.value)}, so {100 * (base + single.value):.1f} in place of "
-            hint += f"{100 * base:.1f}.{' ' + WORDS['below'] if single.value < 0 else ''}"
+            said += f" With it alone {100 * (base + single.value):.1f} in place of {100 * base:.1f}."
         query = {"PARSE": "verdict:PARSE", "residual": _causes(summary)}.get(
             name, f"-verdict:CORRECT,LABEL mends:{name}"
         )
@@ -119,13 +117,13 @@ def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
             h.button(
                 h.span(h.b(name), " ", SHORT[name], cls="module"), h.b(signed(e.value), cls="n"), reached,
                 h.span(bar, mark, cls="track", css={"--c": hex_color(COST_COLORS[name])}),
-                cls="fall", title=hint, **searches(query),
+                cls="fall", title=said, **searches(query),
             )
         )  # fmt: skip
         at += e.value
     ends = (h.span(f"{100 * (low + part * span):.0f}") for part in (0, 0.5, 1))
     axis = h.div(
-        h.span(), h.span("share", cls="n", title=WORDS["share"]), h.span("alone", cls="n", title=WORDS["alone"]),
+        h.span(), h.span("share", cls="n", title=hint("Shapley")), h.span("alone", cls="n", title=hint("alone")),
         h.span(ends, cls="track"), cls="fall axis",
     )  # fmt: skip
     return heading("Where the accuracy goes", "% right, of all expressions"), _in_words(summary, shares), h.div(
@@ -144,7 +142,7 @@ def _in_words(summary: RunSummary, shares: dict[str, Estimate]) -> Element:
     most = f" Most of them by {' and '.join(parts)}." if parts else ""
     return h.p(
         f"Of 100 expressions {100 * summary.accuracy.value:.1f} are answered rightly, {100 * lost:.1f} are not.{most}",
-        cls="lead", title=f"{WORDS['accuracy']} {residual_words(summary)}.",
+        cls="lead", title=f"{hint('accuracy')} {residual_words(summary)}.",
     )  # fmt: skip
 
 
@@ -161,23 +159,23 @@ def _verdicts(summary: RunSummary) -> tuple[Child, ...]:
             continue
         e = share.estimate
         whisker = h.u(css=_along(e.low, e.high - e.low)) if math.isfinite(e.low + e.high) else None
-        hint = f"{WORDS.get(verdict, MEANING[verdict])}\n{e.formatted()} %, 95 % interval over {summary.unit}s"
+        said = f"{hint(verdict)}\n{e.formatted()} %, 95 % interval over {summary.unit}s"
         details = ", ".join(
             f"{d.lower().replace('_', ' ')} {s.count}" for (v, d), s in summary.details.items() if v == verdict
         )
         if verdict == "CORRECT" and summary.lucky.count:
-            details = f"lucky {summary.lucky.count}: {WORDS['lucky']}"
-        hint += f"\n{details}" if details else ""
+            details = f"lucky {summary.lucky.count}: {hint('lucky')}"
+        said += f"\n{details}" if details else ""
         bar = h.span(
             h.i(css={"width": f"{e.value:.2%}"}), whisker, cls="t", css={"--c": hex_color(COLORS[verdict])}
         )  # fmt: skip
         rows.append(
             h.button(
                 verdict_chip(verdict), bar, h.span(share.count, cls="n dim"), h.span(h.b(percent(e)), cls="n"),
-                h.span(between(e), cls="n dim"), cls="vrow", title=hint, **searches(f"verdict:{verdict}"),
+                h.span(between(e), cls="n dim"), cls="vrow", title=said, **searches(f"verdict:{verdict}"),
             )
         )  # fmt: skip
-    unit = h.span(f"% · 95 % over {summary.unit}s", title=WORDS["interval"])
+    unit = h.span(f"% · 95 % over {summary.unit}s", title=hint("interval"))
     return heading("Verdicts", unit), rows
 
 
@@ -197,7 +195,7 @@ def comparison_html(figures: RunFigures) -> Element | None:
     counts = {v.name: v.count for v in facet.values}
     boxes = (
         h.button(
-            h.b(f"{counts.get(name, 0):,}"), h.span(CHANGES[name][0]), cls=f"change {name}", title=CHANGES[name][1],
+            h.b(f"{counts.get(name, 0):,}"), h.span(CHANGES[name]), cls=f"change {name}", title=hint(CHANGES[name]),
             **searches(f"change:{name}"),
         )
         for name in ("fixed", "broken", "verdict", "other_reason")
@@ -208,7 +206,7 @@ def comparison_html(figures: RunFigures) -> Element | None:
     said = h.p(
         "Accuracy ", h.b(f"{gained.formatted(signed=True)} points"),
         f" on {counted(found.shared, 'shared expression')}; ",
-        h.span(_by_chance(test.p_value), title=f"McNemar's exact test, p = {test.p_value:.2g}. {WORDS['McNemar']}"),
+        h.span(_by_chance(test.p_value), title=f"p = {test.p_value:.2g}. {hint('chance')}"),
         f". {', '.join(few)}." if few else ".",
     )  # fmt: skip
     return panel(title, said, h.div(boxes, cls="changes"), _transitions(found))
@@ -237,7 +235,7 @@ def _transitions(found: Comparison) -> Child:
                 press = h.button(n, title=f"{before} → {v}: {n}", **searches(f"verdict:{before} second_verdict:{v}"))
                 cells.append(h.td(press, cls=f"c {kind}", css={"--a": "0.5" if v != before else "0.1"}))
         rows.append(h.tr(h.th(before, scope="row", cls="a"), cells))
-    head = h.tr(h.td(), (h.th(h.span(v), scope="col", title=MEANING[v]) for v in after))
+    head = h.tr(h.td(), (h.th(h.span(v), scope="col", title=hint(v)) for v in after))
     return h.details(
         h.summary("verdict by verdict: first ↓ second →"), h.div(h.table(head, rows), cls="cmx"), id="transitions"
     )
@@ -252,7 +250,7 @@ def slices_html(figures: RunFigures, cut: str) -> Element:
     chosen = h.div(segments("cut", CUTS, cut, "Cut the run by"), cls="cuts")
     if isinstance(found, str):
         return panel(heading("Slices"), chosen, note(found))
-    head = h.tr(h.td(), h.th("n", cls="n"), h.th("right", cls="n", title=WORDS["accuracy"]), h.td())
+    head = h.tr(h.td(), h.th("n", cls="n"), h.th("right", cls="n", title=hint("accuracy")), h.td())
     table = h.table(head, (_slice(s, found) for s in found.slices), cls="slices")
     return panel(heading("Slices", f"by {found.dimension.title}"), chosen, table)
 
@@ -263,16 +261,16 @@ def _slice(s: Slice, found: Slices) -> Element:
         count = s.counts.get(verdict, 0)
         if not count:
             continue
-        hint = f"{verdict}: {count} of {s.n} ({s.verdicts[verdict].value:.1%})"
+        told = f"{verdict}: {count} of {s.n} ({s.verdicts[verdict].value:.1%})"
         way = {} if s.query is None else searches(f"{s.query} verdict:{verdict}".strip())
         style = {"--c": hex_color(COLORS[verdict]), "width": f"{count / s.n:.2%}"}
-        parts.append(h.i(css=style, title=hint, **way, tabindex="-1", aria_hidden="true"))
-    hint = f"{s.name}: accuracy {s.set_correct.formatted()} over {found.unit}s"
+        parts.append(h.i(css=style, title=told, **way, tabindex="-1", aria_hidden="true"))
+    told = f"{s.name}: accuracy {s.set_correct.formatted()} over {found.unit}s"
     name: Child = s.name
     if s.query is not None:
-        name = h.button(s.name, cls="plain", title=f"{hint}; search: {s.query}", **searches(s.query))
+        name = h.button(s.name, cls="plain", title=f"{told}; search: {s.query}", **searches(s.query))
     return h.tr(
-        h.th(name, cls="w", scope="row"), h.td(s.n, cls="n dim"), h.td(percent(s.set_correct), cls="n", title=hint),
+        h.th(name, cls="w", scope="row"), h.td(s.n, cls="n dim"), h.td(percent(s.set_correct), cls="n", title=told),
         h.td(h.div(parts, cls="stack"), cls="bars"),
     )  # fmt: skip
 
@@ -309,8 +307,8 @@ def _line(found: Confusion, r: int, shown: list[int]) -> Element:
             cells.append(h.td("·", cls="o"))
             continue
         kind = "g" if name == row else "q" if name in OTHERS and name != NO_ANSWER else "b"
-        hint = f"asked {_phrase(row)}, stands in {_phrase(name)}: {count} of {total} ({count / total:.1%})"
-        press = h.button(_few(count), title=hint, **searches(f"relation:{row} {STANDS_IN}={quote(name)}"))
+        told = f"asked {_phrase(row)}, stands in {_phrase(name)}: {count} of {total} ({count / total:.1%})"
+        press = h.button(_few(count), title=told, **searches(f"relation:{row} {STANDS_IN}={quote(name)}"))
         cells.append(h.td(press, cls=f"c {kind}", css={"--a": f"{0.12 + 0.8 * count / total:.2f}"}))
     ask = h.button(_phrase(row), cls="plain", **searches(f"relation:{row}"))
     return h.tr(h.th(ask, cls="a", scope="row"), cells)
