@@ -421,7 +421,8 @@ class Evaluate(Part):
         if len(numbers):
             of_mark = figures.rows.records.column(MARKS).take(numbers).combine_chunks().flatten().value_counts()
             marks = {c["values"]: c["counts"] for c in of_mark.to_pylist()}
-        self.ctx.page.show("found-bar", bar_html(listing, self._view, len(numbers), marks, figures.rows.notes))
+        second, notes = figures.second is not None, figures.rows.notes
+        self.ctx.page.show("found-bar", bar_html(listing, self._view, second, len(numbers), marks, notes))
 
     # ---- figures --------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from spatialviz.app.answer import verdict_chip
-from spatialviz.app.markup import BAD, Child, Element, button, h, note, panel, segments
+from spatialviz.app.markup import BAD, Child, Element, button, h, joined, note, panel, segments
 from spatialviz.app.run_figures import FAILED, Listing
 
 SHOWN_VALUES, FEW_VALUES = 7, 11
@@ -28,6 +28,7 @@ LEGEND = (
     ("answered reference", hex_color(ON_DARK["reference"]), "thin"),
     ("labelled", hex_color(ON_DARK["truth"]), "dashed"),
 )
+SECOND_LEGEND = ("second run", hex_color(ON_DARK["edited"]), "dashed")
 SYNTAX = 'verdict:SRM  class:"trash can",bin  margin<0.1  -lucky  sort:margin'
 SYNTAX_HINT = (
     "All terms must hold; a comma means or, a minus not. field:value, field:none, * for anything; numbers take < <= > "
@@ -151,12 +152,15 @@ def _filter(name: str, query: str, now: str) -> Element:
     )
 
 
-def bar_html(listing: Listing, view: str, selected: int, marks: Mapping[str, int], notes: Notes) -> Element:
+def bar_html(
+    listing: Listing, view: str, second: bool, selected: int, marks: Mapping[str, int], notes: Notes
+) -> Element:
     """How many were found, how they are shown, and what can be done with the selected ones."""
     found = h.h2(h.span(h.b(f"{listing.count:,}"), f" of {listing.total:,} found", role="status"), cls="count")
     if listing.error:
         return h.div(note(listing.error, BAD), cls="foundbar")
-    legend = (h.span(h.i(cls=f"stroke {style}", css={"--c": color}), name) for name, color, style in LEGEND)
+    lines = (*LEGEND, SECOND_LEGEND) if second else LEGEND
+    legend = (h.span(h.i(cls=f"stroke {style}", css={"--c": color}), name) for name, color, style in lines)
     own: Child = (
         h.div(legend, cls="lines") if view == "grid" else None,
         button(f"select all {listing.count:,}", "choose-all", "all that the search finds (Ctrl+A in the list)")
@@ -225,20 +229,22 @@ def row_html(row: Mapping[str, Any], view: str) -> Element:
     marks = [h.span(f"#{name}", cls="tagged") for name in row[MARKS]]
     image = h.img(alt="", decoding="async", draggable="false")
     margin = "" if row["margin"] is None else f"{row['margin']:+.2f}".replace("-", "−")
-    changed = _changed(row)
+    second, change = _second(row), row.get("change", "same")
+    changed = None if change in (None, "same") else h.i(CHANGES[change], cls=f"change {change}")
     if view == "grid":
         facts = (row["frame"], f"margin {margin}" if margin else None)
         return h.div(
             h.div(image, h.span(cls="tick"), h.span(marks, cls="marks"), cls="crop"),
-            h.div(verdict, changed, cls="says"),
+            h.div(verdict, second, cls="says"),
             h.div(row["text"], cls="asked"),
-            h.div(" · ".join(filter(None, facts)), cls="dim"),
+            h.div(joined(filter(None, (changed, *facts))), cls="dim"),
             cls="expr card", role="option", title=_hint(row), aria_label=_label(row),
         )  # fmt: skip
     numbers = {name: "" if row[name] is None else f"{row[name]:.2f}" for name in ("p_relation", "object_distance")}
+    other = (changed, " ", second) if second else h.span(CHANGES["same"], cls="dim")
     cells: dict[str, Child] = {
         "tick": h.span(cls="tick"), "shot": image, "text": h.div(row["text"], cls="asked"), "verdict": verdict,
-        **({"second_verdict": changed} if "change" in row else {}), "margin": margin, **numbers, "frame": row["frame"],
+        **({"second_verdict": other} if "change" in row else {}), "margin": margin, **numbers, "frame": row["frame"],
         "marks": marks,
     }  # fmt: skip
     looks = {"shot": " crop", "frame": " dim cut", "marks": " marks"} | dict.fromkeys(NUMBERS, " n")
@@ -248,15 +254,13 @@ def row_html(row: Mapping[str, Any], view: str) -> Element:
     )  # fmt: skip
 
 
-def _changed(row: Mapping[str, Any]) -> Child:
-    """What the second run made of it: what happened, and its verdict."""
-    change = row.get("change", "same")
-    if change == "same":
+def _second(row: Mapping[str, Any]) -> Element | None:
+    """The verdict of the second run, where anything of it is another one."""
+    if row.get("change", "same") == "same":
         return None
-    if change is None:
+    if row["second_verdict"] is None:
         return h.span("not in the second run", cls="dim")
-    detail = "lucky" if row.get("second_lucky") else row.get("second_detail")
-    return h.span(h.i(CHANGES[change], cls=f"change {change}"), " → ", verdict_chip(row["second_verdict"], detail))
+    return h.span("→ ", verdict_chip(row["second_verdict"], "lucky" if row["second_lucky"] else row["second_detail"]))
 
 
 def _hint(row: Mapping[str, Any]) -> str:

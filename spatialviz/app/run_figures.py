@@ -157,8 +157,9 @@ class RunFigures:
         if not isinstance(self._labelled, str) and not row["set_correct"]:
             target, reference = self._labelled[number]
             found = [Outline(reference, ON_DARK["truth"], "dashed"), Outline(target, ON_DARK["truth"], "dashed")]
-        if row.get("second_box") is not None and row.get("change") not in (None, "same"):
-            found.append(Outline(np.array(row["second_box"]), ON_DARK["edited"], "dashed"))
+        if row.get("change") not in (None, "same"):
+            other = (row["second_reference_box"], row["second_box"])
+            found += [Outline(np.array(box), ON_DARK["edited"], "dashed") for box in other if box is not None]
         if row["reference_box"] is not None:
             found.append(Outline(np.array(row["reference_box"]), ON_DARK["reference"], "thin"))
         if row["box"] is not None:
