@@ -236,7 +236,7 @@ def edges(boxes: Sequence[Box3D], growth: float = 0.0) -> np.ndarray:
 
 SAMPLE = 20_000
 """Points of a cloud that say where it lies."""
-AROUND, NEAREST = 1.12, 0.9
+AROUND, NEAREST = 1.12, 0.55
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
 
 
