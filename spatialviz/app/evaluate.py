@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.diagnosis.cases.saving import save_case
 from pipeline.evaluation.facets import with_value
 from pipeline.evaluation.run_notes import MARKS
 from pipeline.evaluation.search import complete
@@ -18,7 +16,6 @@ from spatialviz.app.context import Context, Part, command
 from spatialviz.app.evaluate_html import (
     VIEWS,
     bar_html,
-    cases_html,
     facets_html,
     filters_html,
     heads_html,
@@ -27,10 +24,9 @@ from spatialviz.app.evaluate_html import (
     search_html,
 )
 from spatialviz.app.figures_html import CUTS, comparison_html, confusion_html, slices_html, summary_html
-from spatialviz.app.judging import Judge
+from spatialviz.app.markup import Element
 from spatialviz.app.place import Place
 from spatialviz.app.run_figures import STANDS_IN, Listing, RunFigures, figures_of
-from spatialviz.app.view_strings import CASES, folder_name
 
 FIRST = ("-verdict:CORRECT,LABEL", "-verdict:CORRECT", "")
 """What is listed first: the first of these that finds something. With LABEL the answer is right, too, or the label was
@@ -43,15 +39,13 @@ AT_ONCE = 400
 """Rows that are sent at once, at most."""
 FILLED = 4
 """Pictures that are made at once, behind whatever the user does."""
-MOST_CASES = 200
 
 
 class Evaluate(Part):
     """The run of the source that a client looks at."""
 
-    def __init__(self, ctx: Context, judge: Judge) -> None:
+    def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._judge = judge
         others = ctx.shared.others
         self._all = {name: figures_of(run, others.get(name)) for name, run in ctx.shared.runs.items()}
         self._source: str | None = None
@@ -107,8 +101,7 @@ class Evaluate(Part):
 
     @command("find")
     def find(self, query: str) -> None:
-        """Search, and look at the run."""
-        self.state = replace(self.state, evaluating=True)
+        """Search."""
         self.search(query)
         self.ctx.say_address()
 
@@ -341,51 +334,9 @@ class Evaluate(Part):
         if figures is not None:
             self._noted(lambda: figures.rows.mark(np.flatnonzero(self._selected).tolist(), name, on))
 
-    @command("row-cases")
-    def make_cases(self) -> None:
-        """Save each of the selected as a case."""
-        now, numbers = self._now, np.flatnonzero(self._selected)
-        if now is None or not len(numbers):
-            return
-        if len(numbers) > MOST_CASES:
-            self.ctx.fail(InputError("so many cases are not made at once", got=len(numbers), expected=MOST_CASES))
-            return
-        rows, saved, refused, there = now[1].rows.read(numbers), list[str](), list[str](), 0
-
-        def make() -> None:
-            nonlocal there
-            if not rows:
-                self.ctx.page.call("working", "")
-                self.ctx.dialog.show("Cases of the selected", cases_html(saved, there, refused))
-                return
-            row = rows.pop(0)
-            self.ctx.page.call("working", f"case {len(numbers) - len(rows)} of {len(numbers)}")
-            folder = Path(CASES) / folder_name(f"{row['text']}-{row['frame']}")
-            if folder.exists():
-                there += 1
-            else:
-                try:
-                    self._save(folder, row)
-                    saved.append(str(folder))
-                except InputError as error:
-                    refused.append(f"{row['text']}: {error}")
-            self.ctx.post(make)
-
-        self.ctx.post(make)
-
-    def _save(self, folder: Path, row: dict[str, Any]) -> None:
-        name, source, figures = self.state.source, self.ctx.source, self._figures
-        assert figures is not None
-        context, here = self.ctx.shared.store.load(name, row["frame"]).context, self.state
-        # What is judged is what is looked at.
-        self.state = replace(here, frame_id=row["frame"])
-        try:
-            truth = self._judge.truth(source, context)
-            known = self._judge.known(truth, row["id"])
-        finally:
-            self.state = here
-        run = {"run": str(figures.run.folder), "expression": row["id"]}
-        save_case(folder, source, context, row["text"], truth=truth, run=run, **known)
+    def selected(self) -> list[dict[str, Any]]:
+        """The rows that are selected."""
+        return [] if self._figures is None else self._figures.rows.read(np.flatnonzero(self._selected))
 
     # ---- drawing --------------------------------------------------------------------
 
@@ -431,24 +382,25 @@ class Evaluate(Part):
         if self._figured:
             return
         self._figured, page = True, self.ctx.page
-        for region in ("run-compared", "run-summary", "run-slices", "run-confusion"):
+        parts: list[tuple[str, Callable[[RunFigures], Element | None]]] = [
+            ("run-summary", summary_html), ("run-compared", comparison_html),
+            ("run-slices", lambda figures: slices_html(figures, self._cut)), ("run-confusion", confusion_html),
+        ]  # fmt: skip
+        for region, _ in parts:
             page.show(region)
 
-        def draw(part: Callable[[], None]) -> None:
-            self.ctx.post(lambda: part() if self._figures is figures else None)
+        def draw() -> None:
+            # One after the other, so that rows that are asked for need not wait for all.
+            if parts and self._figures is figures:
+                region, made = parts.pop(0)
+                page.show(region, made(figures))
+                self.ctx.post(draw)
 
-        draw(lambda: page.show("run-summary", summary_html(figures)))
-        draw(lambda: page.show("run-compared", comparison_html(figures)))
-        draw(self._draw_slices)
-        draw(lambda: page.show("run-confusion", confusion_html(figures)))
+        self.ctx.post(draw)
 
     @command("cut")
     def cut(self, dimension: str) -> None:
         """Cut the run by another dimension."""
-        if dimension in CUTS:
+        if dimension in CUTS and self._figures is not None:
             self._cut = dimension
-            self._draw_slices()
-
-    def _draw_slices(self) -> None:
-        if self._figures is not None:
-            self.ctx.page.show("run-slices", slices_html(self._figures, self._cut))
+            self.ctx.page.show("run-slices", slices_html(self._figures, dimension))

@@ -10,7 +10,6 @@ from pipeline.evaluation.facets import Facet, FacetValue
 from pipeline.evaluation.run_notes import MARKS, Notes
 from pipeline.geometry.palette import ON_DARK, hex_color
 from pipeline.geometry.palette import VERDICTS as COLORS
-from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from spatialviz.app.answer import verdict_chip
 from spatialviz.app.markup import BAD, Child, Element, button, h, joined, note, panel, segments
@@ -273,12 +272,3 @@ def _label(row: Mapping[str, Any]) -> str:
     if row.get("change") not in (None, "same"):
         parts.insert(2, f"{CHANGES[row['change']]} in the second run: {row['second_verdict']}")
     return ", ".join(parts)
-
-
-def cases_html(saved: Sequence[str], there: int, refused: Sequence[str]) -> Child:
-    """What became of the cases that were made."""
-    return (
-        h.p(f"{counted(len(saved), 'case')} saved", f", {there} were there already" if there else "", "."),
-        h.pre("\n".join(saved), cls="file") if saved else None,
-        [note(reason, BAD) for reason in refused[:5]],
-    )

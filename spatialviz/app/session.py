@@ -23,6 +23,7 @@ from spatialviz.app import (
     filling,
     frame_cloud,
     keys,
+    row_cases,
     selection,
     view_strings,
     what_if,
@@ -67,7 +68,7 @@ class Session(Context):
         self._selection = selection.Selection(self, pointing.on_pixel)
         self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
         self._beside = beside.BesideLayer(self)
-        self._runs = evaluate.Evaluate(self, self._judge)
+        self._runs = evaluate.Evaluate(self)
         self._what_if, self._browse = what_if.WhatIf(self, self._judge.judge), Browse(self)
         self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs.reveal)
         parts = (
@@ -83,6 +84,7 @@ class Session(Context):
             selection.ViewSettings(self),
             keys.Keys(self),
             view_strings.Keeping(self, self._judge, self._strings.now),
+            row_cases.RowCases(self, self._judge, self._runs.selected),
             *self._labels.parts,
         )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}

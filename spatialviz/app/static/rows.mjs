@@ -10,7 +10,7 @@ const KEPT = 800, GAP = 12, CARD = 216, TEXT = 92, LINE = 52, HEAD = 32;
 const list = byId('rows'), space = list.appendChild(document.createElement('div'));
 space.className = 'space';
 
-let version = -1, total = 0, view = 'grid', at = -1, from = -1, top = 0;
+let version = -1, total = 0, view = 'grid', at = -1, from = -1, top = 0, moved = false;
 let kept = new Map(), chosen = [], pictures = new Map();
 const isChosen = k => chosen.some(([first, stop]) => k >= first && k < stop);
 const shown = new Map();
@@ -102,6 +102,7 @@ function resize() {
   // A list that was hidden comes back where it was; one that changes its width keeps its first row.
   if (back) list.scrollTop = top;
   else if (before > 0) list.scrollTop = head() + Math.floor(before / columns()) * line();
+  if (back && moved) { moved = false; reveal(at); }
   draw();
   ask();
 }
@@ -166,7 +167,10 @@ calls.pictures = ({version: now, urls}) => {
     if (shown.has(+k)) dress(shown.get(+k), +k);
   }
 };
-calls.place = k => { if (k !== null) reveal(k); };
+calls.place = k => {
+  moved = !height;
+  reveal(k);
+};
 /* A picture that the server keeps no more is made again. */
 list.addEventListener('error', e => {
   const row = e.target.closest?.('.space > .expr');
