@@ -6,6 +6,7 @@ import './pixels.mjs';
 import './rows.mjs';
 import './scale.mjs';
 import './shot.mjs';
+import './sides.mjs';
 import './strip.mjs';
 import './tags.mjs';
 
