@@ -233,7 +233,7 @@ def row_html(row: Mapping[str, Any], view: str) -> Element:
     if view == "grid":
         facts = (row["frame"], f"margin {margin}" if margin else None)
         return h.div(
-            h.div(image, h.span(cls="tick"), h.span(marks, cls="marks"), cls="crop"),
+            h.div(image, h.span(cls="tick"), h.span(marks, cls="marks"), cls="snap"),
             h.div(verdict, second, cls="says"),
             h.div(row["text"], cls="asked"),
             h.div(joined(filter(None, (changed, *facts))), cls="dim"),
@@ -246,7 +246,7 @@ def row_html(row: Mapping[str, Any], view: str) -> Element:
         **({"second_verdict": other} if "change" in row else {}), "margin": margin, **numbers, "frame": row["frame"],
         "marks": marks,
     }  # fmt: skip
-    looks = {"shot": " crop", "frame": " dim cut", "marks": " marks"} | dict.fromkeys(NUMBERS, " n")
+    looks = {"shot": " snap", "frame": " dim cut", "marks": " marks"} | dict.fromkeys(NUMBERS, " n")
     return h.div(
         (h.div(cell, role="gridcell", cls=f"c-{name}{looks.get(name, '')}") for name, cell in cells.items()),
         cls="expr", role="row", title=_hint(row),
