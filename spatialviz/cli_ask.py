@@ -232,7 +232,7 @@ class Eval(Output):
 @dataclass(frozen=True)
 class Failures(Output):
     """What a run got wrong: what a search finds, with the reasons, or, without a search, verdicts, what each module
-    costs, slices, and all that failed."""
+    costs, slices, and all that failed. With --json also its facets under the search, marks and kept searches."""
 
     run_folder: RunArg
     search: Positional[str] = ""
@@ -243,6 +243,9 @@ class Failures(Output):
     slices: str | None = None
     """By what the run is cut, with commas: relation, class, reference, distance, size, occlusion, same_class,
     label_margin, scene, frame. Default: relation; beside a search, tables of the run are shown where this is given."""
+    compare: Path | None = None
+    """A second run on the same labels: what it fixed and broke is counted, and can be searched for by change:broken,
+    change:fixed, change:other_reason, change:verdict, second_verdict:LIFT."""
 
 
 @dataclass(frozen=True)
