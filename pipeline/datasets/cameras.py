@@ -14,6 +14,8 @@ from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.pose_convention import standard_poses
+from pipeline.geometry.registration import Registration, registered
 from pipeline.system.errors import InputError, needed, require
 
 Value = TypeVar("Value")
@@ -119,7 +121,7 @@ def make_camera(
     settings: Settings,
     path: Path,
 ) -> Camera:
-    """A checked camera; the settings' intrinsics win over `K`.
+    """A checked camera; the settings' intrinsics win over `K`, and they may say what a pose means.
 
     Parameters
     ----------
@@ -141,6 +143,8 @@ def make_camera(
     if settings.intrinsics is not None:
         K = intrinsics(*settings.intrinsics)
     K = needed(K, "the camera is not known", expected="--intrinsics fx,fy,cx,cy", path=path)
+    if settings.poses is not None and T_world_camera is not None:
+        T_world_camera = standard_poses(T_world_camera, settings.poses)
     try:
         camera = Camera(K, width, height, T_world_camera)
     except InputError as error:
@@ -216,6 +220,9 @@ class Recording:
         camera = make_camera(K, pair[1].shape, pose, self._settings, source)
         if up is not None:
             camera = camera.with_up(up, "declared")
+        if self._settings.registration is not None:
+            metres, camera = registered(pair[1], camera, Registration(*self._settings.registration))
+            pair = pair[0], metres
         return make_frame(frame_id, pair, camera, depth_path, annotations, tuple(notes))
 
 
