@@ -23,6 +23,10 @@ from pipeline.geometry.frame import Frame
 UNITS_PER_METRE = 1000.0
 NOTHING = 65535
 DEFAULT_INTRINSICS = (585.0, 585.0, 320.0, 240.0)
+UNREGISTERED = (
+    "colour and depth of 7-Scenes are of two cameras, and are read as of one: `spatialviz doctor DATASET --apply` "
+    "estimates the warp between them"
+)
 
 _IMAGE = re.compile(r"(frame-[0-9]{1,12})\.(color|depth)\.(png|jpg|jpeg)")
 
@@ -50,6 +54,8 @@ class SevenScenesDataset(Recording):
         self.notes = unit_notes(settings, UNITS_PER_METRE, "7-Scenes' own")
         if any(_camera_file(root, (root / frame_id).parent) is None for frame_id in self.frame_ids):
             self.notes += camera_notes(settings, DEFAULT_INTRINSICS, "7-Scenes' own")
+        if settings.registration is None:
+            self.notes += (UNREGISTERED,)
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""

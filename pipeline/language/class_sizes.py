@@ -55,13 +55,13 @@ class SizeFactor:
         return float(np.sqrt(self.low * self.high))
 
 
-def size_factor(labels: Sequence[str], lengths: Sequence[float]) -> SizeFactor | None:
+def size_factor(labels: Sequence[str], lengths: Sequence[float] | np.ndarray) -> SizeFactor | None:
     """By what factor all named things are too long or too short; None where they fit, or one factor does not do.
 
     Parameters
     ----------
     labels : sequence of str
-    lengths : sequence of float
+    lengths : sequence of float, or (N,) float
         Longest edges, metres; those that are not finite and positive, and classes that are not known, do not count.
     """
     pairs = [(size_range(label), length) for label, length in zip(labels, lengths, strict=True)]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,22 +12,23 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import Dataset, load_picture, readable_frames, scene_of
-from pipeline.datasets.doctor.hypotheses import Hypothesis
-from pipeline.datasets.doctor.opinions import SUBJECTS, Opinion, Ranked, landing_opinions, ranked
+from pipeline.datasets.doctor.opinions import SUBJECTS, Opinion, Ranked, landing_opinions, ranked, scale_by_sizes
 from pipeline.datasets.doctor.registering import registration_opinion
 from pipeline.datasets.doctor.search import Search
 from pipeline.datasets.doctor.upright import up_opinion
 from pipeline.datasets.opening import open_dataset
+from pipeline.datasets.plausible import annotated_sizes
 from pipeline.datasets.settings import GivenUp, Settings, read_settings, write_settings
-from pipeline.geometry.camera import Camera
+from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.landing import Views
-from pipeline.geometry.pose_convention import standard_poses
+from pipeline.geometry.pose_convention import STANDARD, standard_poses
 from pipeline.system.errors import InputError, require
 
 MOST_FRAMES, MOST_SCENES = 12, 4
 LONGEST_GAP = 300
 """Frames of one scene that are compared are at most about so many apart."""
+ANNOTATED_FRAMES = 4
 COARSE_GRID, FINE_GRID = (8, 10), (20, 26)
 TRIED_UNITS = (1000.0, 5000.0, 1.0, 10000.0, 39.3701, 100.0)
 """Where the depth as read is refused, these units are tried, so that there is something to compare."""
@@ -184,8 +186,8 @@ def examine_frames(
     search = Search(views[0], views[1])
     K = cameras[0].K if all(np.allclose(c.K, cameras[0].K) for c in cameras) else None
     opinions = landing_opinions(search, K, units)
-    truth = _truth(search, opinions)
-    mended = [replace(f, depth=f.depth * np.float32(truth.scale), camera=_mended(f.camera, truth)) for f in frames]
+    opinions = [_by_sizes(dataset, frames, units) or o if _undecided_scale(o) else o for o in opinions]
+    mended = _mended(frames, {key: value for o in opinions for key, value in o.mend.items()}, units)
     opinions += [registration_opinion(mended, settings), up_opinion(dataset, mended)]
     opinions.sort(key=lambda opinion: SUBJECTS.index(opinion.about))
     return Examination(
@@ -193,24 +195,31 @@ def examine_frames(
     )
 
 
-def _truth(search: Search, opinions: Iterable[Opinion]) -> Hypothesis:
-    """The best hypothesis, of which only what was told as wrong is taken over."""
-    wrong = {opinion.about for opinion in opinions if opinion.state == "wrong"}
-    if not wrong or not len(search.fine.pairs):
-        return Hypothesis()
-    best, plain = search.best, Hypothesis()
-    return Hypothesis(
-        best.scale if "depth scale" in wrong else plain.scale,
-        best.focal if "focal length" in wrong else plain.focal,
-        best.center if "principal point" in wrong else plain.center,
-        best.poses if "poses" in wrong else plain.poses,
-    )
+def _undecided_scale(opinion: Opinion) -> bool:
+    return opinion.about == "depth scale" and opinion.state == "unknown"
 
 
-def _mended(camera: Camera, truth: Hypothesis) -> Camera:
-    T = camera.T_world_camera
-    K = truth.intrinsics(camera.K, (camera.height, camera.width))
-    return replace(camera, K=K, T_world_camera=None if T is None else standard_poses(T, truth.poses))
+def _by_sizes(dataset: Dataset, frames: Sequence[Frame], units: float | None) -> Opinion | None:
+    """What annotated things of known classes say of the scale, where they say the same in most frames."""
+    if not dataset.class_names:
+        return None
+    seen = list(readable_frames(dataset.load, [frame.id for frame in frames[:ANNOTATED_FRAMES]]))
+    found = [factor for frame in seen if (factor := annotated_sizes(frame)) is not None]
+    return scale_by_sizes(found, units) if 2 * len(found) > len(seen) else None
+
+
+def _mended(frames: Sequence[Frame], mends: dict[str, Any], units: float | None) -> list[Frame]:
+    """The frames as they are read with what mends them; as they are where that gives no depth of a room."""
+    scale = units / mends["depth_scale"] if units is not None and "depth_scale" in mends else 1.0
+    found = []
+    for frame in frames:
+        camera, T = frame.camera, frame.camera.T_world_camera
+        K = intrinsics(*mends["intrinsics"]) if "intrinsics" in mends else camera.K
+        pose = None if T is None else standard_poses(T, mends.get("poses", STANDARD))
+        with suppress(InputError):
+            depth = frame.depth * np.float32(scale)
+            found.append(replace(frame, depth=depth, camera=replace(camera, K=K, T_world_camera=pose)))
+    return found or list(frames)
 
 
 def apply(found: Examination) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -10,6 +11,7 @@ import numpy as np
 from pipeline.datasets.doctor.hypotheses import Hypothesis
 from pipeline.datasets.doctor.search import FINE, LEAST_PAIRS, LEAST_SCORE, Range, Search
 from pipeline.geometry.pose_convention import STANDARD
+from pipeline.language.class_sizes import SizeFactor
 
 State = Literal["fine", "wrong", "unknown"]
 SUBJECTS = ("poses", "depth scale", "focal length", "principal point", "registration", "time", "up")
@@ -110,17 +112,18 @@ def landing_opinions(search: Search, K: np.ndarray | None, units: float | None) 
     subjects = SUBJECTS[:4]
     pairs = len(search.fine.pairs)
     if pairs < LEAST_PAIRS:
-        why = "no two of the posed frames that were looked at show the same surface"
-        found = [Opinion(about, "unknown", f"{why}: nothing can tell") for about in subjects]
+        why = "no two posed frames of those that were looked at show the same surface"
+        if not len(search.coarse.pairs):
+            why = "no two frames of a scene have poses"
+        found = [Opinion(about, "unknown", f"nothing can tell: {why}") for about in subjects]
     elif (score := search.at(search.best)) < LEAST_SCORE:
         why = f"nothing that was tried makes the depth of {pairs} pairs agree (at best {score:.0%} of the points land)"
         found = [Opinion(about, "unknown", f"{why}: are the poses of other frames?") for about in subjects]
     else:
         found = [_poses(search), _scale(search, units), _focal(search)]
-        center = _center(search, K)
-        return [*_with_intrinsics(found, center, search, K)]
-    middle = None if K is None else _center_by_middle(K, search.fine.size)
-    return [*found[:3], found[3] if middle is None else middle]
+        return _with_intrinsics([*found, _center(search)], search.best, K, search.fine.size)
+    middle = _center_by_middle(search.fine.K[0], search.fine.size) or found[3]
+    return _with_intrinsics([*found[:3], middle], Hypothesis(), K, search.fine.size)
 
 
 def _landing(search: Search, other: Hypothesis) -> tuple[str, dict[str, float]]:
@@ -177,6 +180,21 @@ def _known_unit(units: float, found: Range) -> float | None:
     return allowed[0] if len(allowed) == 1 else None
 
 
+def scale_by_sizes(found: Sequence[SizeFactor], units: float | None) -> Opinion | None:
+    """What things of known classes say of the unit of depth, by the factors of frames; None where it is no one unit."""
+    low, high = max(f.low for f in found), min(f.high for f in found)
+    if low > high or units is None:
+        return None
+    unit = _known_unit(units, Range(1 / float(np.sqrt(low * high)), 1 / high, 1 / low))
+    if unit is None:
+        return None
+    things = sum(f.things for f in found)
+    fitting = sum(f.fitting for f in found)
+    text = f"{fitting} of {things} things of known classes have the size of their class, nearly all with {UNITS[unit]}"
+    evidence = {"things": float(things), "fitting": float(fitting), "low": 1 / high, "high": 1 / low}
+    return Opinion("depth scale", "wrong", text, {"depth_scale": unit}, f"--depth-scale {unit:g}", evidence)
+
+
 def _focal(search: Search) -> Opinion:
     found = search.range_of("focal", "scale")
     lands, evidence = _landing(search, replace(search.best, focal=1.0 if abs(found.value - 1) > 0.01 else 1.25))
@@ -188,10 +206,10 @@ def _focal(search: Search) -> Opinion:
     if found.holds(1.0) or abs(found.value - 1) < NEAR_TOLD:
         return Opinion("focal length", "fine", f"{lands}; {_between(found)} it would do", evidence=evidence)
     text = f"{lands} where it is {found.value:.3g} times as long, else {evidence['otherwise']:.0%}"
-    return Opinion("focal length", "wrong", text, {"intrinsics": ()}, None, evidence)
+    return Opinion("focal length", "wrong", text, evidence=evidence)
 
 
-def _center(search: Search, K: np.ndarray | None) -> Opinion:
+def _center(search: Search) -> Opinion:
     size = search.fine.size
     best = search.best
     shown = search.fine.K[0]
@@ -214,7 +232,7 @@ def _center(search: Search, K: np.ndarray | None) -> Opinion:
     if apart(best, replace(best, center="told")) <= SAME_CENTER:
         return Opinion("principal point", "fine", text, evidence=evidence)
     what = "where cx and cy are swapped" if best.center == "swapped" else "where it is the middle of the picture"
-    return Opinion("principal point", "wrong", f"{text}: {what}", {"intrinsics": ()}, None, evidence)
+    return Opinion("principal point", "wrong", f"{text}: {what}", evidence=evidence)
 
 
 def _center_by_middle(K: np.ndarray, size: tuple[int, int]) -> Opinion | None:
@@ -227,25 +245,23 @@ def _center_by_middle(K: np.ndarray, size: tuple[int, int]) -> Opinion | None:
         return Opinion("principal point", "fine", off, evidence=evidence)
     if told > ODD_CENTER and swapped <= EVEN_CENTER:
         text = f"{off}, and {evidence['off_middle_swapped']:.0f} with cx and cy swapped"
-        return Opinion("principal point", "wrong", text, {"intrinsics": ()}, None, evidence)
+        return Opinion("principal point", "wrong", text, evidence=evidence)
     return None
 
 
-def _with_intrinsics(found: list[Opinion], center: Opinion, search: Search, K: np.ndarray | None) -> list[Opinion]:
+def _with_intrinsics(
+    found: list[Opinion], best: Hypothesis, K: np.ndarray | None, size: tuple[int, int]
+) -> list[Opinion]:
     """The opinions with the intrinsics that those on focal length and principal point ask for, both in one."""
-    focal = found[2]
-    if "wrong" not in (focal.state, center.state):
-        return [*found, center]
-    best = search.best
+    *_, focal, center = found
     if center.state == "wrong" and best.center == "told":
         best = replace(best, center="swapped")
-    truth = replace(best, focal=best.focal if focal.state == "wrong" else 1.0)
-    if center.state != "wrong":
-        truth = replace(truth, center="told")
-    if K is None:
-        mend, option = {}, "each frame has intrinsics of its own: mend their file"
-    else:
-        right = truth.intrinsics(K, search.fine.size)
+    truth = Hypothesis(
+        focal=best.focal if focal.state == "wrong" else 1.0, center=best.center if center.state == "wrong" else "told"
+    )
+    mend, option = {}, "each frame has intrinsics of its own: mend their file"
+    if K is not None:
+        right = truth.intrinsics(K, size)
         four = tuple(round(float(n), 3) for n in (right[0, 0], right[1, 1], right[0, 2], right[1, 2]))
         mend, option = {"intrinsics": four}, f"--intrinsics {','.join(f'{n:g}' for n in four)}"
     of_camera = (replace(o, mend=mend, option=option) if o.state == "wrong" else o for o in (focal, center))
