@@ -7,14 +7,17 @@ it: a contradiction), or behind it (B's surface hides it, or the pose lies). Onl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from pipeline.geometry.camera import Camera
 
 BLOCKS = 3
 """Landings are counted in so many by so many blocks of each view, which are compared one by one."""
+ALIKE, TEXTURED = 8.0, 6.0
+"""A difference of brightness at which a point counts half, and the contrast from which on its brightness counts."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,8 @@ class Views:
         From view, to view.
     u, v, z : (F, N) float32
         Pixels of each view on a grid, and their depth, 0 where it has none.
+    detail : (F, H, W) float32 or None
+        Brightness against its surroundings, of colour that a point must also land on.
     """
 
     depth: np.ndarray
@@ -41,6 +46,7 @@ class Views:
     u: np.ndarray
     v: np.ndarray
     z: np.ndarray
+    detail: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -63,7 +69,13 @@ class Views:
 
     def of_pairs(self, pairs: np.ndarray) -> Views:
         """The same views, with other pairs."""
-        return Views(self.depth, self.K, self.poses, pairs, self.u, self.v, self.z)
+        return replace(self, pairs=pairs)
+
+
+def detail_of(rgb: np.ndarray) -> np.ndarray:
+    """(H, W) float32 brightness of colour ((H, W, 3) uint8) against its surroundings: alike under another exposure."""
+    grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 2.0)
+    return grey - cv2.GaussianBlur(grey, (0, 0), 12.0)
 
 
 @dataclass(frozen=True)
@@ -85,7 +97,9 @@ class Landing:
     lifted: np.ndarray
 
 
-def land(views: Views, K: np.ndarray, poses: np.ndarray, scale: float, tolerance: float) -> Landing:
+def land(
+    views: Views, K: np.ndarray, poses: np.ndarray, scale: float, tolerance: float, colour: bool = False
+) -> Landing:
     """Lift, move and compare with these cameras.
 
     Parameters
@@ -97,6 +111,8 @@ def land(views: Views, K: np.ndarray, poses: np.ndarray, scale: float, tolerance
         True depth by depth as read.
     tolerance : float
         Relative depth at which a point counts half.
+    colour : bool
+        Whether a point with detail must also land on the same, where the views have it.
     """
     a, b = views.pairs[:, 0], views.pairs[:, 1]
     R_b = poses[b, :3, :3].transpose(0, 2, 1)
@@ -119,6 +135,10 @@ def land(views: Views, K: np.ndarray, poses: np.ndarray, scale: float, tolerance
     met = inside & (other > 0)
     off = (moved[2] - other) / np.where(met, tolerance * other, 1.0)
     near = np.where(met, 1 / (1 + off * off), 0.0)
+    if colour and views.detail is not None:
+        own, there = views.detail[:, views.v, views.u][a], views.detail[b[:, None], row, column]
+        textured = np.abs(own) / (np.abs(own) + TEXTURED)
+        near *= 1 - textured + textured / (1 + ((own - there) / ALIKE) ** 2)
     block = (views.v * BLOCKS // height) * BLOCKS + views.u * BLOCKS // width
     one_hot = np.eye(BLOCKS * BLOCKS, dtype=np.float32)[block]
     return Landing(*(part.astype(np.float32) @ one_hot for part in (near, met, z > 0)))

@@ -21,7 +21,7 @@ from pipeline.datasets.plausible import annotated_sizes
 from pipeline.datasets.settings import GivenUp, Settings, read_settings, write_settings
 from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.landing import Views
+from pipeline.geometry.landing import Views, detail_of
 from pipeline.geometry.pose_convention import STANDARD, standard_poses
 from pipeline.system.errors import InputError, require
 
@@ -183,7 +183,7 @@ def examine_frames(
         Views.of([f.depth for f in frames], cameras, np.array(pairs, np.int64).reshape(-1, 2), grid)
         for grid in (COARSE_GRID, FINE_GRID)
     ]
-    search = Search(views[0], views[1])
+    search = Search(views[0], replace(views[1], detail=np.stack([detail_of(f.rgb) for f in frames])))
     K = cameras[0].K if all(np.allclose(c.K, cameras[0].K) for c in cameras) else None
     opinions = landing_opinions(search, K, units)
     opinions = [_by_sizes(dataset, frames, units) or o if _undecided_scale(o) else o for o in opinions]

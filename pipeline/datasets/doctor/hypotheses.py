@@ -51,10 +51,10 @@ class Hypothesis:
         out[..., :2, 2] += self.shift
         return out
 
-    def landing(self, views: Views, tolerance: float) -> Landing:
-        """Where the points of views land under it."""
+    def landing(self, views: Views, tolerance: float, colour: bool = False) -> Landing:
+        """Where the points of views land under it; see `land`."""
         K, poses = self.intrinsics(views.K, views.size), standard_poses(views.poses, self.poses)
-        return land(views, K, poses, self.scale, tolerance)
+        return land(views, K, poses, self.scale, tolerance, colour)
 
     @property
     def family(self) -> tuple[str, str]:

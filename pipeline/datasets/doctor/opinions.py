@@ -130,7 +130,7 @@ def _landing(search: Search, other: Hypothesis) -> tuple[str, dict[str, float]]:
     """How the best compares with another, as told."""
     best, second = search.at(search.best), search.at(other)
     told = {"lands": round(best, 4), "otherwise": round(second, 4), "pairs": float(len(search.fine.pairs))}
-    return f"{best:.0%} of the points land within {FINE:.1%} of another frame's depth", told
+    return f"{best:.0%} of the points land on the depth (within {FINE:.1%}) and colour of another frame", told
 
 
 def _poses(search: Search) -> Opinion:

@@ -18,7 +18,7 @@ FOCALS = (0.4, 0.5, 0.63, 0.8, 1.25, 1.6, 2.0, 2.5)
 MOST_PAIRS = 24
 LEAST_OVERLAP = 0.15
 LEAST_PAIRS = 2
-LEAST_SCORE = 0.3
+LEAST_SCORE = 0.22
 """Below this, measured at `FINE`, nothing explains the views."""
 SURE = 4.0
 LEAST_LEAD = 0.006
@@ -154,7 +154,7 @@ class Search:
     def _of_blocks(self, hypothesis: Hypothesis, tolerance: float = FINE) -> np.ndarray:
         key = hypothesis, tolerance
         if key not in self._landings:
-            landing = hypothesis.landing(self.fine, tolerance)
+            landing = hypothesis.landing(self.fine, tolerance, colour=tolerance == FINE)
             self._landings[key], self._scores[key] = by_block(landing), score(landing)
         return self._landings[key]
 
