@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -18,6 +19,7 @@ from pipeline.datasets.demo import demo_path
 from pipeline.datasets.doctor.examine import Examination, apply, chosen_frames, examine, examine_frames
 from pipeline.datasets.plausible import camera_height, plausibility
 from pipeline.datasets.settings import FILE_NAME, write_settings
+from pipeline.datasets.synthetic import render_dataset
 from pipeline.geometry.camera import to_world
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.pose_convention import as_convention
@@ -122,6 +124,23 @@ def test_a_declared_up_that_level_planes_contradict(room: list[Frame]) -> None:
         off.append(replace(frame, camera=frame.camera.with_up(T[:3, :3].T @ np.array([0.0, 1.0, 0.0]), "declared")))
     found = looked_at(off).of("up")
     assert (found.state, found.mend) == ("wrong", {"up": "world:0,0,1"})
+
+
+def test_poses_of_neighbours(tmp_path: Path) -> None:
+    """Six views of a room in a row, each with the pose of the next."""
+    render_dataset(tmp_path / "room", rooms=1, views=6, seed=3, width=320, height=240)
+    dataset = open_dataset(tmp_path / "room")
+    frames = [dataset.load(frame_id) for frame_id in dataset.frame_ids]
+    late = [
+        replace(f, camera=replace(f.camera, T_world_camera=n.camera.T_world_camera))
+        for f, n in pairwise(frames)
+    ]
+    assert looked_at(frames).of("time").state == "fine"
+    found = looked_at(late)
+    assert not wrong(found)
+    assert found.of("time").state == "wrong"
+    assert found.of("time").evidence["shift"] == -1
+    assert "1 place earlier" in found.of("time").text
 
 
 # Files

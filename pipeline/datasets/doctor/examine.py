@@ -15,6 +15,7 @@ from pipeline.datasets.base import Dataset, load_picture, readable_frames, scene
 from pipeline.datasets.doctor.opinions import SUBJECTS, Opinion, Ranked, landing_opinions, ranked, scale_by_sizes
 from pipeline.datasets.doctor.registering import registration_opinion
 from pipeline.datasets.doctor.search import Search
+from pipeline.datasets.doctor.timing import time_opinion
 from pipeline.datasets.doctor.upright import up_opinion
 from pipeline.datasets.opening import open_dataset
 from pipeline.datasets.plausible import annotated_sizes
@@ -187,8 +188,10 @@ def examine_frames(
     K = cameras[0].K if all(np.allclose(c.K, cameras[0].K) for c in cameras) else None
     opinions = landing_opinions(search, K, units)
     opinions = [_by_sizes(dataset, frames, units) or o if _undecided_scale(o) else o for o in opinions]
-    mended = _mended(frames, {key: value for o in opinions for key, value in o.mend.items()}, units)
+    mends = {key: value for o in opinions for key, value in o.mend.items()}
+    mended = _mended(frames, mends, units)
     opinions += [registration_opinion(mended, settings), up_opinion(dataset, mended)]
+    opinions.append(time_opinion(dataset, mended, mends.get("poses", STANDARD)))
     opinions.sort(key=lambda opinion: SUBJECTS.index(opinion.about))
     return Examination(
         dataset.root, tuple(f.id for f in frames), len(search.fine.pairs), tuple(opinions), ranked(search)

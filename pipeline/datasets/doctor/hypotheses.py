@@ -11,6 +11,9 @@ from pipeline.geometry.pose_convention import CONVENTIONS, STANDARD, standard_po
 
 CENTERS = ("told", "swapped", "middle")
 """The principal point as read; its two numbers the other way round; the middle of the picture."""
+SURE = 4.0
+LEAST_LEAD = 0.006
+"""One hypothesis is better than another where its lead over the blocks is so many standard errors, and so much."""
 LEAST_MET = 0.1
 """Where fewer of the lifted points meet a surface, the others count as not landing."""
 
@@ -81,3 +84,9 @@ def by_block(landing: Landing) -> np.ndarray:
     """(P * B,) the same for each block of each pair."""
     met = np.maximum(landing.met, np.maximum(LEAST_MET * landing.lifted, 1.0))
     return (landing.landed / met).ravel()
+
+
+def surely_positive(lead: np.ndarray) -> bool:
+    """Whether what one hypothesis has before another in each block ((N,)) is more than chance."""
+    error = lead.std(ddof=1) / np.sqrt(len(lead)) if len(lead) > 1 else np.inf
+    return bool(lead.mean() > max(SURE * error, LEAST_LEAD))

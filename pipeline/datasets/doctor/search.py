@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.datasets.doctor.hypotheses import Hypothesis, by_block, families, score
+from pipeline.datasets.doctor.hypotheses import Hypothesis, by_block, families, score, surely_positive
 from pipeline.geometry.landing import Views
 
 COARSE, MIDDLE, FINE = 0.08, 0.03, 0.012
@@ -20,9 +20,6 @@ LEAST_OVERLAP = 0.15
 LEAST_PAIRS = 2
 LEAST_SCORE = 0.22
 """Below this, measured at `FINE`, nothing explains the views."""
-SURE = 4.0
-LEAST_LEAD = 0.006
-"""One hypothesis is better than another where its lead over the blocks is so many standard errors, and so much."""
 REFINED = 4
 
 
@@ -147,9 +144,7 @@ class Search:
 
     def beats(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Whether the first is surely better than the other, block by block."""
-        lead = self._of_blocks(one) - self._of_blocks(other)
-        error = lead.std(ddof=1) / np.sqrt(len(lead)) if len(lead) > 1 else np.inf
-        return bool(lead.mean() > max(SURE * error, LEAST_LEAD))
+        return surely_positive(self._of_blocks(one) - self._of_blocks(other))
 
     def _of_blocks(self, hypothesis: Hypothesis, tolerance: float = FINE) -> np.ndarray:
         key = hypothesis, tolerance
