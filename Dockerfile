@@ -2,8 +2,8 @@
 # A dataset of your own, and any other command:
 #   docker run --rm -p 127.0.0.1:8080:8080 -v "$PWD/data:/data:ro" spatialviz \
 #     view /data --host 0.0.0.0 --no-open-browser
-# The page has no password: publish the port to this machine alone, as above, and under the same number, since pages of
-# another address are refused.
+# Open the address that is printed: its token lets one in. Publish the port to this machine alone, as above, and under
+# the same number, since pages of another address are refused.
 FROM python:3.11-slim
 WORKDIR /app
 COPY pyproject.toml README.md LICENSE ./

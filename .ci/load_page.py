@@ -1,11 +1,13 @@
 """Many pages at once, by their protocol: how soon each is answered, what is sent, and what the server keeps.
 
 python .ci/load_page.py --minutes 10 --clients 20
+python .ci/load_page.py --minutes 1 --clients 8 --garbage 3
 """
 
 import argparse
 import asyncio
 import json
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -16,6 +18,7 @@ from contextlib import suppress
 from itertools import cycle, islice
 from pathlib import Path
 from secrets import token_hex
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -29,8 +32,8 @@ PORT = 8233
 SERVED_WITHIN, ANSWERED_WITHIN = 60.0, 60.0
 QUIET_SECONDS = 0.5
 """Nothing more comes after so long."""
-MOST_FRAME, MOST_FIRST, MOST_SELECTION = 2_800_000, 800_000, 5_000
-"""A selection is to send 4 kB; a pair whose verdict differs sends 4.6, most of it the stages that it changes."""
+MOST_FRAME, MOST_FIRST, MOST_SELECTION = 2_800_000, 800_000, 4_000
+"""Bytes; of selections the first one on a page sends most, 3.8 kB: nothing like it was sent lately."""
 CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 1.0, 1.0], "fov": 0.8,
     "near": 0.01, "far": 100.0, "image_height": 600, "image_width": 800, "look_at": [0.0, 0.0, 0.0],
@@ -83,7 +86,7 @@ class Client:
             )  # fmt: skip
             await self.scene.send(msgspec.msgpack.encode(CAMERA))
             self._tasks.append(asyncio.create_task(self._look()))
-            await self.quiet()
+            await self.quiet(cloud=True)
 
     @property
     def _origin(self):
@@ -148,11 +151,13 @@ class Client:
             return None
         return (self.first or time.monotonic()) - start
 
-    async def quiet(self, most: float = 10.0) -> None:
-        """Wait until nothing more comes."""
-        end = time.monotonic() + most
+    async def quiet(self, cloud: bool = False, most: float = 10.0) -> None:
+        """Wait until nothing more comes, and, where a `cloud` does, not before the rest of it."""
         self.last = time.monotonic()
-        while time.monotonic() < min(end, self.last + QUIET_SECONDS):
+        end = self.last + most
+        while time.monotonic() < min(end, self.last + QUIET_SECONDS) or (
+            cloud and time.monotonic() < end and not any("/rest" in name for name in self.cloud)
+        ):
             await asyncio.sleep(0.05)
 
 
@@ -220,7 +225,7 @@ async def one(client: Client, number: int, until: float, period: float, figures:
             figures.lost += 1
         else:
             figures.seconds[kind].append(seconds)
-        await client.quiet()
+        await client.quiet(cloud=kind == "frame")
         await asyncio.sleep(max(0.0, period - (time.monotonic() - start)))
         after = client.taken
         figures.page[kind].append(after[0] - page)
@@ -230,11 +235,14 @@ async def one(client: Client, number: int, until: float, period: float, figures:
             figures.first.append(sum(firsts))
 
 
-async def run(port: int, pid: int, clients: int, seconds: float, period: float) -> Figures:
-    """Measure so many pages for so long."""
+async def run(port: int, pid: int, clients: int, seconds: float, period: float, garbage: int = 0) -> Figures:
+    """Measure so many pages for so long, beside so many senders of garbage, who come when the pages are open."""
     figures, pages = Figures(), [Client(port) for _ in range(clients)]
     for page in pages:
         await page.open()
+    senders = [multiprocessing.Process(target=garble, args=(port,), daemon=True) for _ in range(garbage)]
+    for sender in senders:
+        sender.start()
     start = time.monotonic()
 
     async def watch() -> None:
@@ -245,10 +253,47 @@ async def run(port: int, pid: int, clients: int, seconds: float, period: float) 
     watching = asyncio.create_task(watch())
     await asyncio.gather(*(one(p, k, start + seconds, period, figures) for k, p in enumerate(pages)))
     watching.cancel()
+    for sender in senders:
+        sender.terminate()
     figures.memory.append((time.monotonic() - start, resident_mb(pid)))
     for page in pages:
         await page.close()
     return figures
+
+
+GARBAGE = (
+    "{" * 200, "x" * 2**20, os.urandom(4_000), "[" * 100_000, '{"type": "fly"}', '{"type": "hello"}',
+    json.dumps({"type": "command", "text": "nothing:" + "x" * 15_000}),
+    json.dumps({"type": "command", "text": "frame:" + "9" * 400_000}),
+)  # fmt: skip
+"""What is no message of a page, or a command that there is not; the flood of each is as long as is taken."""
+SCENE_GARBAGE = (
+    "{}", b"", os.urandom(4_000), b"\x91" * 50_000, os.urandom(2**20), msgspec.msgpack.encode({"type": "NoMessage"}),
+    msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": "x", "updates": {"value": "x" * 30_000}}),
+)  # fmt: skip
+FLOOD = 500
+
+
+def garble(port: int) -> None:
+    """Send a server what it cannot understand, by one page after the other, as fast as it is taken."""
+    os.nice(10)
+
+    async def send(address: str, garbage: str | bytes, *first: str, **options: Any) -> None:
+        # A connection that is cut off fails in many ways.
+        with suppress(Exception):
+            async with connect(address, origin=f"http://127.0.0.1:{port}", **options) as connection:
+                for message in (*first, *[garbage] * FLOOD):
+                    await connection.send(message)
+
+    async def forever() -> None:
+        spoken = [Subprotocol(f"viser-v{viser.__version__}")]
+        for number, (words, data) in enumerate(zip(cycle(GARBAGE), cycle(SCENE_GARBAGE), strict=False)):
+            # A name is used for some time: the server knows it, and then another one.
+            page_id = f"{os.getpid():x}{number // 4:x}".rjust(32, "0")
+            await send(f"ws://127.0.0.1:{port}/app/socket?id={page_id}", words, '{"type": "hello"}')
+            await send(f"ws://127.0.0.1:{port}/scene/{page_id}", data, subprotocols=spoken, compression=None)
+
+    asyncio.run(forever())
 
 
 def served(port: int, *words: str) -> "subprocess.Popen[str]":
@@ -273,14 +318,18 @@ def main() -> None:
     parser.add_argument("--period", type=float, default=5, help="seconds between what one page does")
     parser.add_argument("--port", type=int, default=PORT)
     parser.add_argument("--check", action="store_true", help="fail where more is sent, kept or lost than may be")
+    parser.add_argument("--garbage", type=int, default=0, help="senders beside that say what no page says")
     given = parser.parse_args()
     server = served(given.port)
     try:
-        figures = asyncio.run(run(given.port, server.pid, given.clients, given.minutes * 60, given.period))
+        seconds = given.minutes * 60
+        figures = asyncio.run(run(given.port, server.pid, given.clients, seconds, given.period, given.garbage))
     finally:
         server.terminate()
         server.wait(30)
+    lines = server.stderr.read().splitlines() if server.stderr else []
     figures.say()
+    print(f"{len(lines)} lines in the server's log: {lines[:1]}")
     if given.check:
         assert not figures.lost, figures.lost
         most = {k: max(p + s for p, s in zip(figures.page[k], figures.scene[k], strict=True)) for k in figures.page}

@@ -30,6 +30,7 @@ from spatialviz.cli_ask import (
     Eval,
     Failures,
     Frames,
+    Glossary,
     Measure,
     Query,
     Relations,
@@ -82,6 +83,7 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "doctor": (Doctor, "run_doctor"),
         "context": (Context, "run_ask"),
         "render": (Render, "run_ask"),
+        "glossary": (Glossary, "run_ask"),
     },
     "label, check, correct": {
         "label": (Label, "run_labels"),

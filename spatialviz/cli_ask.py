@@ -96,6 +96,15 @@ class Relations(Output):
 
 
 @dataclass(frozen=True)
+class Glossary(Output):
+    """What a word of the page or the shell means; without one, all of them."""
+
+    word: Positional[str | None] = None
+    markdown: Flag = False
+    """Print all as a document."""
+
+
+@dataclass(frozen=True)
 class Measure(Output):
     """How far apart two surface points of a frame are, and by how much to the right, up and forward; in metres."""
 
@@ -112,6 +121,8 @@ class Frames(Output):
 
     dataset: DatasetArg
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    plan: str | None = None
+    """FRAME: print where the cameras of its scene stand, seen from above, instead."""
     summary: Flag = False
     """Print only counts over all frames; with --json, as one JSON object."""
     remember: Flag = False

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import taken_as, unused_words
@@ -13,6 +14,7 @@ from pipeline.answering.opening import FrameRelations, open_pipeline, relate_fra
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.suggestions import MissedNames, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
+from pipeline.datasets.camera_plan import CameraPlan, camera_plan
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.synthetic import render_dataset
@@ -23,10 +25,11 @@ from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
+from pipeline.language.glossary import Term, find_term, glossary, glossary_markdown
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
-from pipeline.system.errors import require
-from spatialviz.cli_ask import Ask, Context, Frames, Measure, Relations, Render
+from pipeline.system.errors import needed, require
+from spatialviz.cli_ask import Ask, Context, Frames, Glossary, Measure, Relations, Render
 from spatialviz.options import ALL_FRAMES, FINE, NO, numbers, one_frame, print_json, warn_skipped
 from spatialviz.printing import print_rows, print_summary, rate_bar, say
 from spatialviz.report.picture import save_picture
@@ -80,6 +83,13 @@ def run_frames(command: Frames) -> int:
     dataset = open_pipeline(command.dataset, **camera).dataset
     if command.remember:
         write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset))
+    if command.plan is not None:
+        frame = one_frame(dataset.frame_ids, command.plan, dataset.root)
+        plan = needed(
+            camera_plan(dataset, frame), f"fewer than two frames of the scene of {frame} have a pose", path=dataset.root
+        )
+        command.write(plan.record(), print_plan, plan)
+        return FINE
     counts = SurveyCounts()
     reports = counts.watch(survey(dataset))
     if command.summary:
@@ -93,6 +103,28 @@ def run_frames(command: Frames) -> int:
     if command.summary or not command.json:
         command.write(record, print_summary)
     return FINE if record["frames_usable"] else NO
+
+
+def print_plan(plan: CameraPlan) -> None:
+    """The cameras of a scene, from above: metres, and degrees counted to the left from the first axis."""
+    say(f"scene {plan.scene}: {counted(len(plan.frame_ids), 'camera')}; metres along the longest spread and across it")
+    for frame, (x, y), (a, b) in zip(plan.frame_ids, plan.positions, plan.headings, strict=True):
+        say(f"  {frame}  {x:7.2f} {y:7.2f}  looks {math.degrees(math.atan2(b, a)):4.0f}°")
+
+
+def run_glossary(command: Glossary) -> None:
+    if command.markdown:
+        print(glossary_markdown(), end="")
+        return
+    terms = list(glossary().values()) if command.word is None else [find_term(command.word)]
+
+    command.write(map(asdict, terms), print_terms, terms)
+
+
+def print_terms(terms: Iterable[Term]) -> None:
+    """Words with what they mean."""
+    for term in terms:
+        say((term.name, "bold"), f" ({term.group}): {term.hint}")
 
 
 def run_context(command: Context) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,6 +33,20 @@ for _variable in THREAD_VARIABLES:
 # No test is about time: on a busy machine one example may well take a second.
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
+
+
+def pytest_collection_finish() -> None:
+    """What all test files loaded stays to the end: the collector need not walk it again and again."""
+    gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def demo_frames_once() -> Iterator[None]:
+    """No test reads again from the disk what another has read of the demo."""
+    from demo_memory import demo_remembered
+
+    with demo_remembered():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -90,6 +90,14 @@ class Run:
         return read_records(self.folder)
 
     @cached_property
+    def frame_counts(self) -> dict[str, tuple[int, int]]:
+        """By frame, how many expressions are answered right, by any of the acceptable answers, and how many are not."""
+        table = self.records.select(["frame", "set_correct"]).group_by("frame", use_threads=False)
+        table = table.aggregate([("set_correct", "sum"), ("set_correct", "count")])
+        frames, right, all_ = (table.column(c).to_pylist() for c in ("frame", "set_correct_sum", "set_correct_count"))
+        return {f: (r or 0, n - (r or 0)) for f, r, n in zip(frames, right, all_, strict=True)}
+
+    @cached_property
     def source(self) -> Pipeline:
         """The dataset with the run's models; raises as `open_pipeline`."""
         return open_pipeline(self.spec.dataset, **self.spec.options)

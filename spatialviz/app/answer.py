@@ -15,8 +15,8 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.counted import counted
-from spatialviz.app.markup import BAD, Child, Element, h, named, note, panel
-from spatialviz.app.state import State
+from spatialviz.app.markup import BAD, Child, Element, button, h, named, note, panel
+from spatialviz.app.state import State, same_thing
 from spatialviz.app.toolbar import level_html, up_chip
 
 HINT = "Type TARGET RELATION REFERENCE above, for example “mug left of the laptop”, and press Enter."
@@ -35,7 +35,10 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     if trace is None:
         # Why a question could not be asked stands in its stage, PARSE.
         hint = "No answer." if state.error else HINT if can_ask else NOTHING_TO_ASK
-        return panel(level_html(state), h.p(hint, cls="lead dim"), under, cls="answer")
+        # An expression of the run that is not read has its verdict, too.
+        known = state.error and state.expression_id(state.text) is not None
+        chip = h.div(verdict_chip("PARSE", state.unread), cls="verdict") if known else None
+        return panel(level_html(state), h.p(hint, cls="lead dim"), chip, under, cls="answer")
     reason = why_no_answer(trace)
     told_: Child = [note(_capital(reason), BAD), _alone(state)] if reason is not None else _pair(state)
     return panel(level_html(state), before_html(state), told_, verdict_html(state), under, cls="answer")
@@ -47,25 +50,25 @@ def before_html(state: State) -> Element | None:
     if edited is None:
         return None
     trace, colors = edited.before.trace, palette(state.dark)
-    reason = why_no_answer(trace)
+    reason, count = why_no_answer(trace), len(each_edit(state.edits))
     answer: list[Child] = [h.span(reason or "no answer", cls="dim")]
+
+    def name(i: int) -> str:
+        return state.named(edited.before.keys[i])
+
     if reason is None and trace.ranking is not None:
-        best = trace.ranking.pairs[0]
-        target, *ends = (
-            state.named(edited.before.keys[i])
-            for i in (best.target, best.reference, best.second_reference)
-            if i is not None
-        )
-        lead = told(trace, lambda i: state.named(edited.before.keys[i])).lead.strip()
-        names = [named(colors["target"], target), *(named(colors["reference"], name) for name in ends)]
-        p = h.b(probability(best.relation_probability), title="P(relation)")
-        answer = [h.span(lead, cls="dim") if lead else None, *names, p]
-    verdict = verdict_chip(edited.judged.verdict) if isinstance(edited.judged, Diagnosis) else None
-    count = len(each_edit(state.edits))
+        best, lead = trace.ranking.pairs[0], told(trace, name).lead.strip()
+        references = (i for i in (best.reference, best.second_reference) if i is not None)
+        answer = [
+            h.span(lead, cls="dim") if lead else None,
+            named(colors["target"], name(best.target)),
+            *(named(colors["reference"], name(i)) for i in references),
+            h.b(probability(best.relation_probability), title="P(relation)"),
+        ]
     return h.div(
         h.span("before", cls="dim"),
         h.span(answer, cls="said"),
-        verdict,
+        verdict_chip(edited.judged.verdict) if isinstance(edited.judged, Diagnosis) else None,
         cls="before",
         css={"--c": hex_color(colors["edited"])},
         title=f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back",
@@ -85,9 +88,11 @@ def verdict_html(state: State) -> Element | None:
     if isinstance(judged, str):
         return h.div(h.p(f"No verdict: {judged}", cls="dim sentence"), cls="verdict")
     stage = MODULE_OF.get(judged.verdict, "" if judged.verdict == "COMPOUND" else "LABEL")
-    button = h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why")
-    said = None if state.task == "explain" and judged.verdict in MODULE_OF else h.p(judged.text, cls="sentence")
-    return h.div(button, said, cls="verdict")
+    return h.div(
+        h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why"),
+        None if state.task == "explain" and judged.verdict in MODULE_OF else h.p(judged.text, cls="sentence"),
+        cls="verdict",
+    )
 
 
 def mend_button(state: State) -> Element | None:
@@ -96,20 +101,18 @@ def mend_button(state: State) -> Element | None:
         return None
     doubted = isinstance(state.judged, Diagnosis) and state.judged.verdict == "LABEL"
     hint = "the labelled pair and its expression (Shift+M)"
-    return h.button("correct this label", cls="try mend go" if doubted else "try mend", do="mend", title=hint)
+    return button("correct this label", "mend", hint, "mend go" if doubted else "mend")
 
 
 def answer_in_words(state: State) -> str:
     """The answer as a line of the log."""
     trace = state.trace
     assert trace is not None
-    reason = why_no_answer(trace)
-    total = sum(trace.timings.values()) * 1000
-    if reason is not None or state.pair is None:
-        return f"“{state.text}”: {reason} ({total:.0f} ms)"
-    names = ", ".join(state.shown.names[i] for i in dict.fromkeys(state.pair))
-    answer = told(trace, lambda place: state.shown.names[state.shown.place[place]])
-    return f"“{state.text}”: {answer.sentence(names)} ({total:.0f} ms)"
+    sentence = why_no_answer(trace)
+    if sentence is None and state.pair is not None:
+        names = ", ".join(state.shown.names[i] for i in dict.fromkeys(state.pair))
+        sentence = told(trace, state.name_of).sentence(names)
+    return f"“{state.text}”: {sentence} ({sum(trace.timings.values()) * 1000:.0f} ms)"
 
 
 def _pair(state: State) -> list[Child]:
@@ -117,11 +120,15 @@ def _pair(state: State) -> list[Child]:
     trace, best = state.trace, state.ranked[0]
     assert trace is not None
     pair = state.chosen or best
-    answer = told(trace, lambda place: state.shown.names[state.shown.place[place]], pair)
-    # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
-    absent = note(_capital(answer.lead.strip())) if pair is best and answer.lead else None
-    fails = h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None
-    return [absent, _names(state, pair), _headline(pair), fails, h.div(answer.below, cls="dim")]
+    answer = told(trace, state.name_of, pair)
+    return [
+        # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
+        note(_capital(answer.lead.strip())) if pair is best and answer.lead else None,
+        _names(state, pair),
+        _headline(pair),
+        h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None,
+        h.div(answer.below, cls="dim", id="answer-below"),
+    ]
 
 
 def _alone(state: State) -> Element | None:
@@ -133,8 +140,8 @@ def _alone(state: State) -> Element | None:
     found = None if candidates is None else alone(candidates)
     if found is None:
         return None
-    name = state.shown.names[state.shown.place[found]]
-    return h.div(f"The verdict is of the best {trace.query.target} alone, as in an evaluation: {name}", cls="dim")
+    said = f"The verdict is of the best {trace.query.target} alone, as in an evaluation: {state.name_of(found)}"
+    return h.div(said, cls="dim")
 
 
 def _names(state: State, pair: ScoredPair) -> Element:
@@ -143,9 +150,9 @@ def _names(state: State, pair: ScoredPair) -> Element:
     target, *ends = state.at(pair)
     parts: list[Child] = [named(colors["target"], state.shown.names[target])]
     for k, end in enumerate(() if pair.reference is None else ends):
-        between = h.span("and" if k else state.trace.phrase, cls="dim")
-        parts += [" ", between, " ", named(colors["reference"], state.shown.names[end])]
-    return h.h2(parts, cls="names")
+        joint = h.span("and" if k else state.trace.phrase, cls="dim")
+        parts += [" ", joint, " ", named(colors["reference"], state.shown.names[end])]
+    return h.h2(parts, cls="names", id="answer-names")
 
 
 def _headline(pair: ScoredPair) -> Element:
@@ -155,7 +162,7 @@ def _headline(pair: ScoredPair) -> Element:
         name, title = TITLES.get(what, (f"P({what})", f"the probability of the {what}"))
         low = "low" if what != "product" and not pair.holds else ""
         cells.append(h.span(f"{name} ", h.b(probability(value), cls=low), title=title))
-    return h.div(cells, cls="heads")
+    return h.div(cells, cls="heads", id="answer-heads")
 
 
 def _capital(text: str) -> str:
@@ -202,8 +209,10 @@ def _oracles(d: Diagnosis) -> list[Child]:
         repair = f"each alone would do: {', '.join(d.mends)}"
     hint = "score of the best acceptable pair less that of the best other one"
     head = h.tr(h.td(), h.td(), h.th("target"), h.th("margin", cls="n", title=hint))
-    table = h.table(h.thead(head), h.tbody(rows), cls="oracles")
-    return [h.h3("With the truth in place of", h.span(repair)), table]
+    return [
+        h.h3("With the truth in place of", h.span(repair)),
+        h.table(h.thead(head), h.tbody(rows), cls="oracles"),
+    ]
 
 
 def _other(state: State, trace: Trace) -> list[Child]:
@@ -215,16 +224,16 @@ def _other(state: State, trace: Trace) -> list[Child]:
         return [h.h3("The other run", h.span(other.name)), note(other.error)]
     rows = []
     for name, pair, asked in (("this", mine, trace), ("other", other.best, other.trace)):
-        if pair is None or asked is None or pair.reference is None:
-            rows.append(h.tr(h.th(name, scope="row"), h.td("no answer", colspan=4)))
-            continue
-        names = " · ".join(_named_here(state, asked.objects[i]) for i in (pair.target, pair.reference))
-        factors = (h.td(f"{p:.2f}", cls="n") for p in (pair.p_target, pair.p_reference, pair.p_relation))
-        rows.append(h.tr(h.th(name, scope="row"), h.td(names, cls="w", title=names), factors))
+        cells: Child = h.td("no answer", colspan=4)
+        if pair is not None and asked is not None and pair.reference is not None:
+            names = " · ".join(_named_here(state, asked.objects[i]) for i in (pair.target, pair.reference))
+            factors = (pair.p_target, pair.p_reference, pair.p_relation)
+            cells = [h.td(names, cls="w", title=names), *(h.td(f"{p:.2f}", cls="n") for p in factors)]
+        rows.append(h.tr(h.th(name, scope="row"), cells))
     moved = ""
     if mine is not None and other.best is not None and other.trace is not None:
-        ours, theirs = trace.objects[mine.target].bbox, other.trace.objects[other.best.target].bbox
-        moved = "the same target" if float(iou_2d(ours, theirs)[0, 0]) >= 0.5 else "another target"
+        same = same_thing(trace, mine.target, other.trace.objects[other.best.target])
+        moved = "the same target" if same else "another target"
     head = h.tr(h.td(), h.td(), (h.th(name, cls="n") for name in ("tgt", "ref", "rel")))
     return [
         h.h3("Against the other run", h.span(f"{other.name}: {moved}")),

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 
 from pipeline.answering.agreement.agreement import MIN_IOU
 from pipeline.answering.agreement.frames import SecondDetections
-from pipeline.answering.objects import SceneObject
-from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.palette import RGB, hex_color, ink, palette, second_color
-from spatialviz.app.context import Context, Part, command
-from spatialviz.app.markup import DOUBT, GOOD, Child, Element, dot, h, heading, note, panel, segments
-from spatialviz.app.scene import GHOST_GROWTH, Tag, half_size
+from spatialviz.app.context import Context, Part, choice, command
+from spatialviz.app.markup import DOUBT, GOOD, Child, Element, detector_score, dot, h, heading, note, panel, segments
+from spatialviz.app.scene import GHOST_GROWTH, Tag, edges, half_size
 from spatialviz.app.state import Layers, State
 from spatialviz.report.picture import dashed
 
-LAYERS: tuple[Layers, ...] = ("both", "a", "b")
 DASH = 0.055
 """Length of a dash with its gap, metres."""
 ANCHOR = "/tags/beside"
@@ -34,14 +33,9 @@ class BesideLayer(Part):
     @command("layer")
     def show(self, which: str) -> None:
         """Show the boxes of "both", "a" or "b"; or the "next" of them."""
-        state = self.state
-        if state.beside is None:
-            return
-        if which == "next":
-            which = LAYERS[(LAYERS.index(state.layers) + 1) % len(LAYERS)]
-        for layers in LAYERS:
-            if layers == which:
-                self.ctx.show(layers=layers)
+        layers = choice(get_args(Layers), self.state.layers, which)
+        if layers is not None and self.state.beside is not None:
+            self.ctx.show(layers=layers)
 
     @command("beside")
     def _select(self, places: str) -> None:
@@ -51,27 +45,23 @@ class BesideLayer(Part):
         if beside is None or not all(n.lstrip("-").isdecimal() for n in (own, other)):
             return
         i, j = int(own), int(other)
-        state = self.state
-        if i < len(state.shown.objects) and j < len(beside.objects):
+        if i < len(self.state.shown.objects) and j < len(beside.objects):
             self._choose(None if i < 0 else i, None if j < 0 else j)
 
     @command("next-disagreement")
     def _step(self, step: int) -> None:
         """Go to the next disagreement, or to one before."""
-        state = self.state
-        rows = () if state.beside is None else state.beside.disagreements
+        rows = () if self.state.beside is None else self.state.beside.disagreements
         if rows:
-            at = chosen_row(state)
+            at = chosen_row(self.state)
             place = rows.index(at) + step if at in rows else 0 if step > 0 else -1
             self._choose(*rows[place % len(rows)])
 
     def _choose(self, own: int | None, second: int | None) -> None:
-        state = self.state
-        layers = state.layers
+        layers = self.state.layers
         # What is chosen must be seen.
-        if layers != "both" and (own if layers == "a" else second) is None:
-            layers = "both"
-        self.ctx.show(selected=own, second=second, layers=layers)
+        hidden = layers != "both" and (own if layers == "a" else second) is None
+        self.ctx.show(selected=own, second=second, layers="both" if hidden else layers)
 
     def follow(self, live: bool = False) -> list[Tag]:
         """Bring the scene up to the state, and return the names to show; while a hand is at a box nothing changes."""
@@ -81,50 +71,41 @@ class BesideLayer(Part):
         if live or marks == self._drawn:
             return self._tags
         self._drawn = marks
-        color = second_color(state.dark)
-        alike: set[int] = set()
-        if state.beside is not None and state.layers == "both":
-            alike = set(state.beside.found.pairs[state.beside.found.same, 1].tolist())
-        boxed = [j for j, entry in enumerate(objects) if entry.lifted.box is not None]
-        shown = boxed if state.boxes_shown else []
+        color, alike = second_color(state.dark), _alike(state)
+        boxes = {j: self.ctx.scene.shown_box(o.lifted.box) for j, o in enumerate(objects) if o.lifted.box is not None}
+        shown = boxes if state.boxes_shown else {}
         drawn = (
             ("alike", [j for j in shown if j in alike], _faint(color, state.dark), 1.2),
             ("apart", [j for j in shown if j not in alike], color, 2.2),
-            ("chosen", [j for j in boxed if j == chosen], color, 4.0),
+            ("chosen", [j for j in boxes if j == chosen], color, 4.0),
         )
         with self.ctx.client.atomic():
             for name, which, look, width in drawn:
-                self.ctx.client.lines(f"/beside/{name}", self._dashes(objects, which), look, width)
-            self._tags = self._tag(state, chosen if chosen in boxed else None)
+                self.ctx.client.lines(f"/beside/{name}", _dashes([boxes[j] for j in which]), look, width)
+            self._tags = [self._tag(state.beside, j, boxes[j]) for j in boxes if state.beside and j == chosen]
         return self._tags
 
-    def _dashes(self, objects: Sequence[SceneObject], which: Sequence[int]) -> np.ndarray:
-        edges = []
-        for j in which:
-            box = objects[j].lifted.box
-            assert box is not None
-            at = self.ctx.scene.shown_box(box)
-            # A little larger, so that they do not lie in the very lines of the own boxes.
-            edges.append(Box3D(at.center, at.R, at.size + GHOST_GROWTH).corners[EDGES])
-        return dashed(np.concatenate(edges), DASH) if edges else np.zeros((0, 2, 3), np.float32)
+    def _tag(self, beside: SecondDetections, j: int, box: Box3D) -> Tag:
+        anchor, color = self.ctx.client.anchor(ANCHOR, box.center), hex_color(second_color(self.state.dark))
+        name, detail = f"B {second_name(beside, j)}", detector_score(beside.objects[j].score)
+        return Tag(anchor, name, detail, color, True, extent=half_size(box))
 
-    def _tag(self, state: State, chosen: int | None) -> list[Tag]:
-        if chosen is None or state.beside is None:
-            return []
-        entry = state.beside.objects[chosen]
-        assert entry.lifted.box is not None
-        box = self.ctx.scene.shown_box(entry.lifted.box)
-        detail = "" if entry.score >= 0.9995 else f"{entry.score:.2f}"
-        name, color = second_name(state.beside, chosen), hex_color(second_color(state.dark))
-        return [
-            Tag(self.ctx.client.anchor(ANCHOR, box.center), f"B {name}", detail, color, True, extent=half_size(box))
-        ]
+
+def _alike(state: State) -> set[int]:
+    """The second detector's objects that need not stand out: the own one, which is shown too, found the same."""
+    if state.beside is None or state.layers != "both":
+        return set()
+    return set(state.beside.found.pairs[state.beside.found.same, 1].tolist())
+
+
+def _dashes(boxes: Sequence[Box3D]) -> np.ndarray:
+    # A little larger, so that they do not lie in the very lines of the own boxes.
+    return dashed(edges(boxes, GHOST_GROWTH), DASH) if boxes else np.zeros((0, 2, 3), np.float32)
 
 
 def _faint(color: RGB, dark: bool) -> RGB:
     """Half way to the background."""
-    ground = 20 if dark else 250
-    r, g, b = ((c + ground) // 2 for c in color)
+    r, g, b = ((c + (20 if dark else 250)) // 2 for c in color)
     return r, g, b
 
 
@@ -148,16 +129,14 @@ def second_overlay(state: State, unit: float) -> list[Element]:
     if beside is None or not state.second_layer or not (state.boxes_shown or state.second_selected is not None):
         return []
     color, tag = hex_color(second_color(True)), hex_color(second_color(False))
-    alike = set(beside.found.pairs[beside.found.same, 1].tolist())
+    alike = _alike(state)
     parts = []
     for j, entry in enumerate(beside.objects):
         chosen = j == state.second_selected
         if not chosen and not state.boxes_shown:
             continue
         x0, y0, x1, y1 = (float(v) for v in entry.bbox)
-        faint = j in alike and state.layers == "both"
-        width = 1.8 if chosen else 0.8 if faint else 1.2
-        opacity = 1.0 if chosen else 0.5 if faint else 0.95
+        width, opacity = (1.8, 1.0) if chosen else (0.8, 0.5) if j in alike else (1.2, 0.95)
         parts.append(
             h.rect(
                 x=f"{x0:.1f}", y=f"{y0:.1f}", width=f"{x1 - x0:.1f}", height=f"{y1 - y0:.1f}", fill="none",
@@ -196,22 +175,12 @@ def agreement_html(state: State) -> Element:
     whose = (dot(palette(state.dark)["other"]), f"A {a} \u2003", hollow(second), f"B {b}")
     title = heading("Agreement", h.span(whose, title=f"A: {a}, B: {b}"))
     if not sums.a + sums.b:
-        nothing = h.div("Neither finds anything that the other knows.", cls="dim")
-        return panel(title, nothing, _beyond(beside))
+        return panel(title, h.div("Neither finds anything that the other knows.", cls="dim"), _beyond(beside))
     shares = (
         (sums.both, GOOD, "alike", ""),
         (sums.otherwise, DOUBT, "named otherwise", ""),
         (sums.only_a, other, "only A", ""),
         (sums.only_b, second, "only B", "second"),
-    )
-    bar = (
-        h.i(cls=kind, css={"--c": color, "flex": str(count)}, title=f"{count} {name}")
-        for count, color, name, kind in shares
-        if count
-    )
-    legend = (
-        h.span(h.span(cls="hollow" if kind else "dot", css={"--c": color}), f"{count} {name}")
-        for count, color, name, kind in shares
     )
     figures = (
         ("agreement", sums.share, "2 alike / (A + B): what kappa tends to where empty places are beyond counting"),
@@ -219,12 +188,26 @@ def agreement_html(state: State) -> Element:
         ("mean IoU", sums.mean_iou, "of what both found"),
         ("scores ρ", sums.score_correlation, "rank correlation of the scores of what both found"),
     )
-    cells = (h.span(h.b(_figure(value)), name, cls="dim", title=hint) for name, value, hint in figures)
     return panel(
         title,
-        h.div(bar, cls="agree"),
-        h.div(legend, cls="legend"),
-        h.div(cells, cls="kappas"),
+        h.div(
+            (
+                h.i(cls=kind, css={"--c": color, "flex": str(count)}, title=f"{count} {name}")
+                for count, color, name, kind in shares
+                if count
+            ),
+            cls="agree",
+        ),
+        h.div(
+            (
+                h.span(h.span(cls="hollow" if kind else "dot", css={"--c": color}), f"{count} {name}")
+                for count, color, name, kind in shares
+            ),
+            cls="legend",
+        ),
+        h.div(
+            (h.span(h.b(_figure(value)), name, cls="dim", title=hint) for name, value, hint in figures), cls="kappas"
+        ),
         _rows(state, beside),
         _beyond(beside),
     )
@@ -235,24 +218,22 @@ def _figure(value: float | None) -> str:
 
 
 def _rows(state: State, beside: SecondDetections) -> Child:
-    color = hex_color(second_color(state.dark))
-    grey = palette(state.dark)
-    iou = {(int(i), int(j)): float(v) for (i, j), v in zip(beside.found.pairs, beside.found.iou, strict=True)}
+    found, colors = beside.found, palette(state.dark)
+    iou = {(int(i), int(j)): float(v) for (i, j), v in zip(found.pairs, found.iou, strict=True)}
     rows = []
     for i, j in beside.disagreements:
         own = other = (h.td("–", cls="none"), h.td())
         if i is not None:
-            mark = dot(grey[state.roles.get(i, "other")])
             # The question may name it otherwise than the detector does where it is asked for everything.
-            number = state.shown.names[i].rpartition("·")[2]
-            own = _cells(mark, f"{beside.found.labels_a[i]}·{number}", float(beside.found.scores_a[i]))
+            name = f"{found.labels_a[i]}·{state.shown.names[i].rpartition('·')[2]}"
+            own = _cells(dot(colors[state.roles.get(i, "other")]), name, float(found.scores_a[i]))
         if j is not None:
-            other = _cells(hollow(color), second_name(beside, j), float(beside.found.scores_b[j]))
+            mark = hollow(hex_color(second_color(state.dark)))
+            other = _cells(mark, second_name(beside, j), float(found.scores_b[j]))
         if i is not None and j is not None:
             overlap, hint = iou[i, j], "overlap of the two"
         else:
-            near = beside.found.nearest_a if i is not None else beside.found.nearest_b
-            overlap = float(near[i if i is not None else j])
+            overlap = float(found.nearest_b[j] if i is None else found.nearest_a[i])
             why = "which stands for another already" if overlap >= MIN_IOU else "too little"
             hint = f"overlap with the nearest of the other detector, {why}"
         ends = ",".join(str(-1 if k is None else k) for k in (i, j))
@@ -274,18 +255,14 @@ def _rows(state: State, beside: SecondDetections) -> Child:
 
 def chosen_row(state: State) -> tuple[int | None, int | None]:
     """What is selected of the two detectors, as a row of the disagreements has it."""
-    beside = state.beside
-    if beside is None:
+    own, second = state.selected, state.second_selected
+    if state.beside is None:
         return None, None
-    second = state.second_selected
-    if state.selected is None:
-        return beside.partner_of_b(second), second
-    return state.selected, second
+    return state.beside.partner_of_b(second) if own is None else own, second
 
 
 def _cells(mark: Element, name: str, score: float) -> tuple[Element, Element]:
-    shown = "" if score >= 0.9995 else f"{score:.2f}"
-    return h.td(h.span(mark, h.b(name), cls="name"), title=name), h.td(shown, cls="n dim")
+    return h.td(h.span(mark, h.b(name), cls="name"), title=name), h.td(detector_score(score), cls="n dim")
 
 
 def hollow(color: str) -> Element:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import inspect
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import cached_property
 from typing import Any, TypeVar
 
 from pipeline.answering.opening import Pipeline
@@ -18,7 +19,9 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
 from spatialviz.app.channel import Channel, Incoming
+from spatialviz.app.frame_pictures import FramePictures
 from spatialviz.app.frames import FrameStore
+from spatialviz.app.label_editors import LabelEditors
 from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.place import Place
 from spatialviz.app.scene import SceneView
@@ -62,6 +65,11 @@ class Shared:
     first_view: ViewState | None = None
     dark: bool = True
 
+    @cached_property
+    def pictures(self) -> FramePictures:
+        """Of all frames."""
+        return FramePictures(self.store.sources)
+
     @property
     def moving(self) -> bool:
         """Whether a dataset has a robot's moves."""
@@ -92,11 +100,16 @@ class Context:
         Times and lines of what happened.
     closed : threading.Event
         Set when the page has gone.
+    editors : LabelEditors
+        Of the labels that may be corrected.
+    reviewed : mapping of str to (int, int)
+        By frame, how many items of the review are settled, and how many are not.
     leave : list of callable
         Called then, such as to listen no more to what runs on for others.
     """
 
     def __init__(self, page_id: str, shared: Shared) -> None:
+        self.reviewed: Mapping[str, tuple[int, int]] = {}
         self.leave: list[Callable[[], None]] = []
         self.shared, self.log, self.closed = shared, list[tuple[str, str]](), threading.Event()
         source, opened = next(iter(shared.store.sources.items()))
@@ -106,6 +119,7 @@ class Context:
         self.post = self.channel.post
         self.page = Page(self.channel.send)
         self.dialog = Dialog(self.page)
+        self.editors = LabelEditors(shared.journals, shared.store.sources, shared.author)
         self.client = SceneClient()
         self.scene = SceneView(self.client, lambda pixel, boxes: self.post(lambda: self.clicked(pixel, boxes)))
 
@@ -118,6 +132,11 @@ class Context:
     def run(self) -> Run | None:
         """Its run."""
         return self.shared.runs.get(self.state.source)
+
+    @property
+    def can_ask(self) -> bool:
+        """Whether the source has a detector."""
+        return self.source.detector is not None
 
     def note(self, text: str) -> None:
         """Write a line of the log."""
@@ -140,7 +159,7 @@ class Context:
         """A click in the scene: the pixel that was hit, and the boxes on the way, the smallest first."""
 
     def handle(self, message: str) -> None:
-        """Carry out a command such as "pair:3"; unknown ones are ignored."""
+        """Carry out a command such as "pair:3"; unknown ones are ignored, and what cannot be done is said."""
 
     def draw(self, live: bool = False) -> None:
         """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""
@@ -175,6 +194,13 @@ class Part:
     @state.setter
     def state(self, state: State) -> None:
         self.ctx.state = state
+
+
+def choice(options: Sequence[str], now: str, wanted: str) -> str | None:
+    """One of several by its name, or the "next" after the one that is on; None where there is none such."""
+    if wanted == "next":
+        return options[(options.index(now) + 1) % len(options)]
+    return wanted if wanted in options else None
 
 
 def command(*names: str) -> Callable[[Method], Method]:

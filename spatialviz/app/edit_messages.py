@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,10 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Edits
 from pipeline.diagnosis.whatif.placement import box_numbers, grown, labelled_mask, rectangle, with_numbers
 from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.viewer import ViewerAxes
 from pipeline.relations.installed import installed_network
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, as_input_error, needed, require
+from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.state import State
 
 PROFILE_SETTINGS = ("cone", "doubtful_cone", "dead_zone", "dead_zone_depth")
@@ -37,19 +40,36 @@ def edited_by(said: str, state: State, source: Pipeline, keys: tuple[str, ...]) 
         For what cannot be done, and why.
     """
     what, *rest = said.split(":")
-    if what not in _EDITS:
-        raise InputError("there is no such edit", got=said)
+    if what in ("center", "size", "yaw"):
+        key, entry = _selected(state, keys)
+        box = needed(entry.lifted.box, "the selected object has no 3D box: there is no depth in its pixels")
+        return state.edits.with_box(key, box_with(box, _loaded(state).context.viewer, what, rest))
+    require(what in _EDITS, "there is no such edit", got=said)
     return _EDITS[what](state, source, keys, rest)
 
 
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
-        raise InputError("this must be a number", got=repr(text))
+def number_of(words: Sequence[str]) -> float:
+    """The number that one word says; InputError where it says none."""
+    with as_input_error("this must be a number", ValueError, got=repr(":".join(words))):
+        (value,) = map(float, words)
+    require(np.isfinite(value), "this must be a number", got=repr(words[0]))
     return value
+
+
+def box_with(box: Box3D, viewer: ViewerAxes, what: str, numbers: Sequence[str]) -> Box3D:
+    """A box after "center" AXIS METRES, "size" AXIS METRES or "yaw" DEGREES; InputError where it is none of these."""
+    value: Any = number_of(numbers[-1:])
+    if what != "yaw":
+        known = what in ("center", "size") and numbers[0] in ("0", "1", "2")
+        require(known, "a box has no such number", got=":".join((what, *numbers)))
+        now = getattr(box_numbers(box, viewer), what)
+        value = tuple(value if axis == int(numbers[0]) else x for axis, x in enumerate(now))
+    changed: dict[str, Any] = {what: value}
+    return with_numbers(box, viewer, **changed)
+
+
+def _loaded(state: State) -> LoadedFrame:
+    return needed(state.loaded, "the frame is broken")
 
 
 def _selected(state: State, keys: tuple[str, ...]) -> tuple[str, SceneObject]:
@@ -58,39 +78,6 @@ def _selected(state: State, keys: tuple[str, ...]) -> tuple[str, SceneObject]:
         if shown_place == state.selected:
             return keys[trace_place], state.shown.objects[shown_place]
     raise InputError("no candidate of the question is selected")
-
-
-def _chosen(state: State, keys: tuple[str, ...]) -> tuple[str, str]:
-    """The keys of the chosen pair, in the order in which the relation is judged."""
-    pair = state.chosen
-    if state.trace is None or pair is None or pair.reference is None or pair.second_reference is not None:
-        raise InputError("no pair of two objects is chosen")
-    ends = keys[pair.target], keys[pair.reference]
-    return (ends[1], ends[0]) if state.trace.inverse else ends
-
-
-def _box_of(state: State, keys: tuple[str, ...]) -> tuple[str, Box3D]:
-    key, entry = _selected(state, keys)
-    if entry.lifted.box is None:
-        raise InputError("the selected object has no 3D box: there is no depth in its pixels")
-    return key, entry.lifted.box
-
-
-def _place(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
-    """center:AXIS:METRES, size:AXIS:METRES, yaw:DEGREES."""
-    what, *numbers = rest
-    key, box = _box_of(state, keys)
-    assert state.loaded is not None
-    viewer = state.loaded.context.viewer
-    now = box_numbers(box, viewer)
-    if what == "yaw":
-        return state.edits.with_box(key, with_numbers(box, viewer, yaw=_number(numbers[0])))
-    axis, value = int(numbers[0]), _number(numbers[1])
-    three = list(getattr(now, what))
-    three[axis] = value
-    found = (three[0], three[1], three[2])
-    changed = with_numbers(box, viewer, center=found) if what == "center" else with_numbers(box, viewer, size=found)
-    return state.edits.with_box(key, changed)
 
 
 def _hide(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
@@ -102,9 +89,8 @@ def _hide(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]
 
 def _confidence(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
     """confidence:NUMBER OF THE NAME:P."""
-    assert state.trace is not None
-    name = list(state.trace.candidates)[int(rest[0])]
-    return state.edits.with_confidence(name, _selected(state, keys)[0], _number(rest[1]))
+    name = list(needed(state.trace, "nothing is asked").candidates)[int(rest[0])]
+    return state.edits.with_confidence(name, _selected(state, keys)[0], number_of(rest[1:]))
 
 
 def _relation(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
@@ -112,42 +98,43 @@ def _relation(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[
 
     A slider names its own pair: what is chosen moves on where the answer does, while the hand still holds the slider.
     """
-    assert state.trace is not None
+    trace, pair = needed(state.trace, "nothing is asked"), state.chosen
     *ends, value = rest
-    if not ends:
-        return state.edits.with_relation(state.trace.relation, *_chosen(state, keys), _number(value))
-    at = {shown: keys[t] for t, shown in state.shown.place.items()}
-    places = [int(_number(end)) for end in ends]
-    if len(places) != 2 or not all(place in at for place in places):
-        raise InputError("the pair is no longer among the candidates")
-    return state.edits.with_relation(state.trace.relation, at[places[0]], at[places[1]], _number(value))
+    if ends:
+        at = {str(shown): keys[t] for t, shown in state.shown.place.items()}
+        require(len(ends) == 2 and set(ends) <= set(at), "the pair is no longer among the candidates")
+        a, b = (at[end] for end in ends)
+    else:
+        # In the order in which the relation is judged.
+        if pair is None or pair.reference is None or pair.second_reference is not None:
+            raise InputError("no pair of two objects is chosen")
+        a, b = (keys[i] for i in (pair.target, pair.reference)[:: -1 if trace.inverse else 1])
+    return state.edits.with_relation(trace.relation, a, b, number_of([value]))
 
 
 def _mask(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
     """mask:grow:PIXELS, mask:label, mask:swap, mask:rectangle:x0,y0,x1,y1."""
     key, entry = _selected(state, keys)
-    assert state.loaded is not None
-    frame = state.loaded.context.frame
+    frame = _loaded(state).context.frame
     if rest[0] == "grow":
-        mask = grown(entry.mask, int(_number(rest[1])))
+        masks = {key: grown(entry.mask, int(number_of(rest[1:])))}
     elif rest[0] == "rectangle":
-        corners = [_number(part) for part in rest[1].split(",")]
-        if len(corners) != 4:
-            raise InputError("a rectangle has four numbers", got=rest[1])
-        mask = rectangle(frame.height, frame.width, (corners[0], corners[1], corners[2], corners[3]))
+        corners = [number_of([part]) for part in rest[1].split(",")]
+        require(len(corners) == 4, "a rectangle has four numbers", got=rest[1])
+        masks = {key: rectangle(frame.height, frame.width, (corners[0], corners[1], corners[2], corners[3]))}
     elif rest[0] == "label":
         truth = state.judged.truth if isinstance(state.judged, Diagnosis) else None
         found = None if truth is None else labelled_mask(truth, entry.bbox, frame.height, frame.width)
-        if found is None:
-            raise InputError("no labelled object with a mask is where the selected one is")
-        mask = found
+        masks = {key: needed(found, "no labelled object with a mask is where the selected one is")}
     else:
         a, b = partners(state)
-        trace_place = {shown: t for t, shown in state.shown.place.items()}
-        one, other = keys[trace_place[a]], keys[trace_place[b]]
-        masks = [state.shown.objects[i].mask for i in (a, b)]
-        return _without_boxes(state.edits, one, other).with_mask(one, masks[1]).with_mask(other, masks[0])
-    return _without_boxes(state.edits, key).with_mask(key, mask)
+        key_of = {shown: keys[t] for t, shown in state.shown.place.items()}
+        masks = {key_of[a]: state.shown.objects[b].mask, key_of[b]: state.shown.objects[a].mask}
+    # A new mask is lifted anew: a box that was placed by hand would hide what it does.
+    edits = replace(state.edits, boxes={k: box for k, box in state.edits.boxes.items() if k not in masks})
+    for key, mask in masks.items():
+        edits = edits.with_mask(key, mask)
+    return edits
 
 
 def partners(state: State) -> tuple[int, int]:
@@ -161,50 +148,32 @@ def partners(state: State) -> tuple[int, int]:
     if state.pair is None or state.selected is None or state.selected not in state.shown.place.values():
         raise InputError("swapping takes a selected candidate and a chosen pair")
     other = state.pair[0] if state.selected != state.pair[0] else state.pair[1]
-    if other == state.selected:
-        raise InputError("an object cannot swap with itself")
+    require(other != state.selected, "an object cannot swap with itself")
     return state.selected, other
-
-
-def _without_boxes(edits: Edits, *keys: str) -> Edits:
-    """A new mask is lifted anew: a box that was placed by hand would hide what it does."""
-    return replace(edits, boxes={k: box for k, box in edits.boxes.items() if k not in keys})
 
 
 def _setting(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
     """set:NAME:VALUE; a value that is that of the source is no edit."""
     name, value = rest
     edits = state.edits
-    if name == "k":
-        wanted = int(_number(value))
-        return edits.with_k(None if wanted == source.config.k else wanted)
-    if name == "min_score":
-        least = _number(value)
-        return edits.with_min_score(least or None)
     if name == "scorer":
-        return edits.with_scorer(None if value == "own" else _known_scorer(value))
+        known = value in ("own", "rule", "trained") or installed_network(value) is not None
+        require(
+            known, "there is no such relation scorer", got=value, expected="rule, trained, or an installed one"
+        )  # fmt: skip
+        return edits.with_scorer(None if value == "own" else value)
     if name == "aggregate":
         return edits.with_settings("rank", aggregate=value)
-    if name in WEIGHTS:
-        return edits.with_settings("rank", **{name: _number(value)})
-    if name in PROFILE_SETTINGS:
-        return edits.with_settings("profile", **{name: _number(value)})
-    raise InputError("there is no such setting", got=name)
+    number = number_of([value])
+    if name == "k":
+        return edits.with_k(None if int(number) == source.config.k else int(number))
+    if name == "min_score":
+        return edits.with_min_score(number or None)
+    require(name in WEIGHTS or name in PROFILE_SETTINGS, "there is no such setting", got=name)
+    return edits.with_settings("rank" if name in WEIGHTS else "profile", **{name: number})
 
 
-def _known_scorer(name: str) -> str:
-    if name not in ("rule", "trained") and installed_network(name) is None:
-        raise InputError("there is no such relation scorer", got=name, expected="rule, trained, or an installed one")
-    return name
-
-
-_Edit = Callable[[State, Pipeline, tuple[str, ...], list[str]], Edits]
-
-
-_EDITS: Mapping[str, _Edit] = {
-    "center": lambda s, o, k, r: _place(s, o, k, ["center", *r]),
-    "size": lambda s, o, k, r: _place(s, o, k, ["size", *r]),
-    "yaw": lambda s, o, k, r: _place(s, o, k, ["yaw", *r]),
+_EDITS: Mapping[str, Callable[[State, Pipeline, tuple[str, ...], list[str]], Edits]] = {
     "hide": _hide,
     "confidence": _confidence,
     "relation": _relation,

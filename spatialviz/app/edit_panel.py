@@ -60,13 +60,9 @@ SETTING_NAMES = {
 def cost_html(state: State, undos: int) -> Element:
     """What the last answer cost, and the way back."""
     edits = each_edit(state.edits)
-    said: Child
-    if not edits:
-        said = "nothing is edited" if state.trace is not None else "ask something: edits are of a question"
-    else:
-        assert state.edited is not None or state.trace is None
-        cost = "" if state.edited is None else f" · recomputed in {state.edited.seconds * 1000:.1f} ms"
-        said = h.b(counted(len(edits), "edit")), cost
+    nothing = "nothing is edited" if state.trace is not None else "ask something: edits are of a question"
+    cost = "" if state.edited is None else f" · recomputed in {state.edited.seconds * 1000:.1f} ms"
+    said = (h.b(counted(len(edits), "edit")), cost) if edits else nothing
     undo = button("undo", "edit-undo", "take the last edit back (Ctrl+Z)", disabled=not undos)
     reset = button("reset all", "edit-reset", "take all edits back (0)", disabled=not edits)
     return panel(
@@ -109,26 +105,12 @@ def _object(state: State, editable: bool) -> Child:
         return heading(name), h.div("Not a candidate of this question: nothing depends on it.", cls="dim")
     hidden = f"#{entry.id}" in state.edits.hidden
     hide = button("show it again" if hidden else "hide it", "edit:hide", "as if it had not been found")
-    head = heading(name, hide)
+    head = heading(name, hide).with_(id="edit-name")
     if hidden:
         return head, h.div("Hidden: as if the detector had not found it.", cls="dim")
-    return head, _numbers(state, i), _confidences(state, i), _mask_row(state, entry.mask)
-
-
-def _numbers(state: State, i: int) -> Child:
-    box = state.shown.objects[i].lifted.box
-    if box is None or state.loaded is None:
-        return h.div("No 3D box: there is no depth in its pixels.", cls="dim")
-    numbers = box_numbers(box, state.loaded.context.viewer)
-    rows = []
-    for kind, label in (("center", "Centre"), ("size", "Size")):
-        cells = (
-            field(f"edit:{kind}:{axis}", getattr(numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01", name=word)
-            for axis, (word, unit) in enumerate(AXES[kind])
-        )
-        rows.append(row(label, h.div(cells, cls="fields")))
-    turn = field("edit:yaw", numbers.yaw, hint="degrees, from right towards forward", step="1", name="yaw °", digits=1)
-    return rows, row("Turn", h.div(turn, cls="fields"))
+    box = entry.lifted.box
+    numbers = None if box is None or state.loaded is None else box_numbers(box, state.loaded.context.viewer)
+    return head, _box_rows(numbers, "edit", 2), _confidences(state, i), _mask_row(state, entry.mask)
 
 
 def _confidences(state: State, i: int) -> Child:
@@ -147,19 +129,23 @@ def _confidences(state: State, i: int) -> Child:
 
 
 def _mask_row(state: State, mask: np.ndarray) -> Child:
-    buttons = [
-        button(f"{pixels:+d} px".replace("-", "−"), f"edit:mask:grow:{pixels}", "grow or shrink its pixels")
-        for pixels in GROWTHS
-    ]
-    if isinstance(state.judged, Diagnosis):
-        buttons.append(button("labelled", "edit:mask:label", "the pixels of the label in place of its own"))
-    if state.pair is not None and state.selected is not None and len(set(state.pair[:2]) - {state.selected}):
-        other = state.shown.names[partners(state)[1]]
-        hint = f"this one gets the pixels of {other}, and that one its own"
-        buttons.append(button(f"⇄ {other}", "edit:mask:swap", hint))
+    swaps = state.pair is not None and state.selected is not None and set(state.pair[:2]) != {state.selected}
+    other = state.shown.names[partners(state)[1]] if swaps else ""
+    buttons = (
+        (
+            button(f"{pixels:+d} px".replace("-", "−"), f"edit:mask:grow:{pixels}", "grow or shrink its pixels")
+            for pixels in GROWTHS
+        ),
+        button("labelled", "edit:mask:label", "the pixels of the label in place of its own")
+        if isinstance(state.judged, Diagnosis)
+        else None,
+        button(f"⇄ {other}", "edit:mask:swap", f"it gets the pixels of {other}, and that one its own", id="edit-swap")
+        if swaps
+        else None,
+    )
     hint = "Shift and drag over the picture in the Image tab to put a rectangle in place of its pixels."
     size = f"{int(mask.sum()):,} pixels · Shift-drag in the picture: a rectangle"
-    return row("Mask", h.div(buttons, cls="chips"), title=hint), h.div(size, cls="dim under-row")
+    return row("Mask", h.div(buttons, cls="chips"), title=hint), h.div(size, cls="dim under-row", id="edit-pixels")
 
 
 def _pair(state: State) -> Child:
@@ -176,18 +162,15 @@ def _pair(state: State) -> Child:
 
 
 def _map(state: State, editable: bool, found: DecisionMap | None) -> Child:
-    name = "the selected object"
-    if found is not None:
-        name = state.named(found.key)
-    elif editable and state.selected is not None:
-        name = state.shown.names[state.selected]
+    selected = None if not editable or state.selected is None else state.shown.names[state.selected]
+    name = (selected or "the selected object") if found is None else state.named(found.key)
     hint = "colours the floor by the answer that would win if the object stood there"
     label = "hide the map" if found is not None else "show it"
-    head = heading("Decision map", button(label, "edit-map", hint, disabled=found is None and not editable))
-    if found is None:
-        return head, h.div(f"Which answer wins if {name} stands elsewhere.", cls="dim")
-    said = f"In the scene: who wins where {name} stands. {found.winner.size:,} cells, {found.seconds * 1000:.0f} ms"
-    return head, h.div(said, cls="dim")
+    said = f"Which answer wins if {name} stands elsewhere." if found is None else (
+        f"In the scene: who wins where {name} stands. {found.winner.size:,} cells, {found.seconds * 1000:.0f} ms"
+    )  # fmt: skip
+    show = button(label, "edit-map", hint, disabled=found is None and not editable)
+    return heading("Decision map", show), h.div(said, cls="dim")
 
 
 def _settings(state: State, source: Pipeline) -> Child:
@@ -240,8 +223,7 @@ def field(kind: str, value: float, *, hint: str, step: str, name: str, digits: i
     said = f"{value:g}" if digits is None else f"{value:.{digits}f}"
     return h.label(
         h.span(name),
-        h.input(type="number", step=step, value=said, change=kind),
-        id=f"field-{kind}",
+        h.input(type="number", step=step, value=said, change=kind, id=f"field-{kind}"),
         cls="field",
         title=hint,
     )
@@ -272,6 +254,14 @@ FIELD_NAMES = {"label": "class", "status": "status", "mask": "mask", "bbox": "2D
 SOURCES = {"auto": ("auto", "#8a919c", False), "human": ("", GOOD, True),
            "recomputed": ("recomputed", "#4c8dd6", True), "stale": ("stale", DOUBT, True)}  # fmt: skip
 """Of each source the word, the colour of its mark, and whether the mark is filled."""
+
+
+_FITS = h.div(
+    button("fit to points", "box-fit", "the box that its cleaned points make (Shift+J)"),
+    button("extend", "box-snap:extend", "its bottom to what the object stands on, its top stays (Shift+B)"),
+    button("set down", "box-snap:move", "all of it to what the object stands on (Shift+Z)"),
+    cls="chips beside",
+)
 
 
 def saved_html(author: str, said: str, bad: bool, moved: Moved | None) -> Element:
@@ -323,7 +313,7 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str)
         status=_status_row(card, author),
         concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
         handles=row("Handles", segments("edit-mode", MODES, mode, "Handles"), title="Shift+E"),
-        box=h.div(_box_rows(card), cls="tight"),
+        box=h.div(_box_rows(card.numbers, "box-set", LENGTH_DIGITS, _FITS), cls="tight"),
         sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
     )
 
@@ -357,32 +347,34 @@ def _status_row(card: ObjectCard, author: str) -> Child:
     return row("Status", h.div(cells, cls="seg")), h.div(others, cls="dim under-row") if others else None
 
 
-def _box_rows(card: ObjectCard) -> Child:
-    if card.numbers is None:
+def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child) -> Child:
+    """Fields for the numbers of a box; names are short where something more stands beside."""
+    if numbers is None:
         return h.div("No 3D box: there is no depth in its pixels.", cls="dim")
     rows = []
     for kind, label in (("center", "Centre"), ("size", "Size")):
         cells = (
-            field(f"box-set:{kind}:{axis}", getattr(card.numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01",
-                  name=word[0], digits=LENGTH_DIGITS)
+            field(
+                f"{sends}:{kind}:{axis}", getattr(numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01",
+                name=word[0] if more else word, digits=digits,
+            )
             for axis, (word, unit) in enumerate(AXES[kind])
         )  # fmt: skip
         rows.append(row(label, h.div(cells, cls="fields")))
-    turn = field("box-set:yaw", card.numbers.yaw, hint="degrees, from right towards forward", step="1", name="°",
-                 digits=TURN_DIGITS)  # fmt: skip
-    buttons = (
-        button("fit to points", "box-fit", "the box that its cleaned points make (Shift+J)"),
-        button("extend", "box-snap:extend", "its bottom to what the object stands on, its top stays (Shift+B)"),
-        button("set down", "box-snap:move", "all of it to what the object stands on (Shift+Z)"),
-    )
-    return rows, row("Turn", h.div(turn, h.div(buttons, cls="chips beside"), cls="fields"))
+    turn = field(
+        f"{sends}:yaw", numbers.yaw, hint="degrees, from right towards forward", step="1",
+        name="°" if more else "yaw °", digits=TURN_DIGITS,
+    )  # fmt: skip
+    return rows, row("Turn", h.div(turn, more, cls="fields"))
 
 
 def numbers_said(numbers: BoxNumbers) -> dict[str, str]:
     """What the number fields say of a box, by what they send."""
-    sides = {f"box-set:{kind}:{axis}": f"{getattr(numbers, kind)[axis]:.{LENGTH_DIGITS}f}"
-             for kind in ("center", "size") for axis in range(3)}  # fmt: skip
-    return {**sides, "box-set:yaw": f"{numbers.yaw:.{TURN_DIGITS}f}"}
+    return {"box-set:yaw": f"{numbers.yaw:.{TURN_DIGITS}f}"} | {
+        f"box-set:{kind}:{axis}": f"{getattr(numbers, kind)[axis]:.{LENGTH_DIGITS}f}"
+        for kind in ("center", "size")
+        for axis in range(3)
+    }
 
 
 def _from(line: FieldLine, card: ObjectCard) -> Element:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import viser.transforms as vtf
 
+from pipeline.diagnosis.whatif import Outcome
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
 from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, Placement, place_in_region
 from pipeline.diagnosis.whatif.region import Region, region_of
@@ -27,10 +28,8 @@ from spatialviz.app.markup import Element, dot, h
 from spatialviz.app.scene import edges
 from spatialviz.app.state import EditMode, State
 
-HOLDS: RGB = (38, 166, 154)
-DOUBTFUL: RGB = (224, 152, 46)
+REGION_COLORS: dict[str, RGB] = {"T": (38, 166, 154), "U": (224, 152, 46)}
 FAILS: RGB = (229, 72, 77)
-REGION_COLORS = {"T": HOLDS, "U": DOUBTFUL}
 OPACITY = {"T": 0.30, "U": 0.16}
 OUTLINE_GROWTH = 0.006
 MAP_OPACITY = 0.8
@@ -55,7 +54,7 @@ class EditScene(Part):
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
         self._of: tuple[object, ...] | None = None
-        self._mapped: tuple[Any, ...] | None = None
+        self._mapped: tuple[DecisionMap | None, bool, dict[int, RGB]] = None, False, {}
 
     def draw(self, state: State, found: DecisionMap | None, keep_map: bool) -> None:
         """Bring all of it up to a state; `keep_map` leaves the map as it is."""
@@ -67,22 +66,20 @@ class EditScene(Part):
 
     def _draw_boxes(self, state: State) -> None:
         """Edited objects in the edited colour; thin, the boxes that they had."""
+        edited, edits, color = state.edited, state.edits, palette(state.dark)["edited"]
         now: list[Box3D] = []
         were: list[Box3D] = []
-        edited = state.edited
         if edited is not None:
-            before = dict(zip(edited.before.keys, edited.before.trace.objects, strict=True))
-            touched = {*state.edits.boxes, *state.edits.masks, *(key for _, key in state.edits.confidences)}
-            for key, entry in zip(edited.after.keys, edited.after.trace.objects, strict=True):
-                if key in touched and entry.lifted.box is not None:
-                    now.append(self.ctx.scene.shown_box(entry.lifted.box))
-            for key in (*state.edits.boxes, *state.edits.masks, *state.edits.hidden):
-                box = before[key].lifted.box if key in before else None
-                if box is not None:
-                    were.append(self.ctx.scene.shown_box(box))
-        color = palette(state.dark)["edited"]
+            touched = {*edits.boxes, *edits.masks, *(key for _, key in edits.confidences)}
+            now = self._boxes(edited.after, touched)
+            were = self._boxes(edited.before, {*edits.boxes, *edits.masks, *edits.hidden})
         self.ctx.client.lines("/edit/now", edges(now, OUTLINE_GROWTH), color, 2.6)
         self.ctx.client.lines("/edit/before", edges(were), color, 1.0)
+
+    def _boxes(self, outcome: Outcome, keys: set[str]) -> list[Box3D]:
+        """The 3D boxes that objects have in an answer, as they are shown."""
+        boxes = (o.lifted.box for key, o in zip(outcome.keys, outcome.trace.objects, strict=True) if key in keys)
+        return [self.ctx.scene.shown_box(box) for box in boxes if box is not None]
 
     def _draw_region(self, state: State) -> None:
         asked = asked_pair(state) if state.flags.region and state.loaded is not None else None
@@ -93,16 +90,15 @@ class EditScene(Part):
             region = None if asked is None else asked.region
             if region is not None:
                 self._add_region(region, state.dark)
-        known = asked is not None and bool(np.isfinite(asked.target.lo).all())
-        target = self.ctx.client.scene.nodes.get("/region/target")
-        if target is None and known:
-            target = self.ctx.client.scene.add_icosphere("/region/target", 0.014, cast_shadow=False)
-        if target is not None:
-            set_changed(target, visible=known)
-        if target is not None and asked is not None and known:
-            middle = asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2
-            target.position = self.ctx.scene.to_show @ middle
+        scene = self.ctx.client.scene
+        target = scene.nodes.get("/region/target")
+        if asked is not None and np.isfinite(asked.target.lo).all():
+            target = target or scene.add_icosphere("/region/target", 0.014, cast_shadow=False)
+            set_changed(target, visible=True)
+            target.position = self.ctx.scene.to_show @ asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2
             target.color = {**REGION_COLORS, "F": FAILS}[letter(asked.placement.state)]
+        elif target is not None:
+            set_changed(target, visible=False)
 
     def _add_region(self, region: Region, dark: bool) -> None:
         scene, lines, R = self.ctx.client.scene, self.ctx.client.lines, self.ctx.scene.to_show.T
@@ -127,24 +123,16 @@ class EditScene(Part):
             lines("/region/dead-zone", strip, color, 1.2)
 
     def _draw_map(self, found: DecisionMap | None, state: State) -> None:
-        shown = None if found is None else (found, state.dark, tuple(winner_colors(found, state).items()))
-        if (
-            self._mapped is not None
-            and shown is not None
-            and self._mapped[0] is found
-            and self._mapped[1:] == shown[1:]
-        ):
+        winners = {} if found is None else winner_colors(found, state)
+        before, self._mapped = self._mapped, (found, state.dark, winners)
+        if found is before[0] and self._mapped[1:] == before[1:]:
             return
         self.ctx.client.clear("/map/")
-        self._mapped = shown
-        if found is None or state.loaded is None:
+        if found is None or state.loaded is None or not winners:
             return
         rows, columns = np.nonzero(found.winner >= 0)
-        if not len(rows):
-            return
         by_winner = np.zeros((len(found.keys), 3))
-        for k, color in winner_colors(found, state).items():
-            by_winner[k] = color
+        by_winner[list(winners)] = list(winners.values())
         strength = (0.4 + 0.6 * np.clip(found.margin[rows, columns], 0, 1))[:, None]
         background = 34.0 if state.dark else 244.0
         colors = by_winner[found.winner[rows, columns]] * strength + background * (1 - strength)
@@ -270,7 +258,9 @@ def map_legend(state: State, found: DecisionMap | None) -> Element | None:
 
 
 MODES: tuple[EditMode, ...] = ("off", "move", "turn", "resize")
-FACES = tuple((axis, side) for axis in range(3) for side in (-1, 1))
+Face = tuple[int, int]
+"""Axis and side, -1 or 1."""
+FACES: tuple[Face, ...] = tuple((axis, side) for axis in range(3) for side in (-1, 1))
 
 
 class BoxGizmo:
@@ -287,11 +277,10 @@ class BoxGizmo:
     """
 
     def __init__(self, ctx: Context, dragged: Callable[[Box3D, bool], None], root: str = "/edit") -> None:
-        self._ctx, self._client, self._dragged, self._root = ctx, ctx.client, dragged, root
+        self._ctx, self._dragged, self._root = ctx, dragged, root
         self._latest: tuple[Box3D, bool] | None = None
         self._lock = Lock()
-        self._main: Any = None
-        self._faces: list[Any] = []
+        self._handles: dict[Face | None, Any] = {}
         self._box: Box3D | None = None
         self._start: tuple[Box3D, np.ndarray] | None = None
         self._held: Any = None
@@ -305,49 +294,42 @@ class BoxGizmo:
 
     def show(self, box: Box3D | None, mode: EditMode) -> None:
         """Show the handles of a mode around a box; none where there is no box. One that is held stays where it is."""
-        if box is None or mode == "off":
-            self._box, self._mode = None, "off"
-            for handle in [self._main, *self._faces]:
-                if handle is not None and handle.visible:
-                    handle.visible = False
-            return
-        if self._main is None:
+        self._box, self._mode = (box, mode) if box is not None and mode != "off" else (None, "off")
+        if self._box is not None and not self._handles:
             self._make()
-        self._box, self._mode = box, mode
-        with self._client.atomic():
-            self._place(box, mode)
+        with self._ctx.client.atomic():
+            for face, handle in self._handles.items():
+                wanted = self._mode == "resize" if face else self._mode in ("move", "turn")
+                set_changed(handle, visible=wanted)
+                if wanted and self._box is not None and handle is not self._held:
+                    self._place(handle, face, self._box)
 
-    def _place(self, box: Box3D, mode: EditMode) -> None:
-        main, span = self._main, float(box.size.max())
-        set_changed(main, visible=mode != "resize")
-        if mode != "resize" and main is not self._held:
-            turning = mode == "turn"
-            set_changed(
-                main,
-                disable_axes=turning,
-                disable_sliders=turning,
-                disable_rotations=not turning,
-                active_axes=(True, True, not turning),
-                scale=float(np.clip(span, 0.18, 0.6)),
-            )
-            main.position = box.center
-            main.wxyz = vtf.SO3.from_z_radians(_yaw(box)).wxyz if turning else np.array([1.0, 0.0, 0.0, 0.0])
-        for handle, (axis, side) in zip(self._faces, FACES, strict=True):
-            set_changed(handle, visible=mode == "resize")
-            if mode != "resize" or handle is self._held:
-                continue
+    def _place(self, handle: Any, face: Face | None, box: Box3D) -> None:
+        span = float(box.size.max())
+        if face is not None:
+            axis, side = face
             normal, along = box.R[:, axis] * side, box.R[:, (axis + 1) % 3]
             handle.position = box.center + normal * box.size[axis] / 2
             handle.wxyz = vtf.SO3.from_matrix(np.stack([normal, along, np.cross(normal, along)], axis=1)).wxyz
             set_changed(handle, scale=float(np.clip(0.5 * span, 0.07, 0.24)))
+            return
+        turning, yaw = self._mode == "turn", float(np.arctan2(box.R[1, 0], box.R[0, 0]))
+        set_changed(
+            handle,
+            disable_axes=turning,
+            disable_sliders=turning,
+            disable_rotations=not turning,
+            active_axes=(True, True, not turning),
+            scale=float(np.clip(span, 0.18, 0.6)),
+        )
+        handle.position = box.center
+        handle.wxyz = vtf.SO3.from_z_radians(yaw if turning else 0.0).wxyz
 
     def _make(self) -> None:
-        scene = self._client.scene
-        self._main = scene.add_transform_controls(
-            f"{self._root}/gizmo", line_width=3.0, depth_test=False, visible=False
-        )
-        self._faces = [
-            scene.add_transform_controls(
+        add = self._ctx.client.scene.add_transform_controls
+        self._handles[None] = add(f"{self._root}/gizmo", line_width=3.0, depth_test=False, visible=False)
+        for axis, side in FACES:
+            self._handles[axis, side] = add(
                 f"{self._root}/face-{'xyz'[axis]}{'-' if side < 0 else '+'}",
                 line_width=4.0,
                 active_axes=(True, False, False),
@@ -356,13 +338,10 @@ class BoxGizmo:
                 depth_test=False,
                 visible=False,
             )
-            for axis, side in FACES
-        ]
-        self._listen(self._main, self._moved)
-        for handle, (axis, side) in zip(self._faces, FACES, strict=True):
-            self._listen(handle, lambda start, h, axis=axis, side=side: _resized(start[0], axis, side, h.position))
+        for face, handle in self._handles.items():
+            self._listen(handle, face)
 
-    def _listen(self, handle: Any, changed: Callable[[tuple[Box3D, np.ndarray], Any], Box3D]) -> None:
+    def _listen(self, handle: Any, face: Face | None) -> None:
         @handle.on_update
         async def _(event: Any) -> None:
             if event.phase == "start" and self._box is not None:
@@ -371,7 +350,7 @@ class BoxGizmo:
                 return
             if event.phase == "update":
                 self._pulled = True
-            box, ended, pulled = changed(self._start, handle), event.phase == "end", self._pulled
+            box, ended, pulled = self._moved(handle, face, *self._start), event.phase == "end", self._pulled
             if ended:
                 self._start, self._held, self._pulled = None, None, False
             if pulled:
@@ -386,27 +365,19 @@ class BoxGizmo:
         if latest is not None:
             self._dragged(self._ctx.scene.camera_box(latest[0]), latest[1])
 
-    def _moved(self, start: tuple[Box3D, np.ndarray], handle: Any) -> Box3D:
-        box, was = start
-        if self._mode != "turn":
+    def _moved(self, handle: Any, face: Face | None, box: Box3D, was: np.ndarray) -> Box3D:
+        """The box as it was when the hand took the handle, after what the hand has done."""
+        if face is None and self._mode == "turn":
+            return replace(box, R=vtf.SO3.from_matrix(_matrix(handle) @ was.T).as_matrix() @ box.R)
+        if face is None:
             return replace(box, center=np.array(handle.position, np.float64))
-        turn = vtf.SO3.from_matrix(_matrix(handle) @ was.T).as_matrix()
-        return replace(box, R=turn @ box.R)
-
-
-def _resized(box: Box3D, axis: int, side: int, position: Any) -> Box3D:
-    """The box with one face pulled to a place; the opposite face stays."""
-    normal = box.R[:, axis] * side
-    face = box.center + normal * box.size[axis] / 2
-    pull = max(float((np.array(position) - face) @ normal), SMALLEST_SIDE - float(box.size[axis]))
-    size = box.size.copy()
-    size[axis] += pull
-    return Box3D(box.center + normal * pull / 2, box.R, size)
+        # One face is pulled, the opposite face stays.
+        axis, side = face
+        normal = box.R[:, axis] * side
+        reach = float((np.array(handle.position) - box.center) @ normal) - float(box.size[axis]) / 2
+        pull = max(reach, SMALLEST_SIDE - float(box.size[axis]))
+        return Box3D(box.center + normal * pull / 2, box.R, box.size + pull * (np.arange(3) == axis))
 
 
 def _matrix(handle: Any) -> np.ndarray:
     return vtf.SO3(np.array(handle.wxyz)).as_matrix()
-
-
-def _yaw(box: Box3D) -> float:
-    return float(np.arctan2(box.R[1, 0], box.R[0, 0]))

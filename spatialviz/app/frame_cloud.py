@@ -48,7 +48,9 @@ class FrameCloud(Part):
             self.ctx.client.clear("/camera")
         elif self._painted != state.paint_key or loaded is not was:
             self._painted = state.paint_key
-            self._points = loaded.cloud.painted(frame_colors(state.colors, loaded, state.roles, state.dark))
+            self._points = loaded.painted(
+                state.paint_key, lambda: frame_colors(state.colors, loaded, state.roles, state.dark)
+            )
             with self.ctx.client.atomic():
                 if loaded is not was:
                     self._show(loaded)
@@ -81,6 +83,8 @@ class FrameCloud(Part):
         scene.to_show, scene.cloud = np.stack([viewer.right, viewer.forward, viewer.up]), loaded.cloud
         scene.viewpoint.set_frame(loaded.cloud.points, scene.to_show, frame.camera)
         self.ctx.client.clear("/cloud/")
+        # Names of this frame's things are put anew; those of all frames that were looked at would pile up.
+        self.ctx.client.clear("/tags/")
         self._parts = [self._add(part) for part in loaded.cloud.parts if part.first]
         self.ctx.client.scene.add_camera_frustum(
             "/camera",

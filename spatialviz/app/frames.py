@@ -6,7 +6,7 @@ import hashlib
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -26,13 +26,13 @@ from pipeline.datasets.up import with_frame_up
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import flying_pixels
 from pipeline.system.errors import InputError
+from spatialviz.app import memory
 
 KEPT_FRAMES = 8
 """The frames used last, of 15 to 25 MB each at 640x480; those that a page shows are kept beside."""
 AHEAD = 6
 """Frames that wait to be made ready; a newer wish takes the place of the oldest."""
 YIELD_SECONDS = 0.01
-THUMB_WIDTH = 160
 Key: TypeAlias = tuple[str, str]
 """Source and frame."""
 
@@ -74,6 +74,9 @@ class LoadedFrame:
     beside: SecondDetections | None = None
     told: ToldUp | None = None
     _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
+    _painted: WeakValueDictionary[Hashable, np.ndarray] = field(
+        default_factory=WeakValueDictionary, repr=False, compare=False
+    )
 
     def thumb(self, bbox: np.ndarray) -> str:
         """Where the page finds a small picture of an object, made when it is first needed."""
@@ -87,15 +90,21 @@ class LoadedFrame:
         """Its points, made when they are first needed."""
         return cloud_of(self.context)
 
+    def painted(self, key: Hashable, colors: Callable[[], np.ndarray]) -> np.ndarray:
+        """(N, 3) uint8 of its points in colours ((H, W, 3)) of a key: one array for all who show them."""
+        found = self._painted.get(key)
+        if found is None:
+            found = self._painted[key] = self.cloud.painted(colors())
+        return found
 
+
+@dataclass(eq=False)
 class _Making:
-    """A frame that is being made, by whoever asked first."""
+    """A frame that is being made, by whoever asked first; `wanted` where a page waits for it."""
 
-    def __init__(self, opened: Pipeline) -> None:
-        self.opened = opened
-        self.frame: Future[LoadedFrame] = Future()
-        self.wanted = False
-        """A page waits for it."""
+    opened: Pipeline
+    frame: Future[LoadedFrame] = field(default_factory=Future)
+    wanted: bool = False
 
 
 class FrameStore:
@@ -115,7 +124,6 @@ class FrameStore:
         self._making: dict[Key, _Making] = {}
         self._ahead: OrderedDict[Key, Callable[[LoadedFrame], object] | None] = OrderedDict()
         self._ahead_runs = False
-        self._thumbs: dict[Key, bytes | str] = {}
         self._lock = threading.Lock()
         self.told: dict[str, ToldUp] = {}
         """By source what was said last of its up."""
@@ -143,14 +151,15 @@ class FrameStore:
             if self._ahead_runs or not self._ahead:
                 return
             self._ahead_runs = True
-        threading.Thread(target=self._make_ahead, daemon=True, name="ahead").start()
+        # No daemon: one that is ended in the midst of decoding a picture takes the program down with it.
+        threading.Thread(target=self._make_ahead, daemon=False, name="ahead").start()
 
     def _make_ahead(self) -> None:
-        while True:
+        while threading.main_thread().is_alive():
             with self._lock:
                 self._ahead_runs = bool(self._ahead)
                 if not self._ahead_runs:
-                    return
+                    break
                 key, then = self._ahead.popitem(last=False)
             # Whoever opens it is told what is wrong with it.
             with suppress(InputError, KeyError):
@@ -159,6 +168,8 @@ class FrameStore:
                 _ = loaded.cloud
                 if then is not None:
                     then(loaded)
+        # Frames were let go for those that came.
+        memory.trim()
 
     def _load(self, key: Key, wanted: bool) -> LoadedFrame:
         with self._lock:
@@ -197,8 +208,7 @@ class FrameStore:
         self._give_way(making)
         context = prepare_frame(opened.dataset, raw, opened.config.lift)
         self._give_way(making)
-        objects: tuple[SceneObject, ...] = ()
-        problem, second = "", None
+        objects, problem, second = tuple[SceneObject, ...](), "", None
         if opened.detector is not None:
             try:
                 objects = all_objects(context, opened.detector)
@@ -206,12 +216,11 @@ class FrameStore:
                 second = second_detections(opened, context, objects)
             except InputError as error:
                 problem = str(error)
-        self._thumbs[key] = jpeg(_small(context.frame.rgb))
         return LoadedFrame(context, objects, problem, second, self.told.get(key[0]))
 
     def _give_way(self, making: _Making | None = None) -> None:
         """What nobody waits for waits itself while a page is being answered."""
-        while (making is None or not making.wanted) and self._busy():
+        while (making is None or not making.wanted) and self._busy() and threading.main_thread().is_alive():
             time.sleep(YIELD_SECONDS)
 
     def tell_up(self, source: str, told: ToldUp | None) -> None:
@@ -230,37 +239,22 @@ class FrameStore:
                 for key in [key for key in list(known) if key[0] == source]:
                     known.pop(key, None)
 
-    def thumb(self, source: str, frame_id: str) -> tuple[str, str]:
-        """(where the page finds a small picture, ""), or ("", reason) for a broken frame."""
-        key = (source, frame_id)
-        if key not in self._thumbs:
-            try:
-                self._thumbs[key] = jpeg(_small(self.sources[source].dataset.load(frame_id).rgb))
-            except InputError as error:
-                self._thumbs[key] = str(error)
-        kept = self._thumbs[key]
-        return ("", kept) if isinstance(kept, str) else (IMAGES.url(kept, "jpg"), "")
 
-
-def _small(rgb: np.ndarray) -> np.ndarray:
-    height = max(1, round(rgb.shape[0] * THUMB_WIDTH / rgb.shape[1]))
-    return cv2.resize(rgb, (THUMB_WIDTH, height), interpolation=cv2.INTER_AREA)
+def _resized(rgb: np.ndarray, width: float, height: float) -> np.ndarray:
+    return cv2.resize(rgb, (max(1, round(width)), max(1, round(height))), interpolation=cv2.INTER_AREA)
 
 
 def object_thumb(rgb: np.ndarray, bbox: np.ndarray, pixels: int = 68) -> bytes:
     """A square picture around an object as JPEG; empty where it lies outside the picture."""
-    height, width = rgb.shape[:2]
-    x0, y0, x1, y1 = (float(v) for v in bbox)
-    half = max(x1 - x0, y1 - y0) * 0.58 + 2
-    cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
-    left, top = int(max(cx - half, 0)), int(max(cy - half, 0))
-    right, bottom = int(min(cx + half + 1, width)), int(min(cy + half + 1, height))
+    low, high = np.asarray(bbox, np.float64).reshape(2, 2)
+    half, center = (high - low).max() * 0.58 + 2, (low + high) / 2
+    left, top = np.maximum(center - half, 0).astype(int)
+    right, bottom = np.minimum(center + half + 1, rgb.shape[1::-1]).astype(int)
     crop = rgb[top:bottom, left:right]
     if not crop.size:
         return b""
     scale = pixels / max(crop.shape[:2])
-    size = (max(1, round(crop.shape[1] * scale)), max(1, round(crop.shape[0] * scale)))
-    return jpeg(cv2.resize(crop, size, interpolation=cv2.INTER_AREA), 78)
+    return jpeg(_resized(crop, crop.shape[1] * scale, crop.shape[0] * scale), 78)
 
 
 MAX_POINTS = 320_000
@@ -353,8 +347,8 @@ def _part(points: np.ndarray, group: np.ndarray, start: int, size: float) -> Par
     at = slice(start, int(np.searchsorted(group, number, side="right")))
     center = cv2.reduce(points[at], 0, cv2.REDUCE_MIN)[0] / 2 + cv2.reduce(points[at], 0, cv2.REDUCE_MAX)[0] / 2
     first = number < SPAN // 2
-    level = number if first else number - SPAN
-    return Part(first, at, center, (points[at] - center).astype(np.float16), float(BAND_RATIO ** (level + 0.6) * size))
+    size = float(BAND_RATIO ** (number - (0 if first else SPAN) + 0.6) * size)
+    return Part(first, at, center, (points[at] - center).astype(np.float16), size)
 
 
 KEPT_BYTES = 96 * 2**20

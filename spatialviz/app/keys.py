@@ -23,6 +23,7 @@ KEYS: Mapping[str, Rows] = {
         ("K", "Previous ranked pair", "next-pair:-1"),
         ("N", "Next frame", "next-frame:1"),
         ("P", "Previous frame", "next-frame:-1"),
+        ("Shift+W", "All frames as pictures", "frame-grid"),
         ("T", "Next failure of the list", "next-failure:1"),
         ("I", "Previous failure of the list", "next-failure:-1"),
     ),
@@ -150,10 +151,15 @@ LIST, SEARCH = "Keys", "Find a command"
 """Titles of the dialogs."""
 
 
-def keys_of(moving: bool, beside: bool = False) -> dict[str, Rows]:
-    """Every key by what it is for; those of moves and of a second detector only where there are any."""
-    second = {"Two detectors": LAYER_KEYS} if beside else {}
-    return {**KEYS, **second, **({"Moves": MOVE_KEYS} if moving else {})}
+def keys_of(labelling: bool, moving: bool = True, second: bool = True) -> dict[str, Rows]:
+    """Every key by what it is for now; those of moves and of a second detector only where there are any.
+
+    While labels are shown their keys come first, and mean nothing else.
+    """
+    own = LABEL_KEYS if labelling else {}
+    taken = {key for rows in own.values() for key, _, _ in rows}
+    always = {**KEYS, "Two detectors": LAYER_KEYS if second else (), "Moves": MOVE_KEYS if moving else ()}
+    return {**own, **{group: tuple(r for r in rows if r[0] not in taken) for group, rows in always.items()}}
 
 
 def meant(message: str, correcting: bool) -> str:
@@ -161,9 +167,8 @@ def meant(message: str, correcting: bool) -> str:
     kind, _, pressed = message.partition(":")
     if kind != "key":
         return message
-    always = keys_of(moving=True, beside=not correcting)
-    groups = (*(LABEL_KEYS if correcting else {}).values(), *always.values())
-    return next((m for rows in groups for key, _, m in rows if key == pressed), "")
+    groups = keys_of(correcting, second=not correcting)
+    return next((m for rows in groups.values() for key, _, m in rows if key == pressed), "")
 
 
 class Keys(Part):
@@ -171,10 +176,12 @@ class Keys(Part):
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._always = keys_of(ctx.shared.moving, ctx.shared.second)
         self._labels = LABEL_KEYS if ctx.shared.journals else {}
-        every = (*self._always.values(), *self._labels.values())
+        every = (*self._keys(False).values(), *self._labels.values())
         ctx.page.call("keys", list(dict.fromkeys(key for rows in every for key, _, message in rows if message)))
+
+    def _keys(self, labelling: bool) -> dict[str, Rows]:
+        return keys_of(labelling, self.ctx.shared.moving, self.ctx.shared.second)
 
     @command("help")
     def toggle(self) -> None:
@@ -182,26 +189,20 @@ class Keys(Part):
         if self.ctx.dialog.title == LIST:
             self.ctx.dialog.close()
         else:
-            self.ctx.dialog.show(LIST, help_html(self._general, self._labels, self.state.labels is not None))
+            labelling = self.state.labels is not None
+            general = {group: rows for group, rows in self._keys(labelling).items() if group not in LABEL_KEYS}
+            self.ctx.dialog.show(LIST, help_html(general, self._labels, labelling))
 
     @command("commands")
     def search(self) -> None:
         """Show every command, to be found by its name or key."""
-        now = {**(self._labels if self.state.labels is not None else {}), **self._general}
-        self.ctx.dialog.show(SEARCH, commands_html(now))
+        self.ctx.dialog.show(SEARCH, commands_html(self._keys(self.state.labels is not None)))
 
     @command("run")
     def run(self, key: str) -> None:
         """Carry out the command of a key."""
         self.ctx.dialog.close()
         self.ctx.handle(f"key:{key}")
-
-    @property
-    def _general(self) -> dict[str, Rows]:
-        """Keys that mean now what they mean without labels."""
-        labels = self._labels.values() if self.state.labels is not None else ()
-        taken = {key for rows in labels for key, _, _ in rows}
-        return {group: tuple(r for r in rows if r[0] not in taken) for group, rows in self._always.items()}
 
 
 def help_html(general: Mapping[str, Rows], labels: Mapping[str, Rows], labelling: bool) -> Element:

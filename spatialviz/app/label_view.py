@@ -95,12 +95,15 @@ class LabelView:
         numbers = self.numbers
         return numbers.index(number) if number in numbers else None
 
+    def places(self, *numbers: int) -> tuple[int, ...] | None:
+        """Where objects are in `State.shown`; None where one of them stands no longer."""
+        found = tuple(place for place in map(self.place, numbers) if place is not None)
+        return found if len(found) == len(numbers) else None
+
 
 def paired(pair: tuple[int, ...] | None, selected: int | None, before: int | None) -> tuple[int, ...] | None:
     """The pair after a selection: what is selected now, and what was selected before it."""
     if selected is None or (pair is not None and selected in pair):
         return pair
-    other = before if before is not None and before != selected else None
-    if other is None and pair is not None:
-        other = next((i for i in pair if i != selected), None)
+    other = next((i for i in (before, *(pair or ())) if i not in (None, selected)), None)
     return None if other is None else (selected, other)

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import secrets
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from spatialviz.app.channel import Address, Call, Outgoing, Patch
-from spatialviz.app.markup import BAD, Child, Element, changed, h, note
+from spatialviz.app.markup import BAD, Child, Element, button, changed, h, note
 
 LISTED_FRAMES = 1000
 """A list of more frames would be slow to open; around the current one are enough to pick from."""
-KEPT_CALLS = ("tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure")
+KEPT_CALLS = ("strip", "plan", "tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure")
 """Calls that a page which comes back must hear again."""
 
 
-def listed(ids: Sequence[str], current: str) -> tuple[str, ...]:
-    """The frames that the list of frames offers."""
-    if len(ids) <= LISTED_FRAMES:
-        return tuple(ids)
-    start = max(0, min(ids.index(current) - LISTED_FRAMES // 2, len(ids) - LISTED_FRAMES))
-    return tuple(ids[start : start + LISTED_FRAMES])
+def window(count: int, current: int, most: int = LISTED_FRAMES) -> range:
+    """The places of at most so many frames around the current one."""
+    start = max(0, min(current - most // 2, count - most))
+    return range(start, min(start + most, count))
 
 
 class Page:
@@ -50,31 +48,31 @@ class Page:
             element, before = h.div(*content, id=region), self._shown.get(region)
             self._shown[region] = element
             parts = [(region, element.html)] if before is None else list(changed(before, element))
-            if parts and self._parts is not None:
-                self._parts += parts
-            elif parts:
-                self._send(Patch(tuple(parts)))
+            with self.together() as patch:
+                patch += parts
 
     @contextmanager
-    def together(self) -> Iterator[None]:
-        """What is shown meanwhile is sent as one."""
+    def together(self) -> Iterator[list[tuple[str, str]]]:
+        """What is shown meanwhile is sent as one: the parts of the patch."""
         with self._lock:
-            outer, self._parts = self._parts, [] if self._parts is None else self._parts
+            if self._parts is not None:
+                yield self._parts
+                return
+            parts = self._parts = []
             try:
-                yield
+                yield parts
             finally:
-                parts, self._parts = self._parts, outer
-                if outer is None and parts:
+                self._parts = None
+                if parts:
                     self._send(Patch(tuple(parts)))
 
     def call(self, name: str, data: Any = None) -> None:
         """Call a function of the page with what can be JSON."""
         with self._lock:
+            if name not in self._calls or self._calls[name] != data:
+                self._send(Call(name, data))
             if name in KEPT_CALLS:
-                if name in self._calls and self._calls[name] == data:
-                    return
                 self._calls[name] = data
-            self._send(Call(name, data))
 
     def toast(self, title: str, text: str, bad: bool = False) -> None:
         """Say something in the corner of the page, for some seconds."""
@@ -88,8 +86,8 @@ class Page:
 
     def say_address(self, query: str, title: str, push: bool) -> None:
         """Have the address say what is shown."""
-        address = Address(query, title, push)
-        if self._address is None or (address.query, address.title) != (self._address.query, self._address.title):
+        address, before = Address(query, title, push), self._address
+        if before is None or (before.query, before.title) != (query, title):
             self._address = address
             self._send(address)
 
@@ -121,15 +119,11 @@ class Dialog:
         self.title = ""
         self._parts: tuple[Element, Element] = h.div(), h.div()
 
-    def commands(self) -> dict[str, Callable[[str], None]]:
-        """What the page may ask for, by the first word of its message."""
-        return {"close-dialog": lambda _: self.close()}
-
     def show(self, title: str, content: Child, *buttons: Element) -> None:
         """Show content, with buttons and one more to close; the last of them does what the dialog is for."""
         row = [b.with_(cls="try go" if k == len(buttons) else "try") for k, b in enumerate(buttons, start=1)]
-        close = h.button("Close", cls="try", do="close-dialog")
-        self.title, self._parts = title, (h.div(content, cls="content"), h.div(row, close, cls="buttons"))
+        row.append(button("Close", "close-dialog"))
+        self.title, self._parts = title, (h.div(content, cls="content"), h.div(row, cls="buttons"))
         self._draw()
 
     def refuse(self, problem: str) -> None:
@@ -148,7 +142,5 @@ class Dialog:
         content, buttons = self._parts
         # What is refused changes the remark alone: what was typed stays.
         remark = h.div(problem, id="dialog-problem", role="alert")
-        title = h.h2(self.title, id="dialog-title")
-        self._page.show(
-            "dialog", h.dialog(title, content, remark, buttons, id="dialog-window", aria_labelledby="dialog-title")
-        )
+        parts = (h.h2(self.title, id="dialog-title"), content, remark, buttons)
+        self._page.show("dialog", h.dialog(parts, id="dialog-window", aria_labelledby="dialog-title"))

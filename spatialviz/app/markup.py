@@ -21,9 +21,9 @@ script or a style, as the page's content policy forbids both. What an element do
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import partial
 from typing import TypeAlias
 
 from pipeline.geometry.lifting import Pixel
@@ -36,7 +36,7 @@ ACTIVE = ("a", "button", "input", "select", "textarea", "option", "summary")
 VOID = ("br", "img", "input", "hr", "meta", "link")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Element:
     """An element of the page.
 
@@ -57,7 +57,7 @@ class Element:
         """What it is known by on the page; "" where it is only a part of what has one."""
         return dict(self.attributes).get("id", "")
 
-    @cached_property
+    @property
     def html(self) -> str:
         """The element as HTML."""
         attributes = "".join(f' {name}="{html.escape(value, quote=True)}"' for name, value in self.attributes)
@@ -66,7 +66,7 @@ class Element:
         inner = "".join(html.escape(c, quote=False) if isinstance(c, str) else c.html for c in self.children)
         return f"<{self.name}{attributes}>{inner}</{self.name}>"
 
-    @cached_property
+    @property
     def text(self) -> str:
         """Its text without elements."""
         return "".join(c if isinstance(c, str) else c.text for c in self.children)
@@ -74,19 +74,6 @@ class Element:
     def with_(self, **attributes: object) -> Element:
         """The same with these attributes."""
         return replace(self, attributes=_attributes(self.name, dict(self.attributes) | attributes))
-
-
-class Tag:
-    """Makes elements of one name: `h.div("text", h.span("more"), cls="row", do="pair:3")`.
-
-    An attribute that is None or False is left out, True stands by its name; `cls` is the class; `_` stands for `-`.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __call__(self, *children: Child, **attributes: object) -> Element:
-        return Element(self.name, _attributes(self.name, attributes), tuple(_flat(children)))
 
 
 def _attributes(name: str, given: Mapping[str, object]) -> tuple[tuple[str, str], ...]:
@@ -116,17 +103,23 @@ def _flat(children: Iterable[Child]) -> Iterator[Element | str]:
         if isinstance(child, Element):
             yield child
         elif isinstance(child, (str, int, float)):
-            if child != "":
-                yield str(child)
+            yield from filter(None, [str(child)])
         elif child is not None:
             yield from _flat(child)
 
 
-class Tags:
-    """Makes the tags by their names: `h.div`, `h.tr`."""
+def _element(name: str, /, *children: Child, **attributes: object) -> Element:
+    return Element(name, _attributes(name, attributes), tuple(_flat(children)))
 
-    def __getattr__(self, name: str) -> Tag:
-        return Tag(name)
+
+class Tags:
+    """Makes elements by their names: `h.div("text", h.span("more"), cls="row", do="pair:3")`.
+
+    An attribute that is None or False is left out, True stands by its name; `cls` is the class; `_` stands for `-`.
+    """
+
+    def __getattr__(self, name: str) -> Callable[..., Element]:
+        return partial(_element, name)
 
 
 h = Tags()
@@ -201,6 +194,15 @@ def button(label: Child, do: str, title: str = "", cls: str = "", **more: object
     return h.button(label, cls=f"try {cls}".strip(), do=do, title=title or None, **more)
 
 
+def progress(name: str, done: float, of: float) -> Element:
+    """How far something is."""
+    share = done / of if of else 0.0
+    return h.div(
+        h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
+        aria_label=name,
+    )  # fmt: skip
+
+
 def joined(parts: Iterable[Child], between: str = " · ") -> Child:
     """Parts with the same between each two."""
     return [(between if k else None, part) for k, part in enumerate(parts)]
@@ -232,3 +234,8 @@ def was(now: float, before: float | None) -> str | None:
 def cell(content: Child, hint: str | None = None, cls: str = "n") -> Element:
     """A cell of a table, marked where its number was another one."""
     return h.td(content, cls=f"{cls} chg".strip() if hint else cls, title=hint)
+
+
+def detector_score(value: float) -> str:
+    """A detector's score; nothing where the objects are the dataset's own."""
+    return "" if value >= 0.9995 else f"{value:.2f}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
+from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -23,6 +24,7 @@ from viser._messages import (
 
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
+from spatialviz.app import memory
 from spatialviz.app.access import Access
 from spatialviz.app.channel import Hello, read
 from spatialviz.app.context import Shared
@@ -37,15 +39,24 @@ BURST, PER_SECOND = 200.0, 40.0
 """Messages that a page may send at once, and in the long run."""
 BACKLOG, BEHIND_SECONDS = 40, 0.05
 """A page that has so much to be handled is not read meanwhile."""
+FORGOTTEN_SECONDS = 2.0
+"""What a page held is given back so long after it was closed."""
 HELLO_SECONDS = 10.0
-NEW_PER_SECOND = 0.5
-"""Pages that are opened in the long run: each costs what opening a frame costs."""
 CAMERAS, CAMERAS_PER_SECOND = 400.0, 100.0
 """The same of a scene."""
 GARBAGE = 5
 """Messages that are none, after which a socket is closed."""
+SOCKETS, SOCKETS_PER_SECOND = 20.0, 1.0
+"""Sockets that a page may open at once, its scene's among them, and in the long run."""
+NEW_BURST, NEW_PER_SECOND = 20.0, 0.5
+"""Pages that an address may open at once, beside as many as there may be, and in the long run: each costs what opening
+a frame costs."""
+GARBAGE_COSTS = 50.0
+"""How many sockets one counts for that was closed because of what came by it."""
+REMEMBERED = 1000
+SENT_WRONG = (1002, 1003, 1007, 1008, 1009)
+"""Codes by which a socket is closed because of what came by it."""
 LOGGED_SECONDS = 60.0
-LONGEST_OF_SCENE = 64_000
 OF_SCENE = (
     ViewerCameraMessage, ScenePointerMessage, SceneNodeClickMessage, SceneNodeDragMessage,
     TransformControlsUpdateMessage, TransformControlsDragStartMessage, TransformControlsDragEndMessage,
@@ -60,13 +71,55 @@ class Pace:
         self._burst, self._per_second = burst, per_second
         self._allowed, self._last = burst, time.monotonic()
 
-    async def keep(self) -> None:
-        """Wait until the next message may be read."""
+    @property
+    def wait(self) -> float:
+        """Seconds until the next one may come."""
         now = time.monotonic()
         self._allowed, self._last = min(self._burst, self._allowed + self._per_second * (now - self._last)), now
-        if self._allowed < 1:
-            await asyncio.sleep((1 - self._allowed) / self._per_second)
-        self._allowed -= 1
+        return max(0.0, (1 - self._allowed) / self._per_second)
+
+    def take(self, cost: float = 1.0) -> None:
+        """One has come, or what costs as much as several."""
+        self._allowed -= cost
+
+    async def keep(self) -> None:
+        """Wait until the next message may be read."""
+        if (wait := self.wait) > 0:
+            await asyncio.sleep(wait)
+        self.take()
+
+
+class Gate:
+    """Who may open a socket: not who does so all the time, and for a while not who has sent what is no message.
+
+    A page that is open stands for itself, new ones for their address: whoever sends garbage under ever new names of
+    pages holds up new pages of that address, and none that is open already.
+    """
+
+    def __init__(self, most_pages: int) -> None:
+        self._burst = NEW_BURST + most_pages
+        self._paces: OrderedDict[str, Pace] = OrderedDict()
+
+    def opens(self, sender: str, page_id: str) -> bool:
+        """Whether a socket may be opened now; `page_id` is of a page that is open, "" of none."""
+        pace = self._pace(page_id or sender, not page_id)
+        if pace.wait > 0:
+            return False
+        pace.take()
+        return True
+
+    def charge(self, page_id: str) -> None:
+        """A page's socket was closed because of what came by it."""
+        self._pace(page_id, False).take(GARBAGE_COSTS)
+
+    def _pace(self, who: str, is_new: bool) -> Pace:
+        made = (self._burst, NEW_PER_SECOND) if is_new else (SOCKETS, SOCKETS_PER_SECOND)
+        pace = self._paces.get(who) or Pace(*made)
+        self._paces[who] = pace
+        self._paces.move_to_end(who)
+        while len(self._paces) > REMEMBERED:
+            self._paces.popitem(last=False)
+        return pace
 
 
 class SceneConnection:
@@ -83,7 +136,7 @@ class SceneConnection:
         while True:
             data = await self._connection.recv()
             await self._pace.keep()
-            require(isinstance(data, bytes) and len(data) < LONGEST_OF_SCENE, "not a message of a scene")
+            require(isinstance(data, bytes), "not a message of a scene")
             if isinstance(Message.deserialize(data), OF_SCENE):
                 return data
 
@@ -103,7 +156,7 @@ class Pages:
         self._sessions: dict[str, Session] = {}
         self._scenes: dict[str, Any] = {}
         self._making = asyncio.Lock()
-        self._opening = Pace(max_clients, NEW_PER_SECOND)
+        self._gate = Gate(max_clients)
         self._logged = -LOGGED_SECONDS
         self._unsaid = 0
 
@@ -128,16 +181,19 @@ class Pages:
         """Serve viser's socket of a page's scene; one that comes later takes its place."""
         before, self._scenes[page_id] = self._scenes.get(page_id), connection
         if before is not None:
-            await before.close(1008, "shown elsewhere")
+            await before.close(1013, "shown elsewhere")
         # What fails in viser's own tasks is said as briefly.
         asyncio.get_running_loop().set_exception_handler(
             lambda _, context: self.log(repr(context.get("exception") or context["message"]))
         )
         try:
+            spoken = f"viser-v{viser.__version__}"
+            require(connection.subprotocol == spoken, "no scene", got=connection.subprotocol, expected=spoken)
             await viser_handler(SceneConnection(connection))
         except Exception as error:
             # What viser cannot read costs its sender the socket.
             self.log(f"{type(error).__name__}: {error}")
+            await connection.close(1008, "not the messages of a scene")
         finally:
             if self._scenes.get(page_id) is connection:
                 del self._scenes[page_id]
@@ -145,6 +201,19 @@ class Pages:
     def has(self, page_id: str) -> bool:
         """Whether a page is open, or kept for one that may come back."""
         return page_id in self._sessions
+
+    def opens(self, page_id: str, connection: Any, request: Any) -> bool:
+        """Whether somebody may open a socket of a page now."""
+        address = connection.remote_address
+        sender = f"{address[0] if address else ''} {self._access.name(request) or ''}"
+        return self._gate.opens(sender, page_id if self.has(page_id) else "")
+
+    def closed(self, page_id: str, connection: Any) -> None:
+        """A socket was closed: whoever has sent what is no message waits until the next one."""
+        sent = connection.protocol.close_sent
+        if sent is not None and sent.code in SENT_WRONG:
+            self.log(sent.reason or f"closed by {sent.code}")
+            self._gate.charge(page_id)
 
     async def socket(self, page_id: str, connection: Any) -> None:
         """Serve the socket of a page until its browser goes away."""
@@ -185,7 +254,6 @@ class Pages:
                 many = f"The server is full: {counted(self._most, 'page')} at most (--max-clients)."
                 await connection.close(1013, f"{many} Close another one; this one tries again.")
                 return None
-            await self._opening.keep()
             if connection.close_code is not None:
                 return None
             session = self._sessions[page_id] = await asyncio.to_thread(Session, page_id, self._shared)
@@ -199,7 +267,9 @@ class Pages:
                 # What is not read yet waits with who has sent it.
                 await asyncio.sleep(BEHIND_SECONDS)
             try:
-                session.channel.receive(read(text))
+                message = read(text)
+                require(not isinstance(message, Hello), "a page says hello once")
+                session.channel.receive(message)
             except InputError as error:
                 garbage += 1
                 self.log(str(error))
@@ -216,9 +286,12 @@ class Pages:
         """Close the sessions of pages that did not come back; where all are taken, also that which left first."""
         gone = sorted((s.channel.left, key) for key, s in self._sessions.items() if not s.channel.connected)
         late = time.monotonic() - KEPT_SECONDS
-        for number, (left, key) in enumerate(gone):
-            if left < late or (full and not number):
-                self._sessions.pop(key).close()
+        over = [key for number, (left, key) in enumerate(gone) if left < late or (full and not number)]
+        for key in over:
+            self._sessions.pop(key).close()
+        if over:
+            loop = asyncio.get_running_loop()
+            loop.call_later(FORGOTTEN_SECONDS, loop.run_in_executor, None, memory.collect)
 
     def log(self, problem: str) -> None:
         """One line a minute, whatever is sent."""

@@ -1,4 +1,4 @@
-"""The picture with what is drawn over it, the objects with their pictures, the frames, the log."""
+"""The picture with what is drawn over it, the objects with their pictures, the log."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import depth_colors, depth_ends, hex_color, palette
 from spatialviz.app.beside import name_tag, second_overlay
 from spatialviz.app.frame_cloud import frame_colors
-from spatialviz.app.frames import FrameStore, jpeg_url, png_url
-from spatialviz.app.markup import Child, Element, chosen, h, heading, named, note, panel
+from spatialviz.app.frames import jpeg_url, png_url
+from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d, tinted
 
 IMAGE_WIDTH = 720
-SHOWN_FRAMES = 24
 
 
 def image_html(state: State) -> Element:
@@ -33,13 +32,13 @@ def image_html(state: State) -> Element:
     else:
         picture = frame_colors(state.colors, state.loaded, state.roles, state.dark)
     step = max(1, round(frame.width / IMAGE_WIDTH))
-    roles = (f"{role} {state.shown.names[i]}" for i, role in state.roles.items())
-    alt = ", ".join((f"frame {frame.id}", *roles))
+    alt = (f"frame {frame.id}", *(f"{role} {state.shown.names[i]}" for i, role in state.roles.items()))
     return panel(
         pixel_row_html(state),
         h.div(
-            h.img(src=jpeg_url(picture[::step, ::step]), alt=alt, draggable="false", id="photo"),
+            h.img(src=jpeg_url(picture[::step, ::step]), alt=", ".join(alt), draggable="false", id="photo"),
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
+            _svg(frame, _ghost_marks(state), "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
             h.button(
                 cls="large",
@@ -58,8 +57,8 @@ def image_html(state: State) -> Element:
 
 
 def _svg(frame: Frame, marks: Child, name: str) -> Element:
-    view = f"0 0 {frame.width} {frame.height}"
-    return h.svg(marks, viewBox=view, preserveAspectRatio="none", aria_hidden="true", id=name)
+    size = f"0 0 {frame.width} {frame.height}"
+    return h.svg(marks, viewBox=size, preserveAspectRatio="none", aria_hidden="true", id=name)
 
 
 def _quiet_boxes(state: State, unit: float) -> Element | None:
@@ -67,8 +66,11 @@ def _quiet_boxes(state: State, unit: float) -> Element | None:
     if not state.boxes_shown or not state.own_layer:
         return None
     drawn = "".join(_rectangle(entry.bbox) for entry in state.shown.objects)
-    look = {"stroke": hex_color(palette(True)["other"]), "stroke_width": f"{0.7 * unit:.2f}", "opacity": ".75"}
-    return h.path(d=drawn, fill="none", **look)
+    return _path(drawn, hex_color(palette(True)["other"]), 0.7 * unit, opacity=".75")
+
+
+def _path(drawn: str, color: str, width: float, **look: str) -> Element:
+    return h.path(d=drawn, fill="none", stroke=color, stroke_width=f"{width:.2f}", **look)
 
 
 def overlay_marks(state: State) -> list[Element]:
@@ -76,40 +78,38 @@ def overlay_marks(state: State) -> list[Element]:
     if state.loaded is None:
         return []
     frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
-    unit = frame.width / 360
+    unit, shape = frame.width / 360, (frame.height, frame.width)
     own = range(len(state.shown.objects)) if state.own_layer else range(0)
     marks: list[Element] = []
     order = sorted((i for i in own if i in roles or i == state.selected), key=lambda i: i == state.selected)
     for i in order:
         entry = state.shown.objects[i]
-        color = hex_color(colors[roles[i]]) if i in roles else "#ffffff"
         drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
-        marks.append(h.path(d=drawn, fill="none", stroke=color, stroke_width=f"{1.3 * unit:.2f}"))
-    for ghost in state.ghosts if state.flags.ghosts else ():
-        look = {"stroke_width": f"{1.1 * unit:.2f}", "stroke_dasharray": f"{3 * unit:.1f} {2 * unit:.1f}"}
-        drawn = _edges(ghost.box, frame.camera)
-        marks.append(h.path(d=drawn, fill="none", stroke=hex_color(colors[ghost.role]), **look))
+        marks.append(_path(drawn, hex_color(colors[roles[i]]) if i in roles else "#ffffff", 1.3 * unit))
     marks += second_overlay(state, unit)
     for i in order:
         x0, y0 = _name_place(state, i)
-        shape, color = (frame.height, frame.width), hex_color(colors[roles.get(i, "other")])
+        color = hex_color(colors[roles.get(i, "other")])
         marks += name_tag(state.shown.names[i], x0, y0 - 14 * unit, shape, unit, color)
-    return [*marks, *_measured(state, unit)]
-
-
-def _measured(state: State, unit: float) -> list[Element]:
-    """The pixels between which is measured, and the line and length between them."""
-    assert state.loaded is not None
     ends = [(u + 0.5, v + 0.5) for u, v in state.marks]
-    marks = [h.circle(cx=u, cy=v, r=2.2 * unit, cls="measured", stroke_width=0.8 * unit) for u, v in ends]
-    found = state.measured
-    if found is None:
-        return marks
-    (x0, y0), (x1, y1) = ends
-    frame = state.loaded.context.frame
-    line = h.path(d=f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}", cls="measured", stroke_width=1.2 * unit)
-    text, shape = f"{found.distance:.3f} m", (frame.height, frame.width)
-    return [line, *marks, *name_tag(text, (x0 + x1) / 2, (y0 + y1) / 2 + 3 * unit, shape, unit, "#f5f7fa")]
+    marks += [h.circle(cx=u, cy=v, r=2.2 * unit, cls="measured", stroke_width=0.8 * unit) for u, v in ends]
+    if state.measured is not None:
+        (x0, y0), (x1, y1) = ends
+        marks.append(h.path(d=f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}", cls="measured", stroke_width=1.2 * unit))
+        text = f"{state.measured.distance:.3f} m"
+        marks += name_tag(text, (x0 + x1) / 2, (y0 + y1) / 2 + 3 * unit, shape, unit, "#f5f7fa")
+    return marks
+
+
+def _ghost_marks(state: State) -> list[Element]:
+    """Boxes beside the answer's, which stay while other objects are chosen."""
+    if state.loaded is None or not state.flags.ghosts:
+        return []
+    frame, colors = state.loaded.context.frame, palette(True)
+    unit = frame.width / 360
+    dashes = f"{3 * unit:.1f} {2 * unit:.1f}"
+    drawn = ((_edges(ghost.box, frame.camera), hex_color(colors[ghost.role])) for ghost in state.ghosts)
+    return [_path(edges, color, 1.1 * unit, stroke_dasharray=dashes) for edges, color in drawn]
 
 
 def _rectangle(bbox: np.ndarray) -> str:
@@ -131,45 +131,10 @@ def _name_place(state: State, i: int) -> tuple[float, float]:
     return float(entry.bbox[0]), float(entry.bbox[1])
 
 
-def object_at(state: State, x: float, y: float) -> int | None:
-    """The smallest object whose mask (else whose 2D box) holds a point, given as fractions of width and height."""
-    if state.loaded is None:
-        return None
-    return _smallest_at(state.shown.objects, x, y) if state.own_layer else None
-
-
-def second_at(state: State, x: float, y: float) -> int | None:
-    """The same of the second detector's objects."""
-    return _smallest_at(state.second_layer, x, y)
-
-
-def _smallest_at(objects: Sequence[SceneObject], x: float, y: float) -> int | None:
-    if not objects:
-        return None
-    height, width = objects[0].mask.shape
-    u, v = int(np.clip(x * width, 0, width - 1)), int(np.clip(y * height, 0, height - 1))
-    hits = [i for i, o in enumerate(objects) if o.mask[v, u]]
-    return min(hits, key=lambda i: objects[i].lifted.quality.mask_pixels) if hits else None
-
-
-def window(ids: Sequence[str], current: int) -> range:
-    """The places of the frames that are shown around the current one."""
-    start = max(0, min(current - SHOWN_FRAMES // 2, len(ids) - SHOWN_FRAMES))
-    return range(start, min(start + SHOWN_FRAMES, len(ids)))
-
-
-def frames_html(state: State, ids: Sequence[str], store: FrameStore, ready: int | None = None) -> Element:
-    """Small pictures of the frames around the current one; those beyond `ready` are still to come."""
-    current = ids.index(state.frame_id)
-    cells = []
-    places = window(ids, current)
-    for number, i in enumerate(places):
-        url, reason = store.thumb(state.source, ids[i]) if ready is None or number < ready else ("", "…")
-        image = h.img(src=url, alt="", loading="lazy") if url else h.span(reason, cls="none", title=reason)
-        more = chosen(i == current, "cell")
-        cells.append(h.button(image, h.span(ids[i]), do=f"frame:{i}", id=f"frame-{i}", title=ids[i], **more))
-    more = f"frames {places.start + 1}–{places.stop} of {len(ids)}" if len(ids) > len(places) else f"{len(ids)} frames"
-    return h.div(h.p(more, cls="dim"), h.div(cells, cls="grid"), cls="frames")
+def smallest_at(objects: Sequence[SceneObject], pixel: tuple[int, int] | None) -> int | None:
+    """The smallest object whose mask holds a pixel (u, v)."""
+    hits = [] if pixel is None else [i for i, o in enumerate(objects) if o.mask[pixel[::-1]]]
+    return min(hits, key=lambda i: objects[i].lifted.quality.mask_pixels, default=None)
 
 
 def log_html(entries: Sequence[tuple[str, str]]) -> Element:
@@ -191,13 +156,13 @@ def depth_bar(state: State) -> Element | None:
     measured = depth[depth > 0]
     colors = depth_colors(np.linspace(low, high, STEPS, dtype=np.float32)[None], (low, high))
     bar = np.concatenate([colors[..., ::-1], np.full((1, STEPS, 1), 255, np.uint8)], axis=2)
-    nearest, farthest = float(measured.min()), float(measured.max())
     return h.figure(
         h.figcaption("Depth"),
         h.img(src=png_url(bar), alt=f"colours from {low:.2f} m, red, to {high:.2f} m, blue", draggable="false"),
         h.div((h.span(f"{at:.2f} m") for at in (low, (low + high) / 2, high)), cls="ticks"),
         cls="depthbar",
-        title=f"Nearer and farther ones have the colours of the ends: {nearest:.2f} to {farthest:.2f} m were measured.",
+        title="Nearer and farther ones have the colours of the ends: "
+        f"{measured.min():.2f} to {measured.max():.2f} m were measured.",
     )
 
 
@@ -218,11 +183,9 @@ def objects_html(state: State) -> Element | None:
 
 
 def _row(state: State, i: int, kind: str) -> Element:
-    assert state.loaded is not None
-    in_pair = kind == "object" and i in (state.pair or ())
     marks = chosen(i == state.selected, "r")
     # The page scrolls to the first of two rows of the same object.
-    marks |= {"data_shown": None} if in_pair else {}
+    marks |= {"data_shown": None} if kind == "object" and i in (state.pair or ()) else {}
     entry, color = state.shown.objects[i], palette(state.dark)[state.roles.get(i, "other")]
     box, quality = entry.lifted.box, entry.lifted.quality
     size = "no depth" if box is None else " × ".join(f"{s * 100:.0f}" for s in box.size) + " cm"
@@ -231,7 +194,11 @@ def _row(state: State, i: int, kind: str) -> Element:
         h.td(thumb(state, i)),
         h.td(named(color, state.shown.names[i]), h.div(size, cls="dim"), cls="w"),
         h.td("" if box is None else f"{quality.distance:.1f} m", cls="n dim"),
-        h.td(score(entry.score), h.span("!", cls="low", title=doubts, aria_label=doubts) if doubts else "", cls="n"),
+        h.td(
+            detector_score(entry.score),
+            h.span("!", cls="low", title=doubts, aria_label=doubts) if doubts else "",
+            cls="n",
+        ),
         id=f"{kind}-{i}",
         do=f"object:{i}",
         hover=f"hover:{i}",
@@ -243,8 +210,3 @@ def thumb(state: State, i: int) -> Element:
     """The small picture of an object; an empty place where it has none."""
     url = "" if state.loaded is None else state.loaded.thumb(state.shown.objects[i].bbox)
     return h.img(src=url, alt="", cls="thumb", loading="lazy") if url else h.span(cls="thumb")
-
-
-def score(value: float) -> str:
-    """A detector's score; nothing where the objects are the dataset's own."""
-    return "" if value >= 0.9995 else f"{value:.2f}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -22,13 +23,12 @@ from pipeline.corrections.journal.edits import merge_objects
 from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
 from pipeline.geometry.palette import depth_colors, hex_color
-from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, Part, command
-from spatialviz.app.correct import Correct
+from pipeline.system.errors import InputError, as_input_error, needed, require
+from spatialviz.app.context import Context, command
 from spatialviz.app.frames import jpeg_url
+from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.pixels_html import PART_COLORS, PixelScene, around, mask_url, outlines, told_of
-from spatialviz.app.selection import Selection
+from spatialviz.app.pixels_html import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlines, told_of
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
 
@@ -37,12 +37,11 @@ LONGEST = 400_000
 """Characters of a message."""
 
 
-class Pixels(Part):
+class Pixels(LabelPart):
     """Draws the pixels of one object after the other."""
 
-    def __init__(self, ctx: Context, correct: Correct, selection: Selection) -> None:
+    def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._correct, self._selection, self._scene = correct, selection, PixelScene(ctx)
         self._drafts: dict[tuple[str, str], Draft] = {}
         self._open: tuple[str, str] | None = None
         self._canvas: tuple[tuple[str, str], Canvas] | None = None
@@ -53,7 +52,7 @@ class Pixels(Part):
         self._said, self._bad, self._label = "", False, ""
         self._saving = False
         self._disputed: tuple[tuple[str, str], Conflict] | None = None
-        correct.on_saved(self._decided)
+        ctx.editors.on_saved.append(self._decided)
 
     # ---- which object, which tool -----------------------------------------------------
 
@@ -65,54 +64,36 @@ class Pixels(Part):
     def _draft(self) -> Draft | None:
         return self._drafts.get(self._key) if self._open == self._key else None
 
-    def _selected(self) -> int | None:
-        state = self.state
-        return None if state.labels is None or state.selected is None else state.labels.numbers[state.selected]
-
-    def _labels(self) -> LabelView | None:
-        """What labels are shown; says so where there are none."""
-        view = self.state.labels
-        if view is None:
-            self.ctx.note("not done: show the labels first")
-        return view
-
     @command("px-tool")
     def choose(self, tool: str) -> None:
         """Take a tool; where nothing is open yet, begin on the selected object."""
-        view = self._labels()
-        if view is None or tool not in TOOLS:
+        view, known = self.view, self._drafts.get(self._key)
+        if tool not in TOOLS:
             return
         self._tool = tool
-        self._tell("")
-        if self._draft is None:
-            self._begin(view, self._selected(), resume=True)
+        self._tell()
+        if self._draft is None and known is not None and known.changed:
+            self._open, self._of, self._adds = self._key, self.number, True
+            self._tell("this was not applied yet")
+        elif self._draft is None:
+            self._begin(view, self.number)
         self.follow()
 
     @command("px-new")
     def new(self, where: str) -> None:
         """Begin a new object: drawn, by clicks in the scene ("scene"), or in a rectangle of the picture (fractions)."""
-        view = self._labels()
-        if view is None:
-            return
-        draft = self._drafts.get(self._key)
-        if draft is not None and draft.changed:
-            self._open = self._key
-            self._say("apply or cancel this one first", True)
+        view = self.view
+        if self._unapplied(self._drafts.get(self._key)):
             return
         self._tool, self._view = ("depth", "scene") if where == "scene" else ("rectangle", "picture")
-        self._tell("")
+        self._tell()
         self._begin(view, None)
         if where not in ("", "scene"):
-            corners = where.split(",")
-            self._changed(lambda d, c: with_gesture(d, _rectangle(corners, d), c))
+            self._changed(lambda d, c: with_gesture(d, _rectangle(where.split(","), d), c))
         self.follow()
 
-    def _begin(self, view: LabelView, number: int | None, resume: bool = False) -> None:
-        known = self._drafts.get(self._key)
-        self._open, self._of, self._adds = self._key, self._selected(), True
-        if resume and known is not None and known.changed:
-            self._tell("this was not applied yet")
-            return
+    def _begin(self, view: LabelView, number: int | None) -> None:
+        self._open, self._of, self._adds = self._key, self.number, True
         self._drafts[self._key] = new_draft(view.frame, number)
         if number is None and self._tool == "cut":
             self._tool = "brush"
@@ -120,11 +101,17 @@ class Pixels(Part):
     @command("px-select")
     def select(self, fractions: str) -> None:
         """Draw on the object at a place of the picture."""
-        draft = self._draft
-        if draft is not None and draft.changed:
-            self._say("apply or cancel this one first", True)
-            return
-        self._selection.select_at(fractions)
+        if not self._unapplied(self._draft):
+            self.ctx.handle(f"image:{fractions}")
+
+    def _unapplied(self, draft: Draft | None) -> bool:
+        """Whether a draft is in the way of another one; says so."""
+        if draft is None or not draft.changed:
+            return False
+        self._open = self._key
+        self._tell("apply or cancel this one first", True)
+        self.follow()
+        return True
 
     @command("px-apart")
     def _split(self) -> None:
@@ -147,12 +134,9 @@ class Pixels(Part):
             self._seen = int(number)
 
         def gesture(draft: Draft) -> Gesture:
-            if len(text) > LONGEST:
-                raise InputError("the movement is too long", got=f"{len(text)} characters")
-            try:
+            require(len(text) <= LONGEST, "the movement is too long", got=f"{len(text)} characters")
+            with as_input_error("not a movement of a tool", ValueError, RecursionError, got=repr(text)[:60]):
                 message = json.loads(text)
-            except (ValueError, RecursionError) as error:
-                raise InputError("not a movement of a tool", got=repr(text)[:60]) from error
             return read_gesture(message, draft.height, draft.width)
 
         self._changed(lambda draft, canvas: with_gesture(draft, gesture(draft), canvas))
@@ -161,22 +145,17 @@ class Pixels(Part):
     def hand(self, said: str) -> None:
         """How clicks in the scene count: "true:0.015", adding or removing, and how alike a surface must be."""
         adds, _, tolerance = said.partition(":")
-        try:
-            self._tolerance = float(tolerance)
-        except ValueError:
-            return
-        self._adds = adds == "true"
+        with suppress(ValueError):
+            self._tolerance, self._adds = float(tolerance), adds == "true"
 
     def on_ray(self, pixel: tuple[int, int] | None) -> bool:
         """A click in the scene; whether it was meant for the draft."""
         if self._draft is None or self._view != "scene":
             return False
-        if pixel is None:
-            self._say("no point of the cloud is there", True)
-            return True
-        at = [[pixel[0] + 0.5, pixel[1] + 0.5]]
 
         def grown(draft: Draft, canvas: Canvas) -> Draft:
+            u, v = needed(pixel, "no point of the cloud is there")
+            at = [[u + 0.5, v + 0.5]]
             made = gesture_of("depth", at, draft.height, draft.width, adds=self._adds, tolerance=self._tolerance)
             return with_gesture(draft, made, canvas)
 
@@ -185,82 +164,69 @@ class Pixels(Part):
 
     def _changed(self, change: Callable[[Draft, Canvas], Draft]) -> None:
         draft = self._draft
-        if draft is None:
-            return
-        try:
-            self._drafts[self._key] = change(draft, self._canvas_now())
-            self._tell("")
-        except InputError as error:
-            self._tell(str(error), True)
-        self.follow()
+        if draft is not None:
+            try:
+                self._drafts[self._key] = change(draft, self._canvas_now())
+                self._tell()
+            except InputError as error:
+                self._tell(str(error), True)
+            self.follow()
 
     def _canvas_now(self) -> Canvas:
         if self._canvas is None or self._canvas[0] != self._key:
-            desk = self._correct.desk
-            if desk is None or desk.corrector.relifter is None:
-                raise InputError("the pictures are not at hand")
-            self._canvas = self._key, Canvas(desk.corrector.relifter.context(self.state.frame_id))
+            relifter = needed(self.editor.corrector.relifter, "the pictures are not at hand")
+            self._canvas = self._key, Canvas(relifter.context(self.state.frame_id))
         return self._canvas[1]
 
-    @command("px-undo=undo", "px-redo=redo")
-    def _stepped(self, which: str) -> None:
+    @command("px-undo=take-back", "px-redo=bring-back")
+    def _stepped(self, otherwise: str) -> None:
+        """A step of the draft back or forth; where there is none, an action of the journal."""
         draft = self._draft
         if draft is None:
             return
-        moved = draft.back() if which == "undo" else draft.forth()
-        self._tell("")
-        if moved.at != draft.at:
-            self._drafts[self._key] = moved
-            self.follow()
-        else:
-            self._correct.taken_back(which)
-            view = self.state.labels
-            if view is not None:
-                self._tell(view.said, view.bad)
-            self.follow()
+        moved = draft.back() if otherwise == "take-back" else draft.forth()
+        self._drafts[self._key] = moved
+        self._tell()
+        if moved.at == draft.at:
+            self.ctx.handle(otherwise)
+            self._tell(self.view.said, self.view.bad)
+        self.follow()
 
     # ---- saving -----------------------------------------------------------------------
 
     @command("px-apply")
     def apply(self, said: str) -> None:
         """Save the draft as one action: {"stay", "label"}; with "stay" the editor remains open."""
-        view, draft = self._labels(), self._draft
-        if view is None or draft is None:
+        view, draft, stay, label = self.view, self._draft, False, ""
+        if draft is None:
             return
-        try:
+        with suppress(ValueError, TypeError, KeyError, RecursionError):
             message = json.loads(said)
             stay, label = bool(message["stay"]), str(message["label"])
-        except (ValueError, TypeError, KeyError, RecursionError):
-            stay, label = False, ""
+        outcome, number, self._label, self._saving = None, -1, label, True
         try:
             made = edits_of_draft(draft, view.frame, label)
+            number = made[0].ref.numbers[0]
+            if not stay:
+                # Closed at once: drawing the whole page takes longer than saving.
+                self.ctx.page.call("pixels", {"on": False})
+            outcome = self.save(lambda _: made)
+            self._tell(self.view.said, self.view.bad)
         except InputError as error:
             self._drafts[self._key] = rebased(draft, view.frame)
-            self._say(str(error), True)
-            return
-        self._label, self._saving = label, True
-        if not stay:
-            # Closed at once: drawing the whole page takes longer than saving.
-            self.ctx.page.call("pixels", {"on": False})
-        try:
-            outcome = self._correct.save(lambda _: made)
+            self._tell(str(error), True)
         finally:
             self._saving = False
-        after = self.state.labels
         if isinstance(outcome, Conflict):
             self._disputed = self._key, outcome
-        if outcome is None or isinstance(outcome, Conflict) or after is None:
-            self._say("not saved" if after is None else after.said, True)
+        if outcome is None or isinstance(outcome, Conflict):
+            self.follow()
             return
-        number, self._label, self._disputed = made[0].ref.numbers[0], "", None
+        self._label, self._disputed, self._open = "", None, None
         self._drafts.pop(self._key, None)
-        state = self.state
-        self.state = replace(state, selected=after.place(number))
-        self._tell(after.said, after.bad)
+        self.state = replace(self.state, selected=self.view.place(number))
         if stay:
-            self._begin(after, None if draft.number is None else number)
-        else:
-            self._open = None
+            self._begin(self.view, None if draft.number is None else number)
         self.ctx.draw()
 
     def _decided(self, events: tuple[Event, ...]) -> None:
@@ -275,19 +241,12 @@ class Pixels(Part):
     @command("px-merge")
     def merge(self) -> None:
         """Make the selected object a part of the one that was selected before it."""
-        view = self._labels()
-        if view is None:
-            return
-        pair = self.state.pair
+        view, pair = self.view, self.state.pair
         if pair is None or pair[0] == pair[1]:
-            self.ctx.page.toast("Not done", "Select two objects, one after the other.")
-            return
+            raise InputError("select two objects, one after the other")
         numbers = view.numbers[pair[1]], view.numbers[pair[0]]
-        if self._correct.save(lambda frame: merge_objects(frame, numbers)) is None:
-            return
-        after = self.state.labels
-        if after is not None:
-            self.ctx.show(selected=after.place(numbers[0]))
+        self.save(lambda frame: merge_objects(frame, numbers))
+        self.ctx.show(selected=self.view.place(numbers[0]))
 
     # ---- what is shown ----------------------------------------------------------------
 
@@ -296,7 +255,8 @@ class Pixels(Part):
         """Draw on the "picture", or by clicks in the "scene"."""
         if view in ("picture", "scene"):
             self._view = view
-            self._say("")
+            self._tell()
+            self.follow()
 
     @command("px-picture")
     def paint(self, kind: str) -> None:
@@ -305,37 +265,29 @@ class Pixels(Part):
             self._kind = kind
             self.follow()
 
-    def _say(self, said: str, bad: bool = False) -> None:
-        self._tell(said, bad)
-        self.follow()
-
-    def _tell(self, said: str, bad: bool = False) -> None:
+    def _tell(self, said: str = "", bad: bool = False) -> None:
         self._said, self._bad = said, bad
 
     def follow(self) -> None:
         """Bring the editor up to the state and the draft."""
         if self._saving:
             return
-        state = self.state
-        view = state.labels
-        if self._open is not None and (view is None or self._open != self._key):
+        state, view = self.state, self.state.labels
+        if view is None or self._open != self._key:
             self._open = None
         draft = self._draft
+        if draft is not None and view is not None and draft.number not in (None, *view.frame.objects):
+            self.ctx.note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
+            self._drafts.pop(self._key)
+            self._open = draft = None
         if draft is None or view is None or state.loaded is None:
-            self._scene.clear()
+            self.ctx.client.clear(DRAFT)
             self.ctx.page.call("pixels", {"on": False})
             return
-        selected = self._selected()
-        if draft.number is not None and draft.number not in view.frame.objects:
-            self._drafts.pop(self._key)
-            self.ctx.note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
-            self._open = None
-            self.follow()
-            return
-        moved = selected is not None and selected != self._of
+        moved = self.number is not None and self.number != self._of
         if not draft.changed and (moved or rebased(draft, view.frame) != draft):
             # A click in the picture brings another object; the view stays where the hand is.
-            self._begin(view, selected if moved else draft.number)
+            self._begin(view, self.number if moved else draft.number)
             draft = self._drafts[self._key]
         self._show(draft, view, state)
 
@@ -346,9 +298,9 @@ class Pixels(Part):
         box = None if lifted is None else lifted.box
         frame = canvas.context.frame
         if self._view == "scene":
-            self._scene.draw(frame, draft.mask, box, state.dark)
+            draw_draft(self.ctx, frame, draft.mask, box)
         else:
-            self._scene.clear()
+            self.ctx.client.clear(DRAFT)
             picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
             self.ctx.page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
         fresh = draft.number is None
@@ -383,8 +335,6 @@ class Pixels(Part):
 
 
 def _rectangle(corners: list[str], draft: Draft) -> Gesture:
-    try:
-        x0, y0, x1, y1 = (float(c) for c in corners)
-    except ValueError as error:
-        raise InputError("not a rectangle", got=",".join(corners)[:60]) from error
+    with as_input_error("not a rectangle", ValueError, got=",".join(corners)[:60]):
+        x0, y0, x1, y1 = map(float, corners)
     return gesture_of("surface", [[x0, y0], [x1, y1]], draft.height, draft.width, fractions=True)

@@ -16,7 +16,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import decode_crop
 from pipeline.geometry.palette import ON_DARK, RGB, instance_colors, palette
-from spatialviz.app.context import Part
+from spatialviz.app.context import Context
 from spatialviz.app.frames import png_url
 from spatialviz.app.markup import BAD, IDLE, Element, h, note
 from spatialviz.app.state import State
@@ -74,9 +74,8 @@ def mask_url(parts: Sequence[np.ndarray]) -> str:
 def outlines(objects: Sequence[SceneObject], names: Sequence[str], without: int | None) -> list[dict[str, Any]]:
     """The outlines of objects for the editor: lines as x0, y0, x1, y1, ... in pixels."""
     found = []
-    for entry, name in zip(objects, names, strict=True):
-        if entry.id == without:
-            continue
+    others = ((o, name) for o, name in zip(objects, names, strict=True) if o.id != without)
+    for entry, name in others:
         lines, _ = cv2.findContours(entry.mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
         kept = [(line.reshape(-1) + 0.5).tolist() for line in lines if len(line) > 2]
         found.append({"name": name, "size": entry.lifted.quality.mask_pixels, "lines": kept})
@@ -110,30 +109,25 @@ def told_of(draft: Draft, lifted: LiftedObject | None, parts: Sequence[np.ndarra
 
 POINT = 0.004
 MOST_POINTS = 60_000
+DRAFT = "/draft/"
+"""Where it stands in the scene."""
 
 
-class PixelScene(Part):
-    """Draws into one client's scene, beside what `SceneView` draws."""
-
-    def clear(self) -> None:
-        """Show nothing."""
-        self.ctx.client.clear("/draft/")
-
-    def draw(self, frame: Frame, mask: np.ndarray, box: Box3D | None, dark: bool) -> None:
-        """Show a mask's points, towards the viewer of the cloud they lie in, and a box (camera frame)."""
-        with self.ctx.client.atomic():
-            self.clear()
-            color = palette(dark)["edited"]
-            v, u = np.nonzero(mask & (frame.depth > 0))
-            step = max(1, -(-len(v) // MOST_POINTS))
-            v, u = v[::step], u[::step]
-            if len(v):
-                points = lift_pixels(frame.depth[v, u] * np.float32(0.995), frame.camera, v, u)
-                shown = (points @ self.ctx.scene.to_show.T.astype(np.float32)).astype(np.float32)
-                self.ctx.client.scene.add_point_cloud(
-                        "/draft/points", shown, color, point_size=POINT, precision="float32", point_shading="flat",
-                        point_shape="square",
-                    )  # fmt: skip
-            if box is not None:
-                lines = self.ctx.scene.shown_box(box).corners[EDGES].astype(np.float32)
-                self.ctx.client.lines("/draft/box", lines, color, 2.6)
+def draw_draft(ctx: Context, frame: Frame, mask: np.ndarray, box: Box3D | None) -> None:
+    """Show a mask's points in the scene, towards the viewer of the cloud they lie in, and a box (camera frame)."""
+    with ctx.client.atomic():
+        ctx.client.clear(DRAFT)
+        color = palette(ctx.state.dark)["edited"]
+        v, u = np.nonzero(mask & (frame.depth > 0))
+        step = max(1, -(-len(v) // MOST_POINTS))
+        v, u = v[::step], u[::step]
+        if len(v):
+            points = lift_pixels(frame.depth[v, u] * np.float32(0.995), frame.camera, v, u)
+            shown = (points @ ctx.scene.to_show.T.astype(np.float32)).astype(np.float32)
+            ctx.client.scene.add_point_cloud(
+                    f"{DRAFT}points", shown, color, point_size=POINT, precision="float32", point_shading="flat",
+                    point_shape="square",
+                )  # fmt: skip
+        if box is not None:
+            lines = ctx.scene.shown_box(box).corners[EDGES].astype(np.float32)
+            ctx.client.lines(f"{DRAFT}box", lines, color, 2.6)

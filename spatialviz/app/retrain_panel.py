@@ -3,38 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from platformdirs import user_data_path
+
 from pipeline.corrections.review.label_jobs import CANCELLED, RetrainingJob, TrainingProgress
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, Part, command
-from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel
+from spatialviz.app.context import Context, command
+from spatialviz.app.label_part import LabelPart
+from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel, progress
 from spatialviz.app.place import Place
 
 
-class RetrainPanel(Part):
+class RetrainPanel(LabelPart):
     """Trains, compares, makes the run again, and installs by choice."""
 
-    def __init__(self, ctx: Context, folder: Path) -> None:
+    def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._folder, journals = folder, ctx.shared.journals
+        journals = ctx.shared.journals
         self._last = {name: place.jobs.training.seen for name, place in journals.items()}
         ctx.leave += [
-            place.jobs.training.listen(lambda name=name: ctx.post(lambda: self._follow(name)))
+            place.jobs.training.listen(lambda name=name: ctx.post(lambda: self._tell(name)))
             for name, place in journals.items()
         ]
 
-    @property
-    def _training(self) -> TrainingProgress:
-        place = self.ctx.shared.journals.get(self.state.source)
-        return TrainingProgress() if place is None else place.jobs.training.seen
-
-    def _follow(self, name: str) -> None:
+    def _tell(self, name: str) -> None:
         """Say what has begun or ended, whoever began it, and draw."""
         was, now = self._last[name], self.ctx.shared.journals[name].jobs.training.seen
         self._last[name] = now
@@ -45,48 +44,44 @@ class RetrainPanel(Part):
                 f"retrained in {now.seconds:.0f} s: {now.record['folder']}"
             )  # fmt: skip
             self.ctx.note("retraining was stopped" if now.problem == CANCELLED else done)
-        self.draw()
+        self.follow()
 
     @command("retrain")
     def start(self) -> None:
         """Train on the labels of the source that is looked at, as they are now."""
-        name = self.state.source
-        place = self.ctx.shared.journals.get(name)
-        if place is None or self._training.running:
-            return
-        run = self.ctx.shared.runs.get(name)
-        place.jobs.train(
-            RetrainingJob(
-                place.labels.root,
-                self._folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}",
-                None if place.where is None else str(place.where),
-                place.project,
-                str(self.ctx.shared.store.sources[name].dataset.root),
-                run=None if run is None else run.folder,
+        name, place, run = self.state.source, self.location, self.ctx.run
+        folder = user_data_path("spatialviz") / "retrained"
+        if not place.jobs.training.seen.running:
+            place.jobs.train(
+                RetrainingJob(
+                    place.labels.root,
+                    folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}",
+                    None if place.where is None else str(place.where),
+                    place.project,
+                    str(self.ctx.source.dataset.root),
+                    run=None if run is None else run.folder,
+                )
             )
-        )
 
     @command("stop-training")
     def stop(self) -> None:
         """End a training, whoever began it; nothing of it stays."""
-        place = self.ctx.shared.journals.get(self.state.source)
-        if place is not None:
-            place.jobs.training.stop()
+        self.location.jobs.training.stop()
 
     @command("install")
     def install(self, name: str) -> None:
         """Install the trained network under a name, and answer the question that is asked with it."""
-        training = self._training
-        if training.record is None:
+        training = self.location.jobs.training
+        if training.seen.record is None:
             return
         try:
-            done = install_network(Path(training.record["network"]), name.strip())
+            done = install_network(Path(training.seen.record["network"]), name.strip())
         except InputError as error:
             self.ctx.page.toast("Not installed", str(error), bad=True)
             self.ctx.note(f"not installed: {error}")
             return
         self.ctx.note(f"installed: --srm {done.name} is {done.path}")
-        self.ctx.shared.journals[self.state.source].jobs.training.change(lambda now: replace(now, installed=done.name))
+        training.change(lambda now: replace(now, installed=done.name))
         if self.state.labels is None:
             # While labels are shown nothing is asked that it could answer.
             self.ctx.handle(f"edit:set:scorer:{done.name}")
@@ -97,18 +92,17 @@ class RetrainPanel(Part):
         frame, _, text = said.partition("|")
         self.ctx.go(Place(self.state.source, frame, text))
 
-    def draw(self) -> None:
+    def follow(self) -> None:
         """Bring the section up to what is known."""
-        name = self.state.source
-        place = self.ctx.shared.journals.get(name)
+        place = self.ctx.shared.journals.get(self.state.source)
         if place is None:
             return
-        try:
+        corrections = None
+        with suppress(InputError):
             journal = place.to_read()
             corrections = 0 if journal is None else journal.count()
-        except InputError:
-            corrections = None
-        self.ctx.page.show("review-train", retrain_html(self._training, corrections, name in self.ctx.shared.runs))
+        section = retrain_html(place.jobs.training.seen, corrections, self.ctx.run is not None)
+        self.ctx.page.show("review-train", section)
 
 
 STEPS = {
@@ -128,23 +122,17 @@ def retrain_html(training: TrainingProgress, corrections: int | None, with_run: 
 def _state(training: TrainingProgress, corrections: int | None, with_run: bool) -> Child:
     if training.running:
         what, done, of = training.step
-        share = done / of if of else 0.0
-        bar = h.div(
-            h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
-            aria_label="Training",
-        )  # fmt: skip
-        return bar, h.div(f"{STEPS.get(what, what)} · {training.seconds:.0f} s", cls="dim")
+        return progress("Training", done, of), h.div(f"{STEPS.get(what, what)} · {training.seconds:.0f} s", cls="dim")
     if training.problem and training.problem != CANCELLED:
         return note(f"Not trained: {training.problem}", BAD)
     if training.record is None:
-        run = ", and makes the run again with it" if with_run else ""
-        said = "Nothing corrected yet."
-        if corrections is None:
-            said = "The journal cannot be read now: what was corrected is not known."
-        elif corrections:
-            said = f"Learns the relations from the labels as they are now{run}."
+        said = f"Learns the relations from the labels as they are now{', and makes the run again with it' * with_run}."
+        if not corrections:
+            unknown = "The journal cannot be read now: what was corrected is not known."
+            said = unknown if corrections is None else "Nothing corrected yet."
         return h.div(said, cls="dim")
-    return _figures(training), _replayed(training.record), _install(training)
+    record = training.record
+    return _figures(record, training.seconds), _replayed(record), _install(record, training.installed)
 
 
 def _action(training: TrainingProgress, corrections: int | None) -> Element:
@@ -155,15 +143,12 @@ def _action(training: TrainingProgress, corrections: int | None) -> Element:
     return h.button("retrain", cls="try", do="retrain", title=f"{corrections} events in the journal (Shift+G)")
 
 
-def _figures(training: TrainingProgress) -> Child:
+def _figures(record: Mapping[str, Any], seconds: float) -> Child:
     """F1 by relation: learnt from the labels before, after, and of the network in use, on pairs that none has seen."""
-    record = training.record
-    assert record is not None
     trained, in_use = record["retraining"], record["in_use"]
     held, events = trained["held_out"], record["corrections"]["events"]
     rows = []
-    names = list(trained["after"]["f1"])
-    for name in [*names, "all"]:
+    for name in [*trained["after"]["f1"], "all"]:
         before, after = (_f1(trained[k], name) for k in ("before", "after"))
         now = None if in_use is None else _f1(in_use["before"], name)
         gain = None if before is None or after is None else (after - before) * 100
@@ -177,8 +162,7 @@ def _figures(training: TrainingProgress) -> Child:
             )
         )
     right, wrong = trained["became_right"]["cells"], trained["became_wrong"]["cells"]
-    gain = trained["gain"]["micro_f1"]
-    ends = (gain["low"], gain["high"])
+    ends = [trained["gain"]["micro_f1"][end] for end in ("low", "high")]
     interval = "–" if None in ends else f"[{ends[0] * 100:+.1f}, {ends[1] * 100:+.1f}]"
     counts = f"{events} events · F1 on {held['pairs']} held-out pairs of {held['frames']} frames"
     head = h.tr(
@@ -189,7 +173,7 @@ def _figures(training: TrainingProgress) -> Child:
         h.th("gain", cls="n"),
     )
     return (
-        h.div(f"{counts} · {training.seconds:.0f} s", cls="dim"),
+        h.div(f"{counts} · {seconds:.0f} s", cls="dim"),
         h.table(head, rows, cls="slices"),
         h.div(f"{right} held-out cells became right, {wrong} wrong; gain {interval}", cls="dim"),
         _cells("became right", trained["became_right"]["listed"]),
@@ -204,17 +188,15 @@ def _f1(figures: Mapping[str, Any], name: str) -> float | None:
 
 def _cells(title: str, cells: Sequence[Mapping[str, Any]]) -> Element | None:
     """The cells that changed most; a click shows the pair."""
-    if not cells:
-        return None
-    rows = (
+    rows = [
         h.div(
             h.span(f"{c['a']} {PHRASE[c['relation']]} {c['b']} is {c['label']}"), h.span(c["frame"], cls="dim"),
             h.span(f"{c['before']:.2f} → {c['after']:.2f}", cls="n"), cls="cellrow", title=c["frame"],
             do=f"labels-at:{c['a']},{c['b']},{c['relation']},{c['frame']}",
         )
         for c in cells[:LISTED]
-    )  # fmt: skip
-    return h.details(h.summary(f"{title}, the largest changes"), rows)
+    ]  # fmt: skip
+    return h.details(h.summary(f"{title}, the largest changes"), rows) if rows else None
 
 
 def _replayed(record: Mapping[str, Any]) -> Child:
@@ -241,28 +223,22 @@ def _replayed(record: Mapping[str, Any]) -> Child:
 
 
 def _expressions(title: str, rows: Sequence[Mapping[str, Any]]) -> Element | None:
-    if not rows:
-        return None
-    listed = (
+    listed = [
         h.div(
             h.span(r["text"]), h.span(r["frame"], cls="dim"), cls="cellrow", do=f"replayed:{r['frame']}|{r['text']}"
         )
         for r in rows[:LISTED]
-    )  # fmt: skip
+    ]  # fmt: skip
     more = h.div(f"and {len(rows) - LISTED} more", cls="dim") if len(rows) > LISTED else None
-    return h.details(h.summary(title), listed, more)
+    return h.details(h.summary(title), listed, more) if rows else None
 
 
-def _install(training: TrainingProgress) -> Child:
-    record = training.record
-    assert record is not None
+def _install(record: Mapping[str, Any], installed: str) -> Child:
     # Cut at its left: written from right to left, where its ends must not move.
     where = h.div(h.bdi(record["folder"]), cls="dim path", title=record["folder"])
-    if training.installed:
-        said = f"Installed: --srm {training.installed}; in the Edit tab it answers any question."
-        return note(said, GOOD), where
-    warning = None
-    in_use = record["in_use"]
+    if installed:
+        return note(f"Installed: --srm {installed}; in the Edit tab it answers any question.", GOOD), where
+    in_use, warning = record["in_use"], None
     if in_use is not None:
         now, new = (in_use[k]["micro_f1"]["value"] for k in ("before", "after"))
         if None not in (now, new) and new < now:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 from pipeline.corrections.label_editor import LabelEditor
@@ -29,6 +30,7 @@ from spatialviz.app.markup import (
     heading,
     note,
     panel,
+    progress,
     segments,
 )
 from spatialviz.app.state import State
@@ -44,29 +46,28 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
     """
     if not opened:
         return panel(h.div("No labels are open (--labels).", cls="dim hint"))
-    on = state.labels is not None
-    show = button("labels are shown" if on else "show the labels", "labels", "Shift+L", aria_pressed=str(on).lower())
-    parts = [h.div(show, _reviewer(desk), cls="nav")]
-    waiting = [] if desk is None else [*desk.waiting]
+    view = state.labels
+    show = button(
+        "show the labels" if view is None else "labels are shown", "labels", "Shift+L",
+        aria_pressed=str(view is not None).lower(),
+    )  # fmt: skip
+    waiting, disputed = ((), ()) if desk is None else (desk.waiting, desk.disputed)
     # What waits says why itself.
-    if state.labels is not None and state.labels.said and not (waiting and state.labels.bad):
-        parts.append(note(state.labels.said, BAD if state.labels.bad else GOOD))
-    if waiting:
-        count = f"{counted(len(waiting), 'action')} not saved yet"
-        parts.append(note(f"{count}, kept here and tried again every few seconds: {waiting[-1].problem}", BAD))
-        parts.append(button("try again", "save-again", cls="go"))
-    if desk is not None and desk.disputed:
-        parts.append(note("Somebody was faster than you: nothing of yours is saved until you decide.", BAD))
-        parts.append(button("decide", "conflict", cls="go"))
-    return panel(*parts)
+    said = note(view.said, BAD if view.bad else GOOD) if view and view.said and not (waiting and view.bad) else None
+    kept = f"{counted(len(waiting), 'action')} not saved yet, kept here and tried again every few seconds: "
+    decide = "Somebody was faster than you: nothing of yours is saved until you decide."
+    return panel(
+        h.div(show, None if desk is None else _reviewer(desk.author), cls="nav"),
+        said,
+        (note(kept + waiting[-1].problem, BAD), button("try again", "save-again", cls="go")) if waiting else None,
+        (note(decide, BAD), button("decide", "conflict", cls="go")) if disputed else None,
+    )
 
 
-def _reviewer(desk: LabelEditor | None) -> Element | None:
-    if desk is None:
-        return None
+def _reviewer(author: str) -> Element:
     return h.label(
         h.span("reviewer", cls="dim"),
-        h.input(cls="find", value=desk.author, maxlength=200, change="author"),
+        h.input(cls="find", value=author, maxlength=200, change="author"),
         cls="who",
         title="under whose name corrections are saved",
     )
@@ -77,23 +78,21 @@ def pair_html(state: State) -> Element | None:
     view = state.labels
     if view is None:
         return None
-    card = view.card
-    if card is None and view.item is not None:
-        return None  # The item itself says which keys are meant.
+    card, item = view.card, view.item
     if card is None:
         keys = None if state.selected is None else (h.br(), f"{KEYS_OF_ONE}.")
         pair = "Select two objects, one after the other, or open an item of the queue."
-        return panel(h.div(pair, keys, cls="dim"))
+        # An item itself says which keys are meant.
+        return panel(h.div(pair, keys, cls="dim")) if item is None else None
     colors = palette(state.dark)
     first = dot(colors["target"]), f"{card.names[0]}·{card.a}"
     second = dot(colors["reference"]), f"{card.names[1]}·{card.b}"
     head = heading(h.b(first, " … ", second), button("swap", "swap", "the other way round (X)"))
     if card.why_none:
         return panel(head, note(f"Takes part in no relation: {card.why_none}"))
-    item, only = view.item, None
-    if item is not None and item.kind == "relation" and (item.a, item.b) != (card.a, card.b):
-        # What is looked at beside the open item is settled by a click on its row.
-        only = h.div("Only looked at: the keys act on the open item.", cls="dim")
+    # What is looked at beside the open item is settled by a click on its row.
+    beside = item is not None and item.kind == "relation" and (item.a, item.b) != (card.a, card.b)
+    only = h.div("Only looked at: the keys act on the open item.", cls="dim") if beside else None
     return panel(head, only, (_line(card, line, line.relation == view.relation) for line in card.lines))
 
 
@@ -236,30 +235,23 @@ def _busy(making: QueueProgress) -> Child:
         failed = making.problem and making.problem != CANCELLED
         stays = "was not made" if making.work is None else "stays as it is"
         return note(f"The queue {stays}: {making.problem}", BAD) if failed else None
-    share, what = 0.0, "ranking the labels"
-    if making.step is not None:
-        kind, done, of = making.step
-        share = done / of if of else 0.0
-        if done < of:
-            what = f"asking network {done + 1} of {of}" if kind == "networks" else f"detector: frame {done + 1} of {of}"
-    bar = h.div(
-        h.i(css={"width": f"{share:.0%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
-        aria_label=what,
-    )  # fmt: skip
-    return bar, h.div(what, cls="dim")
+    kind, done, of = making.step or ("", 0, 0)
+    what = f"asking network {done + 1} of {of}" if kind == "networks" else f"detector: frame {done + 1} of {of}"
+    what = what if done < of else "ranking the labels"
+    return progress(what, done, of), h.div(what, cls="dim")
 
 
 def _known(made: Mapping[str, Any] | None) -> Element | None:
     """What the queue was made of: what networks and a detector said; and how far reviewers agreed by then."""
     if made is None:
         return None
+    wrong, detector = made["estimated_wrong"], made["detector"]
     parts, hint = ["rules and linter"], "what this queue was made of"
-    if made["estimated_wrong"] is not None:
-        parts.append(f"networks: {made['estimated_wrong']:.0f} relations wrong")
-    if (said := made["detector"]) is not None:
-        skipped = said["skipped"]
+    parts += [] if wrong is None else [f"networks: {wrong:.0f} relations wrong"]
+    if detector is not None:
+        skipped = detector["skipped"]
         left_out = f", {len(skipped)} skipped" if skipped else ""
-        parts.append(f"{said['name']}: {counted(said['frames'], 'frame')}{left_out}")
+        parts.append(f"{detector['name']}: {counted(detector['frames'], 'frame')}{left_out}")
         hint += "".join(f"\n{frame}: {why}" for frame, why in list(skipped.items())[:SKIPPED])
         hint += f"\nand {len(skipped) - SKIPPED} more" if len(skipped) > SKIPPED else ""
     for pair in made["agreement"]:
@@ -272,13 +264,8 @@ def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[in
     """The rows around the current one; the list moves on by `STEP`, so that the next item sends few of them."""
     at = 0 if item is None else work.indices.get(item.plain, 0)
     start = max(0, at - 3) // STEP * STEP
-    places = []
-    for place in range(start, len(work)):
-        if kind in ("all", work.keys[place].kind) and not work.gone[place]:
-            places.append(place)
-        if len(places) == ROWS:
-            break
-    return places
+    places = (k for k in range(start, len(work)) if kind in ("all", work.keys[k].kind) and not work.gone[k])
+    return list(islice(places, ROWS))
 
 
 def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> Element:

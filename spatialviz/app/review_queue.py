@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
-from pipeline.corrections.journal.edits import Edits, judge_both_ways, judge_missing, set_status
+from pipeline.answering.opening import Pipeline
+from pipeline.corrections.journal.edits import (
+    Edits,
+    judge_both_ways,
+    judge_missing,
+    judge_relation,
+    set_relation,
+    set_status,
+    settle,
+)
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
+from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.review.detector_evidence import second_setup
 from pipeline.corrections.review.items import BLOCK, ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, refreshed_worklist
-from pipeline.corrections.scene import PairCard, RelationLine, labelled_objects
+from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_card
 from pipeline.language.counted import counted
-from pipeline.relations.relations import F, T, U, letter
-from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, Part, command
-from spatialviz.app.correct import Correct
+from pipeline.relations.relations import F, T, U
+from pipeline.system.errors import InputError, needed, require
+from spatialviz.app.context import Context, command
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.keys import KEYS_OF_ONE
+from spatialviz.app.label_part import NO_LABELS, LabelPart
 from spatialviz.app.label_view import Target
 from spatialviz.app.markup import h, panel
 from spatialviz.app.review_html import KINDS, Asked, doubt_html, item_html, queue_html
@@ -28,178 +39,184 @@ LETTERS = {"T": T, "U": U, "F": F}
 DOUBT_TITLE = "Against geometry"
 
 
-class ReviewQueue(Part):
+@dataclass
+class SourceQueue:
+    """The queue of one source, as one client knows it.
+
+    Attributes
+    ----------
+    source : Pipeline
+    location : JournalLocation
+    work : Worklist or None
+    newest : Mark
+        The newest event that its states know.
+    seen : QueueProgress
+        Of its making, as it was taken last.
+    behind : bool
+        It has come since the page was drawn.
+    """
+
+    source: Pipeline
+    location: JournalLocation
+    work: Worklist | None = None
+    newest: Mark = NOTHING
+    seen: QueueProgress = field(default_factory=QueueProgress)
+    behind: bool = False
+
+    @cached_property
+    def asked(self) -> Asked:
+        """What the next one is made of."""
+        second = second_setup(self.source, self.location.labels)
+        return Asked(named="" if second is None else second[0])
+
+    @cached_property
+    def names(self) -> dict[tuple[str, int], str]:
+        """Class names of the labelled objects by frame and number: as the labels were made, then as they were seen."""
+        columns = (self.location.labels.objects.column(c).to_pylist() for c in ("frame", "object", "label"))
+        return {(frame, number): label for frame, number, label in zip(*columns, strict=True)}
+
+
+class ReviewQueue(LabelPart):
     """Walks through the queue of the source that a client looks at."""
 
-    def __init__(self, ctx: Context, correct: Correct) -> None:
+    def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._correct = correct
-        self._works: dict[str, Worklist] = {}
-        self._newest: dict[str, Mark] = {}
-        self._makings: dict[str, QueueProgress] = {}
-        self._behind: set[str] = set()
-        self._asked: dict[str, Asked] = {}
-        self._names: dict[str, dict[tuple[str, int], str]] = {}
+        self._queues = {
+            name: SourceQueue(ctx.shared.store.sources[name], location)
+            for name, location in ctx.shared.journals.items()
+        }
         self._kind = "all"
         self._ahead: tuple[str, str] | None = None
         self._doubted: tuple[str, str] | None = None
-        correct.on_saved(lambda _: self._caught_up())
-        correct.on_doubt = self._doubt
+        ctx.editors.on_saved.append(lambda _: self._caught_up())
         ctx.leave += [
-            place.jobs.queue.listen(lambda name=name: ctx.post(lambda: self._made(name)))
-            for name, place in ctx.shared.journals.items()
+            queue.location.jobs.queue.listen(lambda queue=queue: ctx.post(lambda: self._made(queue)))
+            for queue in self._queues.values()
         ]
 
     @property
-    def _work(self) -> Worklist | None:
-        return self._works.get(self.state.source)
+    def _queue(self) -> SourceQueue:
+        return needed(self._queues.get(self.state.source), NO_LABELS)
 
     @property
     def _item(self) -> ItemKey | None:
-        view = self.state.labels
-        return None if view is None else view.item
+        return None if self.state.labels is None else self.state.labels.item
 
     # ---- the queue --------------------------------------------------------------------
 
     @command("make-queue")
     def make(self) -> None:
         """Make the queue of the source that is looked at, of what is switched on."""
-        name = self.state.source
-        place, asked = self.ctx.shared.journals.get(name), self._asks(name)
-        if place is None or place.jobs.queue.running:
+        queue, place, asked = self._queue, self.location, self._queue.asked
+        if place.jobs.queue.running:
             return
-        source = self.ctx.shared.store.sources[name]
-        second = second_setup(source, place.labels) if asked.detector else None
+        called, detector = (asked.detector and second_setup(queue.source, place.labels)) or (None, None)
         place.jobs.make(
             lambda out: QueueJob(
                 place.labels.root,
                 out,
                 None if place.where is None else str(place.where),
                 place.project,
-                str(source.dataset.root),
+                str(queue.source.dataset.root),
                 networks=asked.networks,
-                detector=None if second is None else second[1],
-                called=None if second is None else second[0],
+                detector=detector,
+                called=called,
             )
         )
 
     @command("stop-queue")
     def stop(self) -> None:
         """End what makes the queue, whoever began it; the one that there is stays."""
-        place = self.ctx.shared.journals.get(self.state.source)
-        if place is not None:
-            place.jobs.queue.stop()
+        self.location.jobs.queue.stop()
 
     @command("queue-from")
     def switch(self, what: str) -> None:
         """Put networks or the detector into the next queue, or leave them out."""
-        name = self.state.source
-        asked = self._asks(name)
         if what in ("networks", "detector"):
-            self._asked[name] = replace(asked, **{what: not getattr(asked, what)})
+            asked = self._queue.asked
+            self._queue.asked = replace(asked, **{what: not getattr(asked, what)})
             self.follow()
 
-    def _asks(self, name: str) -> Asked:
-        if name not in self._asked:
-            second = second_setup(self.ctx.shared.store.sources[name], self.ctx.shared.journals[name].labels)
-            self._asked[name] = Asked(named="" if second is None else second[0])
-        return self._asked[name]
-
-    def _made(self, name: str) -> None:
+    def _made(self, queue: SourceQueue) -> None:
         """Take what is made by now, whoever began it."""
-        self._taken(name)
+        self._take(queue)
         self.follow()
 
-    def _taken(self, name: str) -> QueueProgress:
-        was, now = self._makings.get(name, QueueProgress()), self.ctx.shared.journals[name].jobs.queue.seen
-        self._makings[name] = now
+    def _take(self, queue: SourceQueue) -> None:
+        was, now = queue.seen, queue.location.jobs.queue.seen
+        queue.seen = now
         if now.work is not None and now.work is not was.work:
-            self._works[name], self._newest[name] = now.work, (now.made or {}).get("last", NOTHING)
-            self._behind.add(name)
+            made = now.made or {}
+            queue.work, queue.newest, queue.behind = now.work, made.get("last", NOTHING), True
             self.ctx.note(f"review queue: {counted(len(now.work), 'item')}")
-            self._note_skipped(now)
+            detector = made.get("detector")
+            if detector and detector["skipped"]:
+                (frame, why), *_ = detector["skipped"].items()
+                number = counted(len(detector["skipped"]), "frame")
+                self.ctx.note(f"the detector {detector['name']} could not look at {number}, as {frame}: {why}")
         if now.problem and now.problem != was.problem:
             stopped = now.problem == CANCELLED
             self.ctx.note("the review queue is not made" if stopped else f"no review queue: {now.problem}")
-        return now
-
-    def _note_skipped(self, making: QueueProgress) -> None:
-        asked = (making.made or {}).get("detector")
-        if asked is not None and (skipped := asked["skipped"]):
-            frame, why = next(iter(skipped.items()))
-            number = counted(len(skipped), "frame")
-            self.ctx.note(f"the detector {asked['name']} could not look at {number}, as {frame}: {why}")
 
     def _caught_up(self) -> Worklist | None:
         """The list of the source that is looked at, with what anybody has saved by now."""
-        name, work, desk = self.state.source, self._work, self._correct.desk
-        if work is None or desk is None:
-            return work
-        self._behind.discard(name)
+        queue = self._queues.get(self.state.source)
+        if queue is None or queue.work is None:
+            return None
+        queue.behind = False
         # Where the journal cannot be read now, what waits says so already.
         with suppress(InputError):
-            journal = desk.location.to_read()
+            journal, corrector = self.location.to_read(), self.editor.corrector
             if journal is not None:
-                work, self._newest[name] = refreshed_worklist(
-                    work, desk.corrector, journal, self._newest.get(name, NOTHING)
-                )
-                self._works[name] = work
-        return work
+                queue.work, queue.newest = refreshed_worklist(queue.work, corrector, journal, queue.newest)
+        return queue.work
 
     # ---- walking ----------------------------------------------------------------------
 
     @command("next-item")
     def step(self, step: int) -> None:
         """Look at the next item that is open, or at the one above."""
-        work = self._caught_up()
+        work, found = self._caught_up(), self._item
         if work is None:
             return
         if step < 0:
-            found = self._item
             while (found := work.previous(found)) is not None and self._kind not in ("all", found.kind):
                 pass
         else:
-            found = self._next(work, self._item)
+            found = self._next(work, found)
         if found is not None:
-            self.look_at(found)
+            self.open(found)
 
     def _next(self, work: Worklist, after: ItemKey | None) -> ItemKey | None:
         return work.next_item(after, kind=None if self._kind == "all" else self._kind)
 
     @command("item")
-    def open(self, place: int) -> None:
+    def open_row(self, place: int) -> None:
         """Look at the item of a row."""
-        work = self._work
+        work = self._queue.work
         if work is not None and 0 <= place < len(work):
-            self.look_at(work.keys[place])
+            self.open(work.keys[place])
 
-    def look_at(self, key: ItemKey) -> None:
+    def open(self, key: ItemKey) -> None:
         """Show an item: its pair, its object, or the ends of its sentence."""
-        work, desk = self._work, self._correct.open_desk
-        try:
-            if desk is not None and self.state.labels is not None:
-                desk.events(key.frame)
-        except InputError as error:
+        work = self._queue.work
+        if self.state.labels is not None:
             # Better stay where labels are seen than go where they are not.
-            self._correct.refuse(str(error))
-            return
+            self.editor.events(key.frame)
         ends = (key.a, key.b)
         if work is not None and key.kind == "expression" and key.plain in work.indices:
             row = work.row(key)
             ends = (row["a"], row["b"])
         numbers = tuple(n for n in ends if n is not None and n >= 0)
-        relation = key.what if key.kind == "relation" else None
-        self._correct.look_at(Target(key.frame, numbers, relation, key))
+        self.look_at(Target(key.frame, numbers, key.what if key.kind == "relation" else None, key))
         self._prefetch(key)
 
     def _prefetch(self, key: ItemKey | None) -> None:
         """Make the next frame of the queue ready, while this item is looked at."""
-        name, work, desk = self.state.source, self._work, self._correct.desk
-        if work is None or desk is None:
-            return
-        after = self._next(work, key)
+        name, work, editor = self.state.source, self._queue.work, self.editor
+        after = None if work is None else self._next(work, key)
         for _ in range(BLOCK):
-            if after is None or key is None or after.frame != key.frame:
+            if work is None or after is None or key is None or after.frame != key.frame:
                 break
             after = self._next(work, after)
         if after is None or (name, after.frame) == self._ahead:
@@ -208,7 +225,7 @@ class ReviewQueue(Part):
         self._ahead = name, frame
 
         def draw(loaded: LoadedFrame) -> None:
-            for entry in labelled_objects(desk.saved(frame)):
+            for entry in labelled_objects(editor.saved(frame)):
                 loaded.thumb(entry.bbox)
 
         self.ctx.shared.store.prepare(name, [frame], draw)
@@ -224,124 +241,130 @@ class ReviewQueue(Part):
     # ---- settling ---------------------------------------------------------------------
 
     @command("settle")
-    def settle(self, said: str, sure: bool = False) -> None:
+    def settle_relation(self, said: str, sure: bool = False) -> None:
         """Settle a relation: "left:T" of the pair that is shown, "T" of the open item, or without one of that pair.
 
         A key belongs to the open item, whatever is looked at beside it. From
-        there it goes on to the next one.
+        there it goes on to the next one. What geometry contradicts by decimetres
+        is asked about before it is saved, unless they are `sure`.
         """
-        view, item = self.state.labels, self._item
+        view, item = self.view, self._item
         *named, letter = said.split(":")
-        if view is None or letter not in LETTERS:
+        if letter not in LETTERS:
             return
         if item is not None and item.b is not None and not named and item.kind == "relation":
             relation, ends = item.what, (item.a, item.b)
         elif view.card is not None and (item is None or named):
             relation, ends = named[0] if named else view.relation, (view.card.a, view.card.b)
         else:
-            self._correct.refuse(f"T, U and F are for the relation of two objects. {KEYS_OF_ONE}.")
-            return
+            raise InputError(f"T, U and F are for the relation of two objects. {KEYS_OF_ONE}.")
         if named:
-            self._correct.focus_relation(named[0])
-        work = self._work
-        last_word = work is not None and item is not None and work.is_disputed(item)
+            self.ctx.handle(f"relation-row:{named[0]}")
+        card = pair_card(view.frame, *ends)
+        line = next((x for x in card.lines if x.relation == relation), None)
+        line = needed(line, card.why_none or "the pair has no such relation")
         # The key that was answered by a question answers it when it is pressed again.
-        sure = sure or (self._doubted == (view.frame.frame, said) and self.ctx.dialog.title == DOUBT_TITLE)
-        self._doubted = view.frame.frame, said
-        if not self._correct.settle(ends, relation, LETTERS[letter], last_word=last_word, sure=sure):
+        doubted, self._doubted = self._doubted, (view.frame.frame, said)
+        sure = sure or (self._doubted == doubted and self.ctx.dialog.title == DOUBT_TITLE)
+        if not sure and line.against(LETTERS[letter]) > ASKED_BEYOND_M:
+            save = h.button(f"Save {letter} all the same", do="settle-sure")
+            self.ctx.dialog.show(DOUBT_TITLE, doubt_html(card, line, LETTERS[letter]), save)
             return
+        self._settle(ends, line.relation, LETTERS[letter])
         if sure:
             self.ctx.dialog.close()
         own = item is not None and (item.what, item.a, item.b) == (relation, *ends)
-        if not (own and item is not None and self._go_on(item)):
+        if not own or item is None or not self._go_on(item):
             self.ctx.draw()
 
-    def _doubt(self, card: PairCard, line: RelationLine, state: int) -> None:
-        """Ask before a judgement is saved that geometry contradicts."""
-        self.ctx.dialog.show(
-            DOUBT_TITLE, doubt_html(card, line, state), h.button(f"Save {letter(state)} all the same", do="settle-sure")
-        )
+    def _settle(self, ends: tuple[int, int], relation: str, state: int) -> None:
+        """Save the state of a relation.
+
+        A label that is right already is accepted, under this person's name. One
+        that somebody else has settled by hand stays as it is, too: this person's
+        word on it is noted, and reviewers who differ are told; where they do, it
+        is settled for all of them.
+        """
+        work, item, author = self._queue.work, self._item, self.editor.author
+        disputed = work is not None and item is not None and work.is_disputed(item)
+
+        def made(frame: EffectiveFrame) -> Edits:
+            is_so = frame.pairs.state(*ends, relation) == state
+            if disputed:
+                cell = relation_ref(frame.frame, *ends, f"{relation}.status")
+                return settle(frame, cell, "accepted" if is_so else "corrected", state=state)
+            origin = frame.origin(relation_ref(frame.frame, *ends, relation))
+            if is_so or (origin.source == "human" and origin.author != author):
+                return judge_relation(frame, *ends, relation, state, author)
+            return set_relation(frame, *ends, relation, state)
+
+        self.save(made, draw=False)
 
     @command("settle-sure")
     def _sure(self) -> None:
         """Save what was asked about."""
-        view, doubted = self.state.labels, self._doubted
         self.ctx.dialog.close()
-        if view is not None and doubted is not None and doubted[0] == view.frame.frame:
-            self.settle(doubted[1], sure=True)
+        if self._doubted is not None and self._doubted[0] == self.view.frame.frame:
+            self.settle_relation(self._doubted[1], sure=True)
 
     @command("leave-item")
     def leave(self) -> None:
         """Look at the item no longer; the keys act on what is selected again."""
-        view = self.state.labels
-        if view is not None and view.item is not None:
-            self.ctx.show(labels=replace(view, item=None))
+        if self._item is not None:
+            self.ctx.show(labels=replace(self.view, item=None))
 
     @command("accept-item=accepted", "reject-item=rejected", "unsure-item=unsure")
     def say(self, status: str) -> None:
         """Say of the item that is looked at, else of the selected object, that it is right, wrong, or unclear."""
-        view, desk, item = self.state.labels, self._correct.desk, self._item
-        if view is None or desk is None:
+        item, number, author = self._item, self.number, self.editor.author
+        if item is None and number is None:
             return
-        selected = self.state.selected
-        if item is None and selected is None:
-            return
-        number = None if selected is None else view.numbers[selected]
 
         def made(frame: EffectiveFrame) -> Edits:
             if item is not None and item.kind == "object" and item.a < 0:
-                return judge_missing(frame, item.what, status, desk.author)
-            cell = object_ref(frame.frame, int(number or 0), "status") if item is None else status_cell(item)
-            if cell.kind == "relation" and status == "rejected":
-                raise InputError("a relation is not rejected", expected="T, U or F")
-            if cell.kind == "relation":
-                return judge_both_ways(frame, cell, status, desk.author)
-            return set_status(frame, cell, status, author=desk.author)
+                return judge_missing(frame, item.what, status, author)
+            cell = object_ref(frame.frame, number or 0, "status") if item is None else status_cell(item)
+            if cell.kind != "relation":
+                return set_status(frame, cell, status, author=author)
+            require(status != "rejected", "a relation is not rejected", expected="T, U or F")
+            return judge_both_ways(frame, cell, status, author)
 
-        if self._correct.save(made, draw=False) and (item is None or not self._go_on(item)):
+        self.save(made, draw=False)
+        if item is None or not self._go_on(item):
             self.ctx.draw()
 
     def _go_on(self, item: ItemKey) -> bool:
-        work, desk = self._work, self._correct.desk
-        after = None if work is None or desk is None or desk.waiting else self._next(work, item)
+        work = self._queue.work
+        after = None if work is None or self.editor.waiting else self._next(work, item)
         if after is None or after.plain == item.plain:
             return False
-        self.look_at(after)
+        self.open(after)
         return True
 
     # ---- drawing ----------------------------------------------------------------------
 
     def follow(self) -> None:
         """Bring the list and the item up to the state; the first time, make the queue."""
-        name, page = self.state.source, self.ctx.page
-        if name not in self.ctx.shared.journals:
+        queue, view, page, item = self._queues.get(self.state.source), self.state.labels, self.ctx.page, self._item
+        if queue is None:
             return
-        making = self._taken(name)
-        if self.state.labels is not None:
-            if name in self._behind:
-                self._caught_up()
-                self._prefetch(self._item)
-            if making == QueueProgress():
-                self.make()
-                making = self._taken(name)
-        work, names, item = self._work, self._known_names(name), self._item
-        shown = None
-        if work is not None and item is not None and item.plain in work.indices and not work.is_gone(item):
-            shown = panel(item_html(work, names, item))
-        page.show("review-item", shown)
-        page.show("review-list", queue_html(work, making, self._asks(name), self._kind, item, names))
-
-    def _known_names(self, name: str) -> dict[tuple[str, int], str]:
-        """Class names of the labelled objects, as the labels were made."""
-        if name not in self._names:
-            objects = self.ctx.shared.journals[name].labels.objects
-            columns = (objects.column(c).to_pylist() for c in ("frame", "object", "label"))
-            self._names[name] = {(f, n): label for f, n, label in zip(*columns, strict=True)}
-        view = self.state.labels
+        self._take(queue)
         if view is not None:
-            frame = view.frame
-            self._names[name].update({(frame.frame, n): r["label"] for n, r in frame.objects.items()})
-        return self._names[name]
+            if queue.behind:
+                self._caught_up()
+                self._prefetch(item)
+            if queue.seen == QueueProgress():
+                self.make()
+                self._take(queue)
+            queue.names.update({(view.frame.frame, n): row["label"] for n, row in view.frame.objects.items()})
+        work, shown = queue.work, None
+        if work is not None and item is not None and item.plain in work.indices and not work.is_gone(item):
+            shown = panel(item_html(work, queue.names, item))
+        if work is not None and self.ctx.reviewed is not work.frame_counts:
+            self.ctx.reviewed = work.frame_counts
+            self.ctx.post(lambda: self.ctx.handle("strip"))
+        page.show("review-item", shown)
+        page.show("review-list", queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names))
 
 
 def status_cell(item: ItemKey) -> FieldRef:

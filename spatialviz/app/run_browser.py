@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from pipeline.evaluation.summary import RunSummary, summarise_run
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 
+Figure = TypeVar("Figure")
 PAGE = 20
 COLUMNS = ("id", "frame", "text", "verdict", "detail", "lucky", "margin", "said", "target", "relation", "reference")
 FIRST = ("-verdict:CORRECT,LABEL", "-verdict:CORRECT", "")
@@ -122,8 +124,6 @@ class RunBrowser:
 
     def opened(self, listing: Listing, place: int) -> Listing:
         """The listing with the expression at a place of the matches open, on its page."""
-        if not 0 <= place < len(listing.keys):
-            return listing
         moved = listing if place // PAGE == listing.page else self.turned(listing, place // PAGE)
         return replace(moved, at=listing.keys[place])
 
@@ -147,19 +147,13 @@ class RunFigures:
     @cached_property
     def summary(self) -> RunSummary | str:
         """Verdicts, and what each module costs."""
-        try:
-            return summarise_run(self.run.records)
-        except InputError as error:
-            return str(error)
+        return _or_why(lambda: summarise_run(self.run.records))
 
     def slices(self, dimension: str) -> Slices | str:
         """The run cut by a dimension; of texts the most frequent ones."""
         if dimension not in self._slices:
-            try:
-                found: Slices | str = slice_by({self.run.name: self.run.records}, dimension, most=MOST_SHOWN)
-            except InputError as error:
-                found = str(error)
-            self._slices[dimension] = found
+            records = {self.run.name: self.run.records}
+            self._slices[dimension] = _or_why(lambda: slice_by(records, dimension, most=MOST_SHOWN))
         return self._slices[dimension]
 
     @cached_property
@@ -183,11 +177,16 @@ class RunFigures:
 
     @cached_property
     def _standings(self) -> Standings | str:
-        try:
-            made_with = self.run.manifest.get("labels") or {}
-            return answer_standings(self.run.records, self.run.labels, made_with.get("content_hash"))
-        except InputError as error:
-            return str(error)
+        made_with = self.run.manifest.get("labels") or {}
+        return _or_why(lambda: answer_standings(self.run.records, self.run.labels, made_with.get("content_hash")))
+
+
+def _or_why(figure: Callable[[], Figure]) -> Figure | str:
+    """A figure, or why there is none."""
+    try:
+        return figure()
+    except InputError as error:
+        return str(error)
 
 
 @lru_cache(maxsize=8)

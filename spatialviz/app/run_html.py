@@ -160,10 +160,8 @@ def slices_html(figures: RunFigures, cut: str) -> Element:
 
 def _slice(s: Slice, found: Slices) -> Element:
     parts = []
-    for verdict in VERDICTS:
-        count = s.counts.get(verdict, 0)
-        if not count:
-            continue
+    for verdict in filter(s.counts.get, VERDICTS):
+        count = s.counts[verdict]
         hint = f"{verdict}: {count} of {s.n} ({s.verdicts[verdict].value:.1%})"
         way = {} if s.query is None else searches(f"{s.query} verdict:{verdict}".strip())
         parts.append(h.i(css={"--c": hex_color(COLORS[verdict]), "width": f"{count / s.n:.2%}"}, title=hint, **way))
@@ -276,10 +274,7 @@ def listing_html(listing: Listing | None, thumbs: Mapping[str, str]) -> Element:
 def _verdict_chips(listing: Listing) -> tuple[Element, Element]:
     asked = {word[8:] for word in listing.query.split() if word.startswith("verdict:")}
     bars, chips = [], []
-    for verdict in VERDICTS:
-        count = listing.counts.get(verdict, 0)
-        if not count:
-            continue
+    for verdict, count in listing.counts.items():
         color, share, on = hex_color(COLORS[verdict]), count / listing.total, verdict in asked
         # The same chip again shows all failures.
         search = "find:" if on else f"find:verdict:{verdict}"

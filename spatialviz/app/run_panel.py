@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from spatialviz.app.context import Context, Part, command
-from spatialviz.app.markup import panel
+from spatialviz.app.markup import Element, panel
 from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing, RunBrowser, RunFigures, figures_of
 from spatialviz.app.run_html import (
@@ -25,13 +25,14 @@ FILLED = 4
 
 
 class RunPanel(Part):
-    """Searches the run of the source that a client looks at."""
+    """Searches the run of the source that a client looks at, and shows its figures."""
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
         self._browsers = {name: RunBrowser(figures_of(run)) for name, run in ctx.shared.runs.items()}
         self._thumbs: dict[str, str] = {}
         self._source: str | None = None
+        self._cut = next(iter(CUTS))
 
     @property
     def _browser(self) -> RunBrowser | None:
@@ -50,6 +51,7 @@ class RunPanel(Part):
         browser = self._browser
         self._ready(None if browser is None else browser.first.query)
         self._set(None if browser is None else browser.first)
+        self._draw_figures()
 
     def reveal(self, frame: str, expression: str) -> None:
         """Mark an expression as the one that is open, among all of the run where the search did not find it."""
@@ -91,16 +93,14 @@ class RunPanel(Part):
 
     def _ready(self, query: str | None) -> None:
         """Have the field of the search hold this one, with nothing offered; without a run there is none."""
-        fields = (None, None) if query is None else (search_html(query), offers_html(()))
-        self.ctx.page.show("search", fields[0])
-        self.ctx.page.show("offers", fields[1])
+        self.ctx.page.show("search", None if query is None else search_html(query))
+        self.ctx.page.show("offers", None if query is None else offers_html(()))
 
     @command("complete")
     def complete(self, typed: str) -> None:
         """Offer words for the last one of a search that is being typed."""
-        browser = self._browser
-        if browser is not None:
-            self.ctx.page.show("offers", offers_html(browser.offered(typed)))
+        if self._browser is not None:
+            self.ctx.page.show("offers", offers_html(self._browser.offered(typed)))
 
     @command("find-page")
     def turn(self, page: int) -> None:
@@ -151,48 +151,31 @@ class RunPanel(Part):
             if source != self._source or now is None or now.rows != listing.rows:
                 return
             for frame in missing[:FILLED]:
-                self._thumbs[frame] = self.ctx.shared.store.thumb(source, frame)[0]
+                self._thumbs[frame] = self.ctx.shared.pictures.url(source, frame)
             self._draw()
             self._fill(now)
 
         self.ctx.post(fill)
 
+    # ---- figures ------------------------------------------------------------------------
 
-class RunTab(Part):
-    """Shows the figures of the run of the source that a client looks at."""
-
-    def __init__(self, ctx: Context) -> None:
-        super().__init__(ctx)
-        self._cut = next(iter(CUTS))
-        self._shown: RunFigures | None = None
-        self._source = ""
-
-    def follow(self) -> None:
-        """Show the run of the source that is looked at, one part after the other."""
-        if self._source == self.state.source:
-            return
-        self._source, run = self.state.source, self.ctx.run
-        figures = self._shown = None if run is None else figures_of(run)
-        page = self.ctx.page
+    def _draw_figures(self) -> None:
+        """Show the figures of the run that is looked at, one part after the other."""
+        page, browser = self.ctx.page, self._browser
         for region in ("run-summary", "run-slices", "run-confusion"):
             page.show(region)
-        if figures is None:
-            return
 
-        def draw(part: Callable[[], None]) -> None:
-            self.ctx.post(lambda: part() if self._shown is figures else None)
+        def draw(region: str, made: Callable[[RunFigures], Element]) -> None:
+            if browser is not None and browser is self._browser:
+                page.show(region, made(browser.figures))
 
-        draw(lambda: page.show("run-summary", summary_html(figures)))
-        draw(self._draw_slices)
-        draw(lambda: page.show("run-confusion", confusion_html(figures)))
+        self.ctx.post(lambda: draw("run-summary", summary_html))
+        self.ctx.post(lambda: draw("run-slices", lambda figures: slices_html(figures, self._cut)))
+        self.ctx.post(lambda: draw("run-confusion", confusion_html))
 
     @command("cut")
     def cut(self, dimension: str) -> None:
         """Cut the run by another dimension."""
-        if dimension in CUTS:
+        if dimension in CUTS and self._browser is not None:
             self._cut = dimension
-            self._draw_slices()
-
-    def _draw_slices(self) -> None:
-        if self._shown is not None:
-            self.ctx.page.show("run-slices", slices_html(self._shown, self._cut))
+            self.ctx.page.show("run-slices", slices_html(self._browser.figures, dimension))

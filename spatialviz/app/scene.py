@@ -19,7 +19,9 @@ from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import EDGES, Box3D, ray_entry
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.palette import RGB, Role, hex_color, palette
+from pipeline.system.errors import needed
 from spatialviz.app.frames import Cloud
+from spatialviz.app.markup import detector_score
 from spatialviz.app.scene_client import Node, SceneClient, triple
 from spatialviz.app.state import NOTHING, Ghost, Shown, State
 
@@ -77,31 +79,31 @@ class SceneView:
         self.cloud: Cloud | None = None
         self.to_show = np.eye(3)
 
-        @client.scene.on_click()
-        def _(event: Any) -> None:
-            origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
-            on_ray(self._pixel_on_ray(origin, direction), self._boxes_on_ray(origin, direction))
+        def clicked(event: Any) -> None:
+            ray = np.array(event.ray_origin), np.array(event.ray_direction)
+            on_ray(self._pixel_on_ray(*ray), self._boxes_on_ray(*ray))
+
+        client.on_click(clicked)
 
     def draw(self, state: State) -> list[Tag]:
         """Draw boxes and pair lines, and return the names to show."""
         colors, flags, lines = palette(state.dark), state.flags, self._client.lines
         shown = state.shown if state.own_layer else NOTHING
-        boxes = {i: entry.lifted.box for i, entry in enumerate(shown.objects)}
-        self._boxed = {i: self.shown_box(box) for i, box in boxes.items() if box is not None}
-        roles = state.roles
-        role_of: dict[int, Role] = {i: roles.get(i, "other") for i in self._boxed}
+        boxes = ((i, entry.lifted.box) for i, entry in enumerate(shown.objects))
+        self._boxed = {i: self.shown_box(box) for i, box in boxes if box is not None}
+        role_of: dict[int, Role] = {i: state.roles.get(i, "other") for i in self._boxed}
+        wanted = [i for i in self._boxed if state.boxes_shown or role_of[i] != "other"]
         with self._client.atomic():
             for role in ("other", "reference", "target"):
-                members = [box for i, box in self._boxed.items() if role_of[i] == role]
-                wanted = state.boxes_shown or role != "other"
-                lines(f"/boxes/{role}", edges(members if wanted else ()), colors[role], LINE_WIDTH[role])
+                members = [self._boxed[i] for i in wanted if role_of[i] == role]
+                lines(f"/boxes/{role}", edges(members), colors[role], LINE_WIDTH[role])
             selected = state.selected if state.hovered is None else state.hovered
             chosen = [self._boxed[selected]] if selected in self._boxed else []
             lines("/boxes/selected", edges(chosen), (255, 255, 255) if state.dark else (20, 22, 26), 2.0)
             annotated = () if state.loaded is None or not flags.truth else state.loaded.context.frame.annotations
             truth = [self.shown_box(a.box) for a in annotated if a.box is not None]
             lines("/boxes/truth", edges(truth), colors["truth"], LINE_WIDTH["truth"])
-            self._draw_faces([i for i in self._boxed if state.boxes_shown or role_of[i] != "other"], role_of, colors)
+            self._draw_faces(wanted, role_of, colors)
             self._draw_pairs(state.pair_lines if flags.pairs else (), colors)
             tags = self._draw_axes(state) + self._draw_ghosts(state.ghosts if flags.ghosts else (), colors)
             return tags + self._draw_tags(shown, role_of, selected, flags.labels, colors)
@@ -109,11 +111,11 @@ class SceneView:
     def _draw_ghosts(self, ghosts: Sequence[Ghost], colors: Mapping[Role, RGB]) -> list[Tag]:
         """Boxes beside the answer's, in lines of their own and a little larger."""
         tags = []
-        shown = [(g, self.shown_box(g.box)) for g in ghosts]
         for role in ("truth", "edited"):
-            members = [box for ghost, box in shown if ghost.role == role]
+            members = [self.shown_box(ghost.box) for ghost in ghosts if ghost.role == role]
             self._client.lines(f"/boxes/ghosts-{role}", edges(members, GHOST_GROWTH), colors[role], 2.4)
-        for ghost, box in shown:
+        for ghost in ghosts:
+            box = self.shown_box(ghost.box)
             anchor = self._client.anchor(f"/tags/ghost-{ghost.key}", box.center)
             tags.append(Tag(anchor, ghost.text, "", hex_color(colors[ghost.role]), False, extent=half_size(box)))
         return tags
@@ -193,16 +195,17 @@ class SceneView:
         for i, box in self._boxed.items():
             strong = role_of[i] != "other" or i == selected
             if strong or every:
-                score = shown.objects[i].score
-                detail = "" if score >= 0.9995 else f"{score:.2f}"
-                anchor, color = self._client.anchor(f"/tags/{i}", box.center), hex_color(colors[role_of[i]])
+                detail = detector_score(shown.objects[i].score)
+                # The target's name goes from one to the other: a node that moves is less to send than a new one.
+                place = "target" if role_of[i] == "target" else i
+                anchor, color = self._client.anchor(f"/tags/{place}", box.center), hex_color(colors[role_of[i]])
                 tags.append(Tag(anchor, shown.names[i], detail, color, strong, extent=half_size(box)))
         # Names of the answer are put last so that they lie on top of the others.
         return sorted(tags, key=lambda t: t.strong)
 
     def _boxes_on_ray(self, origin: np.ndarray, direction: np.ndarray) -> list[int]:
         """The boxes a ray passes, the smallest first: a mug is meant rather than the table around it."""
-        hit = [i for i, b in self._boxed.items() if ray_entry(b, origin, direction) is not None]
+        hit = (i for i, b in self._boxed.items() if ray_entry(b, origin, direction) is not None)
         return sorted(hit, key=lambda i: self._boxed[i].volume)
 
     def _pixel_on_ray(self, origin: np.ndarray, direction: np.ndarray) -> tuple[int, int] | None:
@@ -222,7 +225,7 @@ class SceneView:
 
 def half_size(box: Box3D) -> tuple[float, float, float]:
     """Half of what a box takes along the axes of the scene, metres."""
-    return triple((box.corners.max(axis=0) - box.corners.min(axis=0)) / 2)
+    return triple(np.round((box.corners.max(axis=0) - box.corners.min(axis=0)) / 2, 4))
 
 
 def edges(boxes: Sequence[Box3D], growth: float = 0.0) -> np.ndarray:
@@ -233,7 +236,7 @@ def edges(boxes: Sequence[Box3D], growth: float = 0.0) -> np.ndarray:
 
 SAMPLE = 20_000
 """Points of a cloud that say where it lies."""
-AROUND, NEAREST = 1.12, 0.9
+AROUND, NEAREST = 1.12, 0.55
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
 
 
@@ -247,7 +250,8 @@ class Viewpoint:
         self._camera: Camera | None = None
         self._placed: tuple[str, float, np.ndarray] | None = None
         self._reached = False
-        self._moved = False
+        self.untouched = True
+        """Whether the view is as it was placed, nobody having turned it since."""
         self._about: np.ndarray | None = None
 
         @client.camera.on_update
@@ -257,7 +261,7 @@ class Viewpoint:
             kind, aspect, eye = self._placed
             there = np.linalg.norm(np.array(camera.position) - eye) < 0.02
             if self._reached and not there:
-                self._placed, self._moved = None, True
+                self._placed, self.untouched = None, False
                 return
             # Until the browser has taken the pose over it reports an older one.
             self._reached = self._reached or bool(there)
@@ -271,9 +275,7 @@ class Viewpoint:
     def look_about(self, corners: np.ndarray | None) -> bool:
         """Have "pair" show these points ((N, 3), shown frame, metres); whether they are others than before."""
         before, self._about = self._about, corners
-        if before is None or corners is None:
-            return before is not corners
-        return not np.array_equal(before, corners)
+        return before is not corners if before is None or corners is None else not np.array_equal(before, corners)
 
     def fly(self, kind: str) -> None:
         """Move the camera to "pair", "sensor", "orbit" or "top", smoothly."""
@@ -285,18 +287,15 @@ class Viewpoint:
         for k in range(1, 13):
             t = k / 12
             t = t * t * (3 - 2 * t)
-            with self._client.atomic():
-                camera.position = p0 * (1 - t) + eye * t
-                camera.look_at = l0 * (1 - t) + look * t
-                camera.fov = f0 * (1 - t) + fov * t
+            self._turn(position=p0 * (1 - t) + eye * t, look_at=l0 * (1 - t) + look * t, fov=f0 * (1 - t) + fov * t)
             self._client.flush()
             time.sleep(1 / 40)
-        self._placed, self._reached, self._moved = (kind, self._aspect, eye), False, False
+        self._placed, self._reached, self.untouched = (kind, self._aspect, eye), False, True
 
-    @property
-    def untouched(self) -> bool:
-        """Whether the view is as it was placed, nobody having turned it since."""
-        return not self._moved
+    def _turn(self, **pose: Any) -> None:
+        with self._client.atomic():
+            for name, value in pose.items():
+                setattr(self._client.camera, name, value)
 
     @property
     def _aspect(self) -> float:
@@ -305,59 +304,41 @@ class Viewpoint:
     def place(self, kind: str) -> None:
         """The same at once; repeated when the shape of the page changes before anybody has turned the view."""
         eye, look, fov = self._pose(kind)
-        self._placed = (kind, self._aspect, eye)
-        self._reached = self._moved = False
-        with self._client.atomic():
-            self._client.camera.up_direction = self._up(kind)
-            self._client.camera.position = eye
-            self._client.camera.look_at = look
-            self._client.camera.fov = fov
+        self._placed, self._reached, self.untouched = (kind, self._aspect, eye), False, True
+        self._turn(up_direction=self._up(kind), position=eye, look_at=look, fov=fov)
 
     def turned_to(self) -> tuple[CameraView, float] | None:
         """Where the camera was turned to, in the frame's camera frame, and its field of view; None where it was not."""
         if self.untouched or self._points is None:
             return None
-        camera, back = self._client.camera, self._to_show.T
+        camera = self._client.camera
         vectors = (camera.position, camera.look_at, camera.up_direction)
-        eye, look, up = ([round(float(x), 4) for x in back @ np.array(v)] for v in vectors)
-        view = CameraView((eye[0], eye[1], eye[2]), (look[0], look[1], look[2]), (up[0], up[1], up[2]))
-        return view, float(camera.fov)
+        return CameraView(*(triple((self._to_show.T @ np.array(v)).round(4)) for v in vectors)), float(camera.fov)
 
     def turn_to(self, view: CameraView, fov: float | None) -> None:
         """Turn the camera to where it was turned before."""
         eye, look, up = (self._to_show @ np.array(v) for v in (view.position, view.look_at, view.up))
         if np.linalg.norm(look - eye) < 1e-4 or np.linalg.norm(np.cross(look - eye, up)) < 1e-6:
             return  # No way to look.
-        self._placed, self._moved = None, True
-        with self._client.atomic():
-            self._client.camera.up_direction = up
-            self._client.camera.position = eye
-            self._client.camera.look_at = look
-            if fov is not None and 0.05 < fov < 3.0:
-                self._client.camera.fov = fov
+        self._placed, self.untouched = None, False
+        width = {"fov": fov} if fov is not None and 0.05 < fov < 3.0 else {}
+        self._turn(up_direction=up, position=eye, look_at=look, **width)
 
     def focus(self, box: Box3D) -> None:
         """Turn around an object: look at it from where the camera stands, nearer."""
         center = self._to_show @ box.center
         # The next frame is shown as a whole again.
-        self._placed, self._moved = None, False
-        camera = self._client.camera
-        away = np.array(camera.position) - center
-        distance = max(float(np.linalg.norm(box.size)) * 1.9, 0.5)
-        away *= distance / max(float(np.linalg.norm(away)), 1e-6)
-        with self._client.atomic():
-            camera.position = center + away
-            camera.look_at = center
+        self._placed, self.untouched = None, True
+        away = np.array(self._client.camera.position) - center
+        away *= max(float(np.linalg.norm(box.size)) * 1.9, 0.5) / max(float(np.linalg.norm(away)), 1e-6)
+        self._turn(position=center + away, look_at=center)
 
     def _up(self, kind: str) -> tuple[float, float, float]:
         """The sensor's own up in its view, so that the picture stands as it was taken; the world's elsewhere."""
-        up = self._to_show @ np.array([0.0, -1.0, 0.0]) if kind == "sensor" else np.array([0.0, 0.0, 1.0])
-        return float(up[0]), float(up[1]), float(up[2])
+        return triple(self._to_show @ np.array([0.0, -1.0, 0.0]) if kind == "sensor" else np.array([0.0, 0.0, 1.0]))
 
     def _pose(self, kind: str) -> tuple[np.ndarray, np.ndarray, float]:
-        assert self._points is not None
-        assert self._camera is not None
-        points = self._points
+        points, camera = needed(self._points, "no cloud is shown"), needed(self._camera, "no cloud is shown")
         middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
         if not len(points):
             kind = "sensor"
@@ -365,13 +346,11 @@ class Viewpoint:
         distance = float(np.linalg.norm(middle))
         if kind == "sensor":
             # The whole picture is in view, with a little air, whatever the shape of the page.
-            tall = self._camera.height / 2 / self._camera.fy
-            wide = self._camera.width / 2 / self._camera.fx / self._aspect
+            tall, wide = camera.height / 2 / camera.fy, camera.width / 2 / camera.fx / self._aspect
             return np.zeros(3) - forward * 0.01, forward * distance, float(2 * np.arctan(max(tall, wide) * 1.04))
         if kind == "top":
             low, high = np.percentile(points, [3, 97], axis=0)
-            span = float(max(high[0] - low[0], high[1] - low[1]))
-            center = (low + high) / 2
+            center, span = (low + high) / 2, float((high - low)[:2].max())
             return center + np.array([0.0, -0.02, span * 1.25]), center, float(np.deg2rad(50))
         if kind == "pair" and self._about is not None:
             eye, look, fov = self._fitting_pose(self._about, np.deg2rad(44))
@@ -381,8 +360,7 @@ class Viewpoint:
 
     def _fitting_pose(self, points: np.ndarray, fov: float) -> tuple[np.ndarray, np.ndarray, float]:
         """From the right, above and behind the sensor, as near as shows nearly all of the cloud."""
-        low, high = np.percentile(points, [2, 98], axis=0)
-        center = (low + high) / 2
+        center = np.percentile(points, [2, 98], axis=0).mean(axis=0)
         toward = np.array([-0.36, 0.84, -0.42])
         toward /= np.linalg.norm(toward)
         across = np.cross(toward, [0.0, 0.0, 1.0])

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import inspect
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,54 +16,76 @@ import viser
 from pipeline.geometry.palette import RGB
 
 CAMERA = ("up_direction", "position", "look_at", "fov")
+UNTURNED = {"aspect": 1.3, "fov": 0.8, **dict.fromkeys(CAMERA[:3], (0.0, 0.0, 0.0))}
+"""What is said of a camera that no browser has yet."""
 
 
-class Node:
-    """A node of the scene, with the attributes and callbacks of viser's handle."""
+class Retained:
+    """Stands for a handle of viser: has its values and callbacks, and passes both on while the handle is there.
 
-    def __init__(self, owner: RetainedScene, make: str, values: dict[str, Any]) -> None:
-        vars(self).update(_owner=owner, _make=make, _values=values, _callbacks=[], _handle=None)
+    Parameters
+    ----------
+    values : dict
+        What it has been given.
+    unset : dict
+        What it says of other values meanwhile.
+    kept : tuple of str
+        Values that a person may change in the browser.
+    """
+
+    def __init__(self, values: dict[str, Any], unset: dict[str, Any], kept: tuple[str, ...]) -> None:
+        vars(self).update(values=values, _unset=unset, _kept=kept, _callbacks=[], handle=None)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("on_"):
-
-            def listen(callback: Callable[..., Any]) -> Callable[..., Any]:
-                self._callbacks.append((name, callback))
-                if self._handle is not None:
-                    getattr(self._handle, name)(callback)
-                return callback
-
-            return listen
-        return self._values[name] if self._handle is None else getattr(self._handle, name)
+            return partial(self._listen, name)
+        return {**self._unset, **self.values}[name] if self.handle is None else getattr(self.handle, name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        self._values[name] = value
-        if self._handle is not None:
-            setattr(self._handle, name, value)
+        self.values[name] = value
+        if self.handle is not None:
+            setattr(self.handle, name, value)
+
+    def _listen(self, event: str, callback: Callable[..., Any]) -> Callable[..., Any]:
+        self._callbacks.append((event, callback))
+        if self.handle is not None:
+            getattr(self.handle, event)(callback)
+        return callback
+
+    def show(self, handle: Any, names: Iterable[str]) -> None:
+        """Stand for a handle, which takes the values of these names."""
+        for name in names:
+            setattr(handle, name, self.values[name])
+        for event, callback in self._callbacks:
+            getattr(handle, event)(callback)
+        vars(self)["handle"] = handle
+
+    def keep(self) -> None:
+        """Remember what a person has changed; the handle has gone."""
+        for name in self._kept:
+            self.values[name] = getattr(self.handle, name)
+        vars(self)["handle"] = None
+
+
+class Node(Retained):
+    """A node of the scene."""
+
+    def __init__(self, owner: RetainedScene, make: str, values: dict[str, Any]) -> None:
+        super().__init__(values, {}, ("position", "wxyz") if make == "add_transform_controls" else ())
+        vars(self).update(_owner=owner, _make=make)
 
     def attach(self, scene: Any) -> None:
         """Stand in a scene."""
         make = getattr(scene, self._make)
-        taken = {k: v for k, v in self._values.items() if k in inspect.signature(make).parameters}
-        handle = make(**taken)
-        for name in self._values.keys() - taken.keys():
-            setattr(handle, name, self._values[name])
-        for name, callback in self._callbacks:
-            getattr(handle, name)(callback)
-        vars(self)["_handle"] = handle
-
-    def keep(self) -> None:
-        """Remember where a person has moved it; the scene has gone."""
-        for name in ("position", "wxyz") if self._make == "add_transform_controls" else ():
-            self._values[name] = getattr(self._handle, name)
-        vars(self)["_handle"] = None
+        taken = {k: v for k, v in self.values.items() if k in inspect.signature(make).parameters}
+        self.show(make(**taken), self.values.keys() - taken.keys())
 
     def remove(self) -> None:
         """Stand no longer."""
-        self._owner.nodes.pop(self._values["name"], None)
-        if self._handle is not None:
-            self._handle.remove()
-        vars(self)["_handle"] = None
+        self._owner.nodes.pop(self.values["name"], None)
+        if self.handle is not None:
+            self.handle.remove()
+        vars(self)["handle"] = None
 
 
 class RetainedScene:
@@ -70,83 +93,40 @@ class RetainedScene:
 
     def __init__(self) -> None:
         self.nodes: dict[str, Node] = {}
-        self.clicks: list[Callable[[Any], Any]] = []
         self.shown: Any = None
 
     def __getattr__(self, make: str) -> Callable[..., Node]:
-        signature = inspect.signature(getattr(viser.SceneApi, make))
+        return partial(self._add, make, inspect.signature(getattr(viser.SceneApi, make)))
 
-        def add(*args: Any, **kwargs: Any) -> Node:
-            bound = signature.bind(None, *args, **kwargs)
-            bound.apply_defaults()
-            values = {k: v for k, v in bound.arguments.items() if k not in ("self", "_deprecated_kwargs")}
-            node = self.nodes[values["name"]] = Node(self, make, values)
-            if self.shown is not None:
-                node.attach(self.shown)
-            return node
-
-        return add
-
-    def on_click(self) -> Callable[[Callable[[Any], Any]], Callable[[Any], Any]]:
-        """As viser's."""
-
-        def listen(callback: Callable[[Any], Any]) -> Callable[[Any], Any]:
-            self.clicks.append(callback)
-            return callback
-
-        return listen
-
-
-class RetainedCamera:
-    """The camera, which stays where it was turned to."""
-
-    def __init__(self) -> None:
-        vars(self).update(values={}, callbacks=[], shown=None)
-
-    def __getattr__(self, name: str) -> Any:
+    def _add(self, make: str, signature: inspect.Signature, *args: Any, **kwargs: Any) -> Node:
+        bound = signature.bind(None, *args, **kwargs)
+        bound.apply_defaults()
+        values = {k: v for k, v in bound.arguments.items() if k not in ("self", "_deprecated_kwargs")}
+        node = self.nodes[values["name"]] = Node(self, make, values)
         if self.shown is not None:
-            return getattr(self.shown, name)
-        return self.values.get(name, {"aspect": 1.3, "fov": 0.8}.get(name, (0.0, 0.0, 0.0)))
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        self.values[name] = value
-        if self.shown is not None:
-            setattr(self.shown, name, value)
-
-    def on_update(self, callback: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """As viser's."""
-        self.callbacks.append(callback)
-        return callback
+            node.attach(self.shown)
+        return node
 
 
 class SceneClient:
     """Stands for a `viser.ClientHandle`: `scene`, `camera`, `atomic`, `flush`."""
 
     def __init__(self) -> None:
-        self.scene, self.camera = RetainedScene(), RetainedCamera()
+        self.scene, self.camera = RetainedScene(), Retained({}, UNTURNED, CAMERA)
+        self._clicks: list[Callable[[Any], Any]] = []
         self._client: viser.ClientHandle | None = None
         self._dark = True
         self._lock = threading.RLock()
-
-    @property
-    def attached(self) -> bool:
-        """Whether a browser shows it."""
-        return self._client is not None
 
     def attach(self, client: viser.ClientHandle) -> None:
         """Show everything to a browser's frame, seen from where it was seen last."""
         with self._lock:
             self.detach()
-            for callback in self.scene.clicks:
+            for callback in self._clicks:
                 client.scene.on_click()(callback)
-            for name in CAMERA:
-                if name in self.camera.values:
-                    setattr(client.camera, name, self.camera.values[name])
-            for callback in self.camera.callbacks:
-                client.camera.on_update(callback)
+            self.camera.show(client.camera, [name for name in CAMERA if name in self.camera.values])
             self._client = client
             self.set_dark(self._dark)
-            vars(self.camera)["shown"] = client.camera
             with client.atomic():
                 for node in list(self.scene.nodes.values()):
                     node.attach(client.scene)
@@ -157,11 +137,13 @@ class SceneClient:
         with self._lock:
             if self._client is None or client not in (None, self._client):
                 return
-            for name in CAMERA:
-                self.camera.values[name] = getattr(self._client.camera, name)
-            self._client = self.scene.shown = vars(self.camera)["shown"] = None
-            for node in self.scene.nodes.values():
-                node.keep()
+            for retained in (self.camera, *self.scene.nodes.values()):
+                retained.keep()
+            self._client = self.scene.shown = None
+
+    def on_click(self, callback: Callable[[Any], Any]) -> None:
+        """Have a click in the scene call this; to be said before a browser shows it."""
+        self._clicks.append(callback)
 
     def set_dark(self, dark: bool) -> None:
         """A dark ground, or a light one; viser's own panels, logo and share button are never shown."""
@@ -177,18 +159,17 @@ class SceneClient:
             node = None
         if node is not None:
             node.visible = bool(len(points))
-            if len(points):
-                node.points, node.colors = points, np.asarray(color, np.uint8)
+        if len(points) and node is not None:
+            node.points, node.colors = points, np.asarray(color, np.uint8)
         elif len(points):
             self.scene.add_line_segments(name, points, color, thickness=width, thickness_units="screen")
 
     def anchor(self, name: str, position: np.ndarray) -> str:
         """Put a point of a name, which a tag may follow, somewhere; returns its name."""
-        node = self.scene.nodes.get(name)
-        if node is None:
-            self.scene.add_frame(name, show_axes=False, position=triple(position))
+        if name in self.scene.nodes:
+            self.scene.nodes[name].position = triple(position)
         else:
-            node.position = triple(position)
+            self.scene.add_frame(name, show_axes=False, position=triple(position))
         return name
 
     def clear(self, root: str) -> None:
@@ -196,15 +177,9 @@ class SceneClient:
         for name in [name for name in self.scene.nodes if name.startswith(root)]:
             self.scene.nodes[name].remove()
 
-    @contextmanager
-    def atomic(self) -> Iterator[None]:
+    def atomic(self) -> AbstractContextManager[None]:
         """As viser's."""
-        client = self._client
-        if client is None:
-            yield
-        else:
-            with client.atomic():
-                yield
+        return nullcontext() if self._client is None else self._client.atomic()
 
     def flush(self) -> None:
         """As viser's."""

@@ -1,4 +1,4 @@
-"""What a click is for: an object or a pair is selected, a level surface named, a length measured."""
+"""How a client looks at its dataset: which frame, how it is shown, what is selected, what a click is for."""
 
 from __future__ import annotations
 
@@ -6,16 +6,20 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import get_args
 
+import numpy as np
+
 from pipeline.datasets import write_settings
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.camera import depth_at
 from pipeline.geometry.level_plane import level_normal_at
-from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, Part, command
+from pipeline.system.errors import InputError, require
+from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.frames import LoadedFrame, ToldUp
 from spatialviz.app.label_view import paired
-from spatialviz.app.picture import object_at, second_at
-from spatialviz.app.state import Tool
+from spatialviz.app.picture import smallest_at
+from spatialviz.app.place import CameraMode
+from spatialviz.app.state import ColorMode, Tool
+from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 
 
 class Selection(Part):
@@ -34,30 +38,28 @@ class Selection(Part):
             pair = state.pair if state.labels is None else paired(state.pair, now, state.selected)
             self.ctx.show(selected=now, pair=pair, second=None)
 
-    def select_on_ray(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
-        """A click in the scene: the object whose pixel was hit, else the smallest box on the way."""
+    def click(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
+        """A click in the scene or the picture: what its pixel shows, else the smallest box on the way.
+
+        What only the second detector has there is selected of it.
+        """
         state = self.state
-        if state.loaded is None:
+        if state.loaded is None or (pixel is not None and self._taken(*pixel)):
             return
-        found = None
-        if pixel is not None and self._taken(*pixel):
-            return
-        if pixel is not None:
-            frame = state.loaded.context.frame
-            at = (pixel[0] + 0.5) / frame.width, (pixel[1] + 0.5) / frame.height
-            found = object_at(state, *at)
-            if found is None and self._select_second(*at):
-                return
-        if found is None and boxes:
-            found = boxes[0]
-        self._select_other(found)
+        own = smallest_at(state.shown.objects if state.own_layer else (), pixel)
+        second = smallest_at(state.second_layer, pixel) if own is None else None
+        found = next((i for i in (own, *boxes) if i is not None), None)
+        if second is not None:
+            self.ctx.show(selected=None, second=second)
+        elif found is not None and found != state.selected:
+            self.select(found)
 
     @command("chip")
     def select_role(self, role: str) -> None:
         """A click on a word of the expression: the object that fills it."""
         pair = self.state.pair
         if pair is not None:
-            self._select_other(pair[0 if role == "target" else 1])
+            self.click(None, [pair[0 if role == "target" else 1]])
 
     @command("image")
     def select_at(self, fractions: str) -> None:
@@ -66,44 +68,24 @@ class Selection(Part):
             x, y = (float(part) for part in fractions.split(","))
         except ValueError:
             return
-        state = self.state
-        if state.loaded is not None:
-            height, width = state.loaded.context.frame.depth.shape
-            if self._taken(min(int(x * width), width - 1), min(int(y * height), height - 1)):
-                return
-        found = object_at(state, x, y)
-        if found is None and self._select_second(x, y):
-            return
-        self._select_other(found)
-
-    def _select_second(self, x: float, y: float) -> bool:
-        """Select what only the second detector has at a point of the picture."""
-        state = self.state
-        found = second_at(state, x, y)
-        if found is not None:
-            self.ctx.show(selected=None, second=found)
-        return found is not None
-
-    def _select_other(self, found: int | None) -> None:
-        if found is not None and found != self.state.selected:
-            self.select(found)
+        if self.state.loaded is not None and np.isfinite([x, y]).all():
+            height, width = self.state.loaded.context.frame.depth.shape
+            self.click((int(np.clip(x * width, 0, width - 1)), int(np.clip(y * height, 0, height - 1))), [])
 
     @command("pair")
     def choose_pair(self, place: int) -> None:
         """Choose a ranked pair by its place; the target is selected."""
-        state = self.state
-        if not 0 <= place < len(state.ranked):
-            return  # A click on a row that a newer answer has replaced.
-        pair = state.at(state.ranked[place])
-        self.ctx.show(pair=pair, selected=pair[0], second=None)
+        # A click may be on a row that a newer answer has replaced.
+        if 0 <= place < len(self.state.ranked):
+            pair = self.state.at(self.state.ranked[place])
+            self.ctx.show(pair=pair, selected=pair[0], second=None)
 
     @command("next-pair")
     def step_pair(self, step: int) -> None:
         """Choose the next ranked pair, or the one before."""
-        state = self.state
-        if state.ranked:
-            pairs = [state.at(p) for p in state.ranked]
-            at = pairs.index(state.pair) if state.pair in pairs else 0
+        pairs = [self.state.at(p) for p in self.state.ranked]
+        if pairs:
+            at = pairs.index(self.state.pair) if self.state.pair in pairs else 0
             self.choose_pair((at + step) % len(pairs))
 
     @command("focus")
@@ -113,9 +95,8 @@ class Selection(Part):
         chosen = None if state.selected is None else state.shown.objects[state.selected]
         if chosen is None and state.beside is not None and state.second_selected is not None:
             chosen = state.beside.objects[state.second_selected]
-        box = None if chosen is None else chosen.lifted.box
-        if box is not None:
-            self.ctx.scene.viewpoint.focus(box)
+        if chosen is not None and chosen.lifted.box is not None:
+            self.ctx.scene.viewpoint.focus(chosen.lifted.box)
 
 
 class Pointing(Part):
@@ -145,13 +126,13 @@ class Pointing(Part):
 
     def _mark(self, loaded: LoadedFrame, u: int, v: int) -> None:
         """One end of a length; a third begins anew."""
-        state = self.state
+        marks = self.state.marks
         try:
             depth_at(loaded.context.frame.depth, u, v)
         except InputError as error:
             self.ctx.page.toast("Not measured", str(error), bad=True)
-            return
-        self.ctx.show(marks=(*(state.marks if len(state.marks) < 2 else ()), (u, v)))
+        else:
+            self.ctx.show(marks=(*(marks if len(marks) < 2 else ()), (u, v)))
 
 
 class LevelSurface(Part):
@@ -162,27 +143,24 @@ class LevelSurface(Part):
 
     def on_pixel(self, loaded: LoadedFrame, u: int, v: int) -> None:
         """A click on a pixel of a level surface."""
-        state, frame = self.state, loaded.context.frame
+        frame = loaded.context.frame
         try:
             x, y, z = level_normal_at(frame.depth, frame.camera, u, v).tolist()
         except InputError as error:
             self._tell("Not a level surface", str(error))
             return
-        self.ctx.shared.store.tell_up(state.source, ToldUp(frame.id, (u, v), (x, y, z)))
+        self.ctx.shared.store.tell_up(self.state.source, ToldUp(frame.id, (u, v), (x, y, z)))
         self.ctx.note(f"frame {frame.id}: the surface at {u},{v} is level, up {x:.3f}, {y:.3f}, {z:.3f} in the camera")
-        self.state = replace(state, picking="")
+        self.state = replace(self.state, picking="")
         self.ctx.reopen()
 
     @command("level-keep")
     def keep(self) -> None:
         """Write what was said into the settings beside the data."""
-        source = self.state.source
-        told = self.ctx.shared.store.told.get(source)
+        told, root = self.ctx.shared.store.told.get(self.state.source), self.ctx.source.dataset.root
         if told is not None:
-            root = self.ctx.shared.store.sources[source].dataset.root
             try:
-                if root.resolve() == demo_path().resolve():
-                    raise InputError("the built-in demo stays as it is", path=root)
+                require(root.resolve() != demo_path().resolve(), "the built-in demo stays as it is", path=root)
                 self._tell("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
             except InputError as error:
                 self._tell("Up is not kept", str(error))
@@ -190,11 +168,57 @@ class LevelSurface(Part):
     @command("level-back")
     def take_back(self) -> None:
         """Up as it was before anything was said."""
-        state = self.state
-        if state.source in self.ctx.shared.store.told:
-            self.ctx.shared.store.tell_up(state.source, None)
+        if self.state.source in self.ctx.shared.store.told:
+            self.ctx.shared.store.tell_up(self.state.source, None)
             self.ctx.reopen()
 
     def _tell(self, title: str, text: str) -> None:
         self.ctx.note(text)
         self.ctx.page.toast(title, text)
+
+
+POINT_STEP = 1.25
+
+
+class ViewSettings(Part):
+    """Changes how one client looks."""
+
+    @command("color", "next-color=next")
+    def paint(self, mode: str) -> None:
+        """Paint the cloud in another way, or in the "next"."""
+        colors = choice(get_args(ColorMode), self.state.colors, mode)
+        if colors is not None:
+            self.ctx.show(colors=colors)
+
+    @command("camera")
+    def look_from(self, mode: str) -> None:
+        """Fly to one of the places to look from."""
+        if mode in get_args(CameraMode) and self.state.loaded is not None:
+            self.ctx.show(camera=mode)
+            self.ctx.scene.viewpoint.fly(mode)
+
+    @command("flag")
+    def toggle(self, flag: str) -> None:
+        """Show or hide something."""
+        flags = self.state.flags
+        if flag in FLAGS:
+            self.ctx.show(flags=replace(flags, **{flag: not getattr(flags, flag)}))
+
+    @command("point-size")
+    def size_points(self, text: str) -> None:
+        """Draw the points by a factor of their size; "more" and "less" are steps."""
+        state, steps = self.state, {"more": POINT_STEP, "less": 1 / POINT_STEP}
+        try:
+            factor = state.point_size * steps[text] if text in steps else float(text)
+        except ValueError:
+            return
+        if LEAST_POINT <= (factor := round(factor, 2)) <= LARGEST_POINT:
+            self.state = replace(state, point_size=factor)
+            # The slider stands where the hand has put it.
+            self.ctx.draw(live=text not in steps)
+
+    @command("theme")
+    def switch_theme(self) -> None:
+        """Dark becomes light, and light dark."""
+        self.ctx.client.set_dark(not self.state.dark)
+        self.ctx.show(dark=not self.state.dark)

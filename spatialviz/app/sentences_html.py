@@ -165,13 +165,11 @@ def expressions_html(state: State) -> Element | None:
 
 def _row(state: State, view: LabelView, card: ExpressionCard, kind: str, hidden: bool = False) -> Element:
     name = f"{kind}-{card.id}"
-    tags: list[Child] = []
-    if card.mark is not None:
-        tags.append(h.b(MARKED[card.mark], css={"--c": BAD}))
-    tags += [h.b(s, css={"--c": GOOD}) for s in sorted({*card.statuses.values()} - {"rejected"})]
-    if card.ambiguous:
-        tags.append(h.b("ambiguous", css={"--c": DOUBT}))
-    tags += sorted({ORIGINS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {"auto"})
+    marks = [(MARKED[card.mark], BAD)] if card.mark is not None else []
+    marks += [(status, GOOD) for status in sorted({*card.statuses.values()} - {"rejected"})]
+    marks += [("ambiguous", DOUBT)] if card.ambiguous else []
+    origins = {ORIGINS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {"auto"}
+    tags = [*(h.b(word, css={"--c": color}) for word, color in marks), *sorted(origins)]
     out = h.div(card.withdrawn, cls="dim") if card.withdrawn else None
     return h.div(
         h.div(h.span(card.text, cls="say"), h.span(joined(tags), cls="tags")),
@@ -201,15 +199,13 @@ def _event(view: LabelView, line: EventLine) -> Element:
     before, after = (value_text(event.ref, value, view.frame) for value in (event.before, event.after))
     what = ref_text(event.ref, view.frame)
     told: list[Child] = [event.author, event.time.astimezone().strftime("%d %b %H:%M:%S")]
-    if event.reason:
-        told.append(event.reason)
-    undo = None
+    told += [event.reason] if event.reason else []
     if line.waiting:
         told.append(h.b("not saved yet", cls="bad"))
     elif line.undone is not None:
         told.append(f"undone by {line.undone.author}")
-    elif line.group:
-        undo = button("undo", f"undo-group:{line.group}", "take this action back")
+    mine = line.group and not line.waiting and line.undone is None
+    undo = button("undo", f"undo-group:{line.group}", "take this action back") if mine else None
     return h.div(
         h.div(f"{what}: {before} → ", h.b(after), cls="" if line.undone is None else "gone"),
         undo,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
+import gc
 import io
 import shlex
 import signal
@@ -30,6 +30,7 @@ from spatialviz.app.access import Access
 from spatialviz.app.channel import answering, end_all
 from spatialviz.app.context import Shared
 from spatialviz.app.frames import FrameStore
+from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.pages import MAX_CLIENTS, Pages
 from spatialviz.app.site import Site, served_by
 
@@ -99,7 +100,7 @@ def start(
     access = access or Access.of(host)
     pages = Pages(shared, access, max_clients)
     try:
-        with served_by(Site(access, pages)), redirect_stdout(io.StringIO()):
+        with served_by(Site(access, pages, shared.pictures)), redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error
@@ -153,6 +154,8 @@ def serve(
     )  # fmt: skip
     announce(server, access, sources, host, port, open_browser)
     _end_in_order()
+    # What is there by now stays: looking for what refers to itself need not go through it again.
+    gc.freeze()
     # What is computed for a page that has been closed meanwhile has nowhere to go; that is no news to a user.
     warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
     # Nor is what a socket says that is not what viser's client would say.
@@ -225,21 +228,3 @@ def _say_unsaved(place: JournalLocation) -> None:
             words = ["spatialviz", "correct", str(place.labels.root), "--edits", str(path), "--author", found.author]
             words += place.words
             print(f"spatialviz: kept in {path}; save them with: {shlex.join(words)}", file=sys.stderr)
-
-
-_M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8
-"""Parameters of glibc's mallopt(3)."""
-
-
-def return_freed_memory() -> None:
-    """Ask glibc to hand large freed blocks back to the system and to keep few arenas; elsewhere nothing happens.
-
-    By default glibc raises its threshold to the largest block that was ever
-    freed, and from then on keeps such blocks in one pool for each thread.
-    """
-    try:
-        mallopt = ctypes.CDLL(None).mallopt
-    except (OSError, AttributeError, TypeError):
-        return
-    mallopt(_M_MMAP_THRESHOLD, 1 << 20)
-    mallopt(_M_ARENA_MAX, 2)

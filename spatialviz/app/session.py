@@ -10,37 +10,37 @@ import viser
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import unused_words
 from pipeline.answering.json_records import holds
-from pipeline.answering.ranking import RankConfig
 from pipeline.answering.suggestions import suggest_expressions
 from pipeline.datasets.base import dataset_notes
 from pipeline.datasets.demo import DEMO_EXPRESSION
-from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
+from pipeline.language.unreadable import why_unread
 from pipeline.system.errors import InputError, UnknownClass
+from spatialviz.app import (
+    beside,
+    filling,
+    frame_cloud,
+    keys,
+    run_panel,
+    selection,
+    view_strings,
+    what_if,
+)
 from spatialviz.app.answer import answer_in_words
-from spatialviz.app.beside import BesideLayer
+from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Shared, command, commands_of
-from spatialviz.app.filling import fill_answer, fill_page
-from spatialviz.app.frame_cloud import FrameCloud, SceneAids
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
-from spatialviz.app.keys import Keys, meant
-from spatialviz.app.label_view import Target
+from spatialviz.app.label_view import ANYTHING, Target
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
-from spatialviz.app.run_panel import RunPanel, RunTab
-from spatialviz.app.selection import LevelSurface, Pointing, Selection
 from spatialviz.app.stages import opened
 from spatialviz.app.state import NOTHING, shown_objects
 from spatialviz.app.toolbar import offers
-from spatialviz.app.view_settings import FrameSteps, ViewSettings
-from spatialviz.app.view_strings import BEGINS, Keeping, ViewStrings
-from spatialviz.app.what_if import WhatIf
 
-LOG_LENGTH = 200
 RECENT = 12
 """Questions that Ask offers again."""
 REST_SECONDS = 0.4
@@ -56,30 +56,35 @@ class Session(Context):
     def __init__(self, page_id: str, shared: Shared) -> None:
         super().__init__(page_id, shared)
         self._path = f"/scene/{page_id}/"
-        self._suggestions: tuple[str, ...] = ()
-        self._asked: tuple[str, ...] = ()
-        self._begun = False
-        self._correcting = False
+        self._suggestions = self._asked = tuple[str, ...]()
+        self._begun = self._correcting = False
         self._pushed: Place | None = None
         self._turning: asyncio.TimerHandle | None = None
-        self._judge = Judge(shared, lambda *at: self._labels.correct.corrected(*at))
+        self._judge = Judge(self, self.editors.corrected)
         self.client.camera.on_update(self._turned)
-        level = LevelSurface(self)
-        pointing = Pointing(self, {"level": level.on_pixel})
-        self._aids = SceneAids(self)
-        self._selection = Selection(self, pointing.on_pixel)
-        self._beside = BesideLayer(self)
-        self._cloud = FrameCloud(self)
-        self._runs, self._figures = RunPanel(self), RunTab(self)
-        self._what_if = WhatIf(self, self._judged)
-        self._steps = FrameSteps(self)
-        self._labels = Labelling(self, self._selection)
-        self._strings = ViewStrings(self, self._runs)
+        level = selection.LevelSurface(self)
+        pointing = selection.Pointing(self, {"level": level.on_pixel})
+        self._selection = selection.Selection(self, pointing.on_pixel)
+        self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
+        self._beside = beside.BesideLayer(self)
+        self._runs = run_panel.RunPanel(self)
+        self._what_if, self._browse = what_if.WhatIf(self, self._judge.judge), Browse(self)
+        self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs)
         parts = (
-            self, self._selection, ViewSettings(self), self._runs, self._figures, self._what_if, self._strings,
-            Keeping(self, self._judge, self._strings.now), self._beside, self._steps, level, pointing, Keys(self),
+            self,
+            self._selection,
+            self._runs,
+            self._what_if,
+            self._strings,
+            self._beside,
+            self._browse,
+            level,
+            pointing,
+            selection.ViewSettings(self),
+            keys.Keys(self),
+            view_strings.Keeping(self, self._judge, self._strings.now),
             *self._labels.parts,
-        )  # fmt: skip
+        )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
 
     def close(self) -> None:
@@ -105,7 +110,10 @@ class Session(Context):
             if message.theme:
                 self.state = replace(self.state, dark=message.theme == "dark")
             self.client.set_dark(self.state.dark)
-            self._labels.correct.greeted(message.author)
+            try:
+                self.editors.greet(message.author)
+            except InputError as error:
+                self.note(str(error))
             self._begin(Place.read(message.address, self.shared.store.sources))
         elif isinstance(message, Go):
             self.go(Place.read(message.address, self.shared.store.sources), restoring=True)
@@ -114,7 +122,7 @@ class Session(Context):
 
     def signed_as(self, name: str) -> None:
         """Labels are corrected under the name of the token that the browser has, and under no other."""
-        self.post(lambda: self._labels.correct.signed_as(name))
+        self.post(lambda: self.editors.sign_for_token(name))
 
     def attach(self, client: viser.ClientHandle) -> None:
         """The browser's frame is there: show the scene in it."""
@@ -135,15 +143,18 @@ class Session(Context):
 
     def handle(self, message: str) -> None:
         """Carry out a command such as "pair:3"; unknown ones are ignored."""
-        kind, _, argument = meant(message, self.state.labels is not None).partition(":")
-        if kind in self._commands:
-            self._commands[kind](argument)
+        kind, _, argument = keys.meant(message, self.state.labels is not None).partition(":")
+        try:
+            if kind in self._commands:
+                self._commands[kind](argument)
+        except InputError as error:
+            self.fail(error)
 
     def clicked(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
         """A click in the scene: for the draft of pixels, else it selects."""
         pixel = pixel if self.state.flags.cloud else None
         if not self._labels.pixels.on_ray(pixel):
-            self._selection.select_on_ray(pixel, boxes)
+            self._selection.click(pixel, boxes)
 
     @command("close-dialog")
     def _close_dialog(self) -> None:
@@ -163,13 +174,16 @@ class Session(Context):
         """Show what the address says, else what the server was started with, else the first failure or frame."""
         if place.frame is not None or place.text is not None:
             if place.text is None and place.task is None and self.state.correctable:
-                self._labels.correct.stay()
+                self.editors.wanted = ANYTHING
             self.go(place, restoring=True)
         elif self.shared.first_view is not None:
-            self._strings.open(self.shared.first_view)
+            try:
+                self._strings.open(self.shared.first_view)
+            except InputError as error:
+                self.fail(error)
         elif self.state.source in self.shared.labels:
             # Labels were named to be looked at; the queue begins to be built.
-            self._labels.correct.stay()
+            self.editors.wanted = ANYTHING
         if not self._begun:
             # With a run, its first failure; the frames follow.
             self._runs.follow()
@@ -181,8 +195,8 @@ class Session(Context):
         """Look at a place; what it does not say stays as it is. A place that is restored adds none to go back to."""
         if restoring:
             self._pushed = place
-        source = place.source or self.state.source
         here = self.state
+        source = place.source or here.source
         ids = self.shared.store.sources[source].dataset.frame_ids
         frame, text = place.frame, place.text
         if frame not in ids:
@@ -194,10 +208,11 @@ class Session(Context):
         if restoring:
             self._runs.follow()
             self._runs.search(place.find)
+            self.state = replace(self.state, camera=place.look or "pair")
         here = self.state
         labelling = restoring and place.task == "label" and here.correctable
         if labelling:
-            self._labels.correct.stay(Target(frame, place.item or ()))
+            self.editors.wanted = Target(frame, place.item or ())
         elif restoring:
             here = self.state = replace(here, labels=None)
         same = (source, frame) == (here.source, here.frame_id) and text in (None, here.text)
@@ -208,7 +223,10 @@ class Session(Context):
             self.open_frame(frame, first=True, asking=text)
         if restoring:
             self.state = replace(self.state, stage=place.stage or "")
+            self.handle(f"pair:{(place.pair or 1) - 1}")
             self.draw()
+            if same and self.state.loaded is not None:
+                self.scene.viewpoint.place(self.state.camera)
         if place.camera is not None:
             self.scene.viewpoint.turn_to(*place.camera)
 
@@ -217,21 +235,15 @@ class Session(Context):
         if not self._begun:
             return
         state = self.state
-        item = None if state.labels is None else state.labels.card
-        place = replace(
-            state.at_place, find=self._runs.found,
-            camera=self.scene.viewpoint.turned_to(), item=None if item is None else (item.a, item.b),
-        )  # fmt: skip
-        push = self._pushed is not None and not place.same_view(self._pushed)
-        self._pushed = place
-        asked = state.text or "frame"
-        self.page.say_address(place.query(), f"{asked} · {state.source} {state.frame_id} · spatialviz", push)
+        place = replace(state.at_place, find=self._runs.found, camera=self.scene.viewpoint.turned_to())
+        before, self._pushed = self._pushed, place
+        title = f"{state.text or 'frame'} · {state.source} {state.frame_id} · spatialviz"
+        self.page.say_address(place.query(), title, before is not None and not place.same_view(before))
 
     @command("stage")
     def _open_stage(self, name: str) -> None:
         """Open the evidence of a module, or close it."""
-        self.state = replace(self.state, stage="-" if opened(self.state) == name else name)
-        self.draw()
+        self.show(stage="-" if opened(self.state) == name else name)
 
     @command("hover")
     def _hover(self, number: int) -> None:
@@ -244,10 +256,9 @@ class Session(Context):
     @command("task")
     def _turn_to(self, task: str) -> None:
         """Explain, evaluate, or label: what the page is for now."""
-        labels = self.state.labels is not None
         self.state = replace(self.state, evaluating=task == "evaluate")
-        if labels != (task == "label"):
-            self._labels.correct.toggle()
+        if (self.state.labels is not None) != (task == "label"):
+            self.handle("labels")
         self.draw()
 
     @command("ask-typed")
@@ -261,43 +272,51 @@ class Session(Context):
         """Open the frame anew, with its question."""
         self.open_frame(self.state.frame_id, first=True, asking=self.state.text)
 
+    @command("open")
     def open_frame(self, frame_id: str, first: bool = False, asking: str | None = None) -> None:
         """Show a frame and ask `asking` of it; without, what was asked before, or on a `first` frame what fits it."""
         if frame_id == self.state.frame_id and not first:
             return
-        self._begun = True
+        self._begun, self._suggestions = True, ()
         self.page.call("working", "finding the objects")
-        stays = self._labels.correct.stays and asking is None
+        stays = asking is None and (self.state.labels is not None or self.editors.wanted is not None)
         # A frame that the labels lack is shown with its answer, and why is said.
-        correcting = stays and (desk := self._labels.correct.desk) is not None and frame_id in desk
-        cleared = replace(self.state.unasked, frame_id=frame_id, problem="", marks=())
+        correcting = stays and (editor := self.editors.of(self.state.source)) is not None and frame_id in editor
+        self.state = replace(self.state.unasked, frame_id=frame_id, problem="", marks=())
         try:
-            loaded = self.shared.store.load(self.state.source, frame_id)
-            scores = None if correcting else self.source.score(loaded.context, loaded.objects)
+            loaded = self._load(first, scored=not correcting)
         except InputError as error:
-            self.state = replace(cleared, loaded=None, problem=str(error), shown=NOTHING)
+            self.state = replace(self.state, loaded=None, problem=str(error), shown=NOTHING)
             self.note(str(error))
-            self._suggestions = ()
-            self.draw()
-            self._steps.browse()
-            return
-        self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact))
-        self._cloud.place_anew = first
+        else:
+            if stays:
+                try:
+                    self._labels.show()
+                except InputError as error:
+                    self.fail(error)
+            if not correcting:
+                self._ask_first(loaded, first, asking)
+        self.draw()
+        self._browse.browse()
+
+    def _load(self, first: bool, scored: bool) -> LoadedFrame:
+        """Take the frame into the state, with what may be asked of it where it is to be `scored`."""
+        frame_id = self.state.frame_id
+        loaded = self.shared.store.load(self.state.source, frame_id)
         viewer = loaded.context.viewer
-        self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores, viewer)
-        self.note(f"frame {frame_id}: {counted(len(loaded.objects), 'object')}, up {viewer.up_source}")
-        for remark in dataset_notes(self.source.dataset) if first else ():
+        if scored and (scores := self.source.score(loaded.context, loaded.objects)) is not None:
+            self._suggestions = suggest_expressions(loaded.objects, scores, viewer)
+        self.state = replace(self.state, loaded=loaded, shown=shown_objects(loaded, None, self._exact))
+        self._cloud.place_anew = first
+        remarks = [f"frame {frame_id}: {counted(len(loaded.objects), 'object')}, up {viewer.up_source}"]
+        remarks += dataset_notes(self.source.dataset) if first else ()
+        remarks += filter(None, [loaded.problem])
+        for remark in (*remarks, *(f"frame {frame_id}: {remark}" for remark in loaded.context.frame.notes)):
             self.note(remark)
-        if loaded.problem:
-            self.note(loaded.problem)
-        for remark in loaded.context.frame.notes:
-            self.note(f"frame {frame_id}: {remark}")
-        if stays:
-            self._labels.correct.show()
-        if correcting:
-            self.draw()
-            self._steps.browse()
-            return
+        return loaded
+
+    def _ask_first(self, loaded: LoadedFrame, first: bool, asking: str | None) -> None:
+        """Ask a frame that was opened what was asked before; a `first` one perhaps what it suggests."""
         text = self.state.text if asking is None else asking
         if self.source.detector is None:
             text = ""
@@ -308,8 +327,6 @@ class Session(Context):
             self.ask(text, draw=False)
         else:
             self.page.call("question", "")
-        self.draw()
-        self._steps.browse()
 
     def _can_ask(self, loaded: LoadedFrame, text: str) -> bool:
         try:
@@ -323,7 +340,7 @@ class Session(Context):
 
     @command("ask")
     def ask(self, text: str, draw: bool = True) -> None:
-        if BEGINS.match(text):
+        if view_strings.BEGINS.match(text):
             self.page.call("question", self.state.text)
             self._strings.restore(text)
             return
@@ -334,14 +351,13 @@ class Session(Context):
         self.state = replace(self.state.unasked, text=text, selected=self.state.selected)
         self.page.call("question", text)
         self._asked = tuple(dict.fromkeys((text, *self._asked)))[:RECENT]
-        exact = self._exact
         try:
             trace = self.source.ask(loaded.context, text)
         except InputError as error:
-            shown = shown_objects(loaded, None, exact)
+            shown = shown_objects(loaded, None, self._exact)
             # Which names a frame has is said beside the field; the detector knows many more.
             said = error.what if isinstance(error, UnknownClass) else str(error)
-            self.state = replace(self.state, error=said, shown=shown, selected=None)
+            self.state = replace(self.state, error=said, unread=why_unread(error), shown=shown, selected=None)
             self.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)
@@ -351,26 +367,16 @@ class Session(Context):
 
     def _answered(self, loaded: LoadedFrame, trace: Trace) -> None:
         """Take an answer into the state, with its verdict and what the other run says."""
-        name, text = self.state.source, trace.query.text
-        expression = self.state.expression_id(text)
         self.state = replace(
             self.state,
             trace=trace,
             shown=shown_objects(loaded, trace, trace.exact),
-            judged=self._judged(trace, None),
-            other=self._judge.other(name, loaded.context, text, expression),
+            judged=self._judge.judge(trace),
+            other=self._judge.other(trace.query.text),
         )
-        ranked = self.state.ranked
-        pair = self.state.at(ranked[0]) if ranked else None
+        pair = next(map(self.state.at, self.state.ranked), None)
         self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
         self._what_if.answered()
-
-    def _judged(self, trace: Trace, rank: RankConfig | None) -> Diagnosis | str | None:
-        """The verdict on a trace of the frame that is shown."""
-        state = self.state
-        assert state.loaded is not None
-        expression = state.expression_id(trace.query.text)
-        return self._judge.judge(state.source, self.source, state.loaded.context, trace, expression, rank)
 
     @command("relation")
     def _ask_relation(self, number: int) -> None:
@@ -395,12 +401,10 @@ class Session(Context):
     @command("clear")
     def _clear(self) -> None:
         loaded = self.state.loaded
-        if loaded is None:
-            return
-        shown = shown_objects(loaded, None, self._exact)
-        self.state = replace(self.state.unasked, text="", shown=shown)
-        self.page.call("question", "")
-        self.draw()
+        if loaded is not None:
+            self.state = replace(self.state.unasked, text="", shown=shown_objects(loaded, None, self._exact))
+            self.page.call("question", "")
+            self.draw()
 
     # ---- drawing --------------------------------------------------------------------
 
@@ -408,30 +412,20 @@ class Session(Context):
         """Bring the page up to the state; while a hand drags something (`live`), only what follows the hand."""
         if live:
             with self.page.together():
-                fill_answer(self.page, self.state)
+                filling.fill_answer(self)
                 self._draw_scene(live=True)
                 self.page.call("overlay", "".join(mark.html for mark in overlay_marks(self.state)))
             return
         self._what_if.check()
-        self._labels.correct.chosen()
+        self._labels.detail()
         correcting = self.state.labels is not None
         if correcting != self._correcting:
             # A drag that only tries something must not become one that is saved.
             self._correcting, self.state = correcting, replace(self.state, mode="off")
-        state = self.state
-        dataset = self.source.dataset
-        fill_page(
-            self.page,
-            state,
-            self.shared,
-            dataset=dataset,
-            can_ask=self.source.detector is not None,
-            suggestions=self._suggestions,
-            log=self.log,
-        )
+        filling.fill_page(self, self._suggestions)
         self._runs.follow()
-        self._figures.follow()
         self._labels.follow()
+        self._browse.follow()
         self._cloud.follow()
         self._draw_scene()
         self.say_address()

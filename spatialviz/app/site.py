@@ -6,6 +6,7 @@ that both stand on one port.
 
 from __future__ import annotations
 
+import asyncio
 import gzip
 import http
 import logging
@@ -16,7 +17,7 @@ from contextvars import ContextVar
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qs, quote, urlsplit
+from urllib.parse import SplitResult, parse_qs, quote, urlsplit
 
 import viser
 import websockets.asyncio.server as ws
@@ -25,9 +26,11 @@ from websockets.extensions.permessage_deflate import ServerPerMessageDeflateFact
 from websockets.http11 import Request, Response
 
 from spatialviz.app.access import Access
+from spatialviz.app.channel import LONGEST_COMMAND, LONGEST_DRAWING
 from spatialviz.app.frames import IMAGES
 
 if TYPE_CHECKING:
+    from spatialviz.app.frame_pictures import FramePictures
     from spatialviz.app.pages import Pages
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
@@ -41,7 +44,11 @@ SAFE = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
 }
-DEFLATED = {"level": 5, "memLevel": 5}
+DEFLATED = {"level": 7, "memLevel": 6}
+LONGEST_OF_SCENE = 64_000
+LONGEST_MESSAGE = LONGEST_DRAWING + LONGEST_COMMAND
+"""Bytes."""
+REFUSED_SECONDS, MOST_WAITING = 1.0, 100
 CLOSE_SECONDS = 2.0
 """Who does not take leave in that time is cut off."""
 PAGE_POLICY = (
@@ -64,7 +71,7 @@ SCENE_STYLE = (
 class Nobody:
     """Answers nobody: a server that only draws."""
 
-    async def answer(self, request: Request) -> Response | None:
+    async def answer(self, connection: Any, request: Request) -> Response | None:
         """Refused."""
         return _response(http.HTTPStatus.FORBIDDEN, b"nobody is served here\n")
 
@@ -78,26 +85,51 @@ class Nobody:
 class Site:
     """Answers every request of one server."""
 
-    def __init__(self, access: Access, pages: Pages) -> None:
-        self._access, self._pages = access, pages
+    def __init__(self, access: Access, pages: Pages, pictures: FramePictures) -> None:
+        self._access, self._pages, self._pictures = access, pages, pictures
+        self._waiting = 0
         static = resources.files("spatialviz.app") / "static"
         self._files = {f.name: f.read_bytes() for f in static.iterdir() if Path(f.name).suffix in KINDS}
         scene = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
         self._scene = gzip.compress(scene.replace("</title>", "</title>" + SCENE_STYLE, 1).encode(), 6)
 
-    async def answer(self, request: Request) -> Response | None:
+    async def answer(self, connection: Any, request: Request) -> Response | None:
         """The answer to a request; None lets a socket be opened."""
         refused = self._access.refusal(request)
         if refused is not None:
             return refused
         parts = urlsplit(request.path)
         if request.headers.get("Upgrade", "").lower() == "websocket":
-            known = parts.path == "/app/socket" or self._pages.has(_scene_of(parts.path))
-            return None if known else _response(http.HTTPStatus.NOT_FOUND, b"no such socket\n")
+            page_id = self._page_of(parts)
+            if not page_id:
+                return _response(http.HTTPStatus.NOT_FOUND, b"no such socket\n")
+            return None if self._pages.opens(page_id, connection, request) else await self._later()
         entered = self._access.entered(request)
         if entered is not None:
             return entered
+        if parts.path.startswith("/app/frame/"):
+            picture = await self._pictures.get(parts.path)
+            if picture is None:
+                return _response(http.HTTPStatus.NOT_FOUND, b"no such picture\n")
+            return _response(http.HTTPStatus.OK, picture, ".jpg", {"Cache-Control": "private, max-age=600"})
         return self._file(parts.path, parse_qs(parts.query))
+
+    def _page_of(self, parts: SplitResult) -> str:
+        """Whose page a socket belongs to; "" for none."""
+        if parts.path != "/app/socket":
+            return _scene_of(parts.path) if self._pages.has(_scene_of(parts.path)) else ""
+        page_id = parse_qs(parts.query).get("id", [""])[0]
+        return page_id if ID.fullmatch(page_id) else ""
+
+    async def _later(self) -> Response:
+        """Refused, and not at once: whoever tries again and again waits, as long as few do."""
+        if self._waiting < MOST_WAITING:
+            self._waiting += 1
+            try:
+                await asyncio.sleep(REFUSED_SECONDS)
+            finally:
+                self._waiting -= 1
+        return _response(http.HTTPStatus.TOO_MANY_REQUESTS, b"too many sockets, or not the messages of a page\n")
 
     def _file(self, path: str, query: dict[str, list[str]]) -> Response:
         if path == "/":
@@ -124,13 +156,15 @@ class Site:
     async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
         """Serve an open socket: the page's own, or viser's of its scene."""
         parts = urlsplit(connection.request.path)
-        if parts.path == "/app/socket":
-            page_id = parse_qs(parts.query).get("id", [""])[0]
-            if ID.fullmatch(page_id):
+        page_id = self._page_of(parts)
+        try:
+            if parts.path == "/app/socket":
                 await self._pages.socket(page_id, connection)
-            return
-        PAGE_ID.set(_scene_of(parts.path))
-        await self._pages.scene(PAGE_ID.get(), connection, viser_handler)
+            elif page_id:
+                PAGE_ID.set(page_id)
+                await self._pages.scene(page_id, connection, viser_handler)
+        finally:
+            self._pages.closed(page_id, connection)
 
     def log(self, problem: str) -> None:
         """Say what was wrong with what came, seldom."""
@@ -170,10 +204,13 @@ def served_by(site: Site | Nobody) -> Iterator[None]:
             await site.socket(connection, handler)
 
         async def process_request(connection: Any, request: Request) -> Response | None:
+            # What is longer closes the socket before it is read.
+            connection.protocol.max_message_size = LONGEST_OF_SCENE
             if request.path.startswith("/app/"):
+                connection.protocol.max_message_size = LONGEST_MESSAGE
                 # Words are worth it; points, on viser's sockets, are not.
                 connection.protocol.available_extensions = [ServerPerMessageDeflateFactory(compress_settings=DEFLATED)]
-            return await site.answer(request)
+            return await site.answer(connection, request)
 
         logger = logging.Logger("spatialviz.sockets")
         logger.addHandler(_Told(site.log))
@@ -181,7 +218,7 @@ def served_by(site: Site | Nobody) -> Iterator[None]:
             "logger": logger,
             "close_timeout": CLOSE_SECONDS,
             "process_request": process_request,
-            "max_size": 2**20,
+            "max_size": LONGEST_MESSAGE,
         }
         return original(both, host, port, **options)
 

@@ -16,8 +16,8 @@ from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
 from spatialviz.app.beside import hollow, second_name
 from spatialviz.app.edit_scene import REGION_COLORS, asked_pair
-from spatialviz.app.markup import Child, Element, chosen, dot, h, named, note, panel, was, words
-from spatialviz.app.picture import score, thumb
+from spatialviz.app.markup import Child, Element, button, chosen, detector_score, dot, h, named, note, panel, was, words
+from spatialviz.app.picture import thumb
 from spatialviz.app.state import State
 
 KEPT: RGB = (53, 169, 107)
@@ -41,12 +41,12 @@ def _candidates(state: State, number: int, name: str, found: Candidates) -> Elem
             h.tr(
                 h.td(thumb(state, place)),
                 h.td(
-                    named(palette(state.dark)[state.roles.get(place, "other")], state.shown.names[place]),
+                    _named(state, place),
                     h.div(f"as {called}", cls="dim") if called else None,
                     h.div(mark, cls=f"mark {cls}".strip()) if mark else None,
                     cls="w",
                 ),
-                h.td(score(float(found.scores[k])), cls="n"),
+                h.td(detector_score(float(found.scores[k])), cls="n"),
                 None if raw is None else h.td(f"{raw[k]:.2f}", cls="n dim"),
                 id=f"candidate-{number}-{i}",
                 do=f"object:{place}",
@@ -73,20 +73,19 @@ def _mark(judged: Diagnosis, i: int) -> tuple[str, str]:
     labelled = int(match[i]) if i < len(match) else -1
     if labelled < 0:
         return "no labelled object", "low"
-    roles = (("target", case.target_object), ("reference", case.reference_object))
-    role = next((role for role, k in roles if k == labelled), None)
-    if role is not None:
-        return f"labelled {role}", "ok"
-    truth = judged.truth
-    return ("right, too", "ok") if labelled in case.acceptable else (f"labelled {truth.labels[labelled]}", "")
+    if labelled in (case.target_object, case.reference_object):
+        return f"labelled {'target' if labelled == case.target_object else 'reference'}", "ok"
+    return ("right, too", "ok") if labelled in case.acceptable else (f"labelled {judged.truth.labels[labelled]}", "")
 
 
 def _missed(missed: Missed, name: str) -> str:
-    facts = [f"best overlap {missed.overlap:.2f}"]
-    facts += [] if missed.score is None else [f"score {missed.score:.2f}"]
-    facts += [] if missed.rank is None else [f"place {missed.rank} by score"]
-    facts += ["suppressed by a better-scored box"] if missed.suppressed else []
-    return f"missed: the right {name} ({', '.join(facts)})"
+    facts = (
+        f"best overlap {missed.overlap:.2f}",
+        "" if missed.score is None else f"score {missed.score:.2f}",
+        "" if missed.rank is None else f"place {missed.rank} by score",
+        "suppressed by a better-scored box" if missed.suppressed else "",
+    )
+    return f"missed: the right {name} ({', '.join(filter(None, facts))})"
 
 
 def lift_evidence(state: State, trace: Trace) -> list[Child]:
@@ -98,61 +97,63 @@ def lift_evidence(state: State, trace: Trace) -> list[Child]:
 
 def object_html(state: State) -> Element | None:
     """What is selected, of the detector that answers and of one beside it, as far as they are shown."""
-    i, j = state.selected, state.second_selected
-    second, title = None, None
+    i, j, second = state.selected, state.second_selected, None
+    own = i is not None and i < len(state.shown.objects) and state.own_layer
     if j is not None and state.beside is not None and state.second_layer:
-        second = state.second_layer[j]
         title = h.b(hollow(hex_color(second_color(state.dark))), f"B {second_name(state.beside, j)}")
-    if i is None or i >= len(state.shown.objects) or not state.own_layer:
-        return None if second is None else panel(_facts(second, title))
+        second = (_brief if own else _facts)(state.second_layer[j], title)
+    if i is None or not own:
+        return None if second is None else panel(second)
     # In front of it: below the facts it would not be seen.
-    return panel(None if second is None else _brief(second, title), _own(state, i))
+    return panel(second, _own(state, i))
+
+
+def _named(state: State, i: int) -> Element:
+    return named(palette(state.dark)[state.roles.get(i, "other")], state.shown.names[i])
 
 
 def _own(state: State, i: int) -> Element:
-    return _facts(state.shown.objects[i], named(palette(state.dark)[state.roles.get(i, "other")], state.shown.names[i]))
+    return _facts(state.shown.objects[i], _named(state, i))
 
 
 def _score(entry: SceneObject) -> str:
-    return f"score {score(entry.score)}" if score(entry.score) else ""
+    return f"score {said}" if (said := detector_score(entry.score)) else ""
 
 
 def _brief(entry: SceneObject, title: Child) -> Element:
     """An object in one line, beside one that is told in full."""
-    facts = [_score(entry)] if _score(entry) else []
-    if entry.lifted.box is not None:
-        sides = " × ".join(f"{side:.2f}" for side in entry.lifted.box.size)
+    box, facts = entry.lifted.box, [_score(entry)]
+    if box is not None:
+        sides = " × ".join(f"{side:.2f}" for side in box.size)
         facts = [f"{sides} m", f"{entry.lifted.quality.distance:.2f} m away", *facts]
-    return h.h3(title, h.span(" · ".join(facts)))
+    return h.h3(title, h.span(" · ".join(filter(None, facts))))
 
 
 def _facts(entry: SceneObject, title: Child) -> Element:
     """An object's size, its place, and what became of every pixel of its mask."""
     lifted, quality = entry.lifted, entry.lifted.quality
-    facts = []
+    facts = {}
     if lifted.box is not None:
         width, height, depth = lifted.box.size
-        facts += [
-            ("size", f"{width:.2f} wide × {height:.2f} high × {depth:.2f} deep m"),
-            ("distance", f"{quality.distance:.2f} m · yaw confidence {lifted.yaw_confidence:.2f}"),
-        ]
+        facts["size"] = f"{width:.2f} wide × {height:.2f} high × {depth:.2f} deep m"
+        facts["distance"] = f"{quality.distance:.2f} m · yaw confidence {lifted.yaw_confidence:.2f}"
     made = " by a segmenter" if quality.mask_source == "segmenter" else ""
-    facts.append(("points", f"{quality.points:,} of {quality.mask_pixels:,} mask pixels{made} ({quality.kept:.0%})"))
+    facts["points"] = f"{quality.points:,} of {quality.mask_pixels:,} mask pixels{made} ({quality.kept:.0%})"
     cleaned: list[Child] = []
     if lifted.evidence is not None and quality.mask_pixels:
         counts = lifted.evidence.counts()
         shares = [
-            (words(reason), color, counts[reason.name.lower()] / quality.mask_pixels)
+            (words(reason), color, share / quality.mask_pixels)
             for reason, color in {Pixel.KEPT: KEPT, **DROPPED}.items()
+            if (share := counts[reason.name.lower()])
         ]
-        shares = [share for share in shares if share[2]]
         bar = (h.i(css={"--c": hex_color(c), "width": f"{p:.1%}"}, title=f"{name} {p:.0%}") for name, c, p in shares)
         legend = (h.span(dot(color), f"{name} {p:.0%}") for name, color, p in shares)
         cleaned = [h.div(bar, cls="stack"), h.div(legend, cls="legend")]
     return h.article(
         h.h3(title, h.span(_score(entry))),
         cleaned,
-        h.dl(((h.dt(name), h.dd(value)) for name, value in facts), cls="facts"),
+        h.dl(((h.dt(name), h.dd(value)) for name, value in facts.items()), cls="facts"),
         note("; ".join(quality.concerns)) if quality.concerns else None,
         cls="object",
     )
@@ -166,10 +167,6 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
     pair = state.chosen
     if pair is None or pair.reference is None:
         return [h.p("No relation between two objects is asked, or no pair is chosen.", cls="dim")]
-
-    def name(i: int) -> str:
-        return state.shown.names[state.shown.place[i]]
-
     # "the table holding the lamp" asks for the lamp on the table.
     a, b = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
     bars = [
@@ -187,9 +184,9 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
         bars.append(_bar(state, trace.relation, pair.p_relation))
     links = pair.links if len(pair.links) > 1 else ()
     return [
-        h.h3(f"{name(a)} → {name(b)}", h.span(f"by {_scored_by(trace.scores, trace.scorer)}")),
+        h.h3(f"{state.name_of(a)} → {state.name_of(b)}", h.span(f"by {_scored_by(trace.scores, trace.scorer)}")),
         bars,
-        (h.p(f"{link_words(link, name)}: {probability(link.probability)}") for link in links),
+        (h.p(f"{link_words(link, state.name_of)}: {probability(link.probability)}") for link in links),
         _placement(state),
     ]
 
@@ -236,10 +233,8 @@ def _placement(state: State) -> list[Child]:
     if asked is None:
         return []
     a, b = (state.shown.names[i] for i in asked.places)
-    shown = state.flags.region
-    toggle = h.button(
-        "region", cls="try", do="flag:region", aria_pressed=str(shown).lower(), title="show it in the scene (Shift+R)"
-    )
+    pressed = str(state.flags.region).lower()
+    toggle = button("region", "flag:region", "show it in the scene (Shift+R)", aria_pressed=pressed)
     legend = (
         h.span(dot(color), f"{'holds' if label == 'T' else 'undecided'} ({label})")
         for label, color in REGION_COLORS.items()
@@ -248,7 +243,7 @@ def _placement(state: State) -> list[Child]:
         h.h3("By the rule", h.span(toggle)),
         h.p(f"{a} {PHRASE[asked.relation]} {b}", cls="dim"),
         h.p(asked.placement.why),
-        h.div(legend, cls="legend") if shown else None,
+        h.div(legend, cls="legend") if state.flags.region else None,
     ]
 
 
@@ -264,7 +259,7 @@ def attributes_evidence(state: State, trace: Trace) -> list[Child]:
         rows.append(
             h.tr(
                 h.td(h.b(factor.text), h.span(f" {factor.kind}", cls="dim")),
-                h.td(named(color, state.shown.names[place]), cls="w"),
+                h.td(_named(state, place), cls="w"),
                 h.td(level(factor.probability), css={"--c": hex_color(color)}),
                 h.td(f"{factor.probability:.2f}", cls="n" if factor.holds else "n low"),
             )

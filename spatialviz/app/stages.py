@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -35,12 +35,15 @@ MEANS = {
 }
 
 
+Mark: TypeAlias = Literal["good", "doubt", "bad", "idle"]
+
+
 @dataclass(frozen=True)
 class Stage:
     """How a stage fared: by a mark, in plain words, and what it took."""
 
     name: str
-    mark: Literal["good", "doubt", "bad", "idle"]
+    mark: Mark
     words: str
     cost: str = ""
 
@@ -51,9 +54,9 @@ def failed_stages(state: State) -> tuple[str, ...]:
     if state.error:
         return ("PARSE",)
     if isinstance(judged, Diagnosis):
-        repair = ("OPM" if part in ("CONF", "RECALL") else part for part in judged.repair)
-        told = repair if judged.verdict == "COMPOUND" else (MODULE_OF.get(judged.verdict, ""),)
-        return tuple(dict.fromkeys(filter(None, told)))
+        if judged.verdict != "COMPOUND":
+            return (MODULE_OF[judged.verdict],) if judged.verdict in MODULE_OF else ()
+        return tuple(dict.fromkeys("OPM" if part in ("CONF", "RECALL") else part for part in judged.repair))
     if state.trace is None or why_no_answer(state.trace) is None:
         return ()
     return ("OPM",) if state.trace.missing else ("PRM",)
@@ -69,41 +72,43 @@ def stages_html(state: State, open_stage: str = "") -> Element:
 
     `open_stage` is as `State.stage`: a name of EVIDENCE, "" for `opened`, and anything else for none.
     """
-    failed = failed_stages(state)
     open_stage = open_stage or opened(state)
-    return h.ol((_item(state, stage, open_stage, failed) for stage in stages(state)), cls="stages")
+    return h.ol((_item(state, stage, open_stage, failed_stages(state)) for stage in stages(state)), cls="stages")
 
 
 def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) -> Element:
-    trace, key, has_failed = state.trace, stage.name.lower(), stage.name in failed
-    is_open = trace is not None and stage.name == open_stage
-    marks = [mark for mark, is_so in (("open", is_open), ("failed", has_failed)) if is_so]
-    head = h.button(
-        h.b(stage.name),
-        h.span(stage.words, cls="line"),
-        h.span(stage.cost, cls="cost"),
-        cls="head",
-        do=f"stage:{stage.name}",
-        id=f"head-{key}",
-        aria_expanded=str(is_open).lower(),
-        aria_controls=f"evidence-{key}",
-        title=f"{stage.name}: {MEANS[stage.name]}",
-    )
+    trace, key = state.trace if stage.name == open_stage else None, stage.name.lower()
+    marks = ("stage", stage.mark, "open" if trace is not None else "", "failed" if stage.name in failed else "")
     evidence = None
-    if is_open and trace is not None:
-        found = EVIDENCE[stage.name](state, trace)
-        label = f"evidence of {stage.name}"
-        evidence = h.div(found, cls="evidence", id=f"evidence-{key}", role="region", aria_label=label)
-    sentence = _sentence(state) if failed[:1] == (stage.name,) else None
-    return h.li(head, sentence, evidence, cls=" ".join(("stage", stage.mark, *marks)), id=f"stage-{key}")
+    if trace is not None:
+        how = {"id": f"evidence-{key}", "role": "region", "aria_label": f"evidence of {stage.name}"}
+        evidence = h.div(EVIDENCE[stage.name](state, trace), cls="evidence", **how)
+    return h.li(
+        h.button(
+            h.b(stage.name),
+            h.span(stage.words, cls="line"),
+            h.span(stage.cost, cls="cost"),
+            cls="head",
+            do=f"stage:{stage.name}",
+            id=f"head-{key}",
+            aria_expanded=str(trace is not None).lower(),
+            aria_controls=f"evidence-{key}",
+            title=f"{stage.name}: {MEANS[stage.name]}",
+        ),
+        _sentence(state) if failed[:1] == (stage.name,) else None,
+        evidence,
+        cls=" ".join(filter(None, marks)),
+        id=f"stage-{key}",
+    )
 
 
 def _sentence(state: State) -> Element:
     """Why the answer is wrong, or why there is none."""
     if isinstance(state.judged, Diagnosis):
         return h.p(state.judged.text, cls="sentence")
-    reason = state.error or (why_no_answer(state.trace) or "" if state.trace is not None else "")
-    return h.p(reason, cls="sentence refused" if state.error else "sentence")
+    if state.error:
+        return h.p(state.error, cls="sentence refused")
+    return h.p(None if state.trace is None else why_no_answer(state.trace), cls="sentence")
 
 
 def stages(state: State) -> list[Stage]:
@@ -115,10 +120,11 @@ def stages(state: State) -> list[Stage]:
             found[0] = Stage("PARSE", "bad", "could not be asked")
         return [*found, _label(state)]
     made = (_parse(trace), _opm(trace), _lift(state, trace), _srm(state, trace), _attribute(state), _prm(trace))
-    found = [*filter(None, made), _label(state)]
     right = isinstance(state.judged, Diagnosis) and state.judged.correct
-    marked = (("bad" if s.name in failed else "good" if right and s.name != "LABEL" else s.mark, s) for s in found)
-    return [replace(s, mark=mark) for mark, s in marked]
+    return [
+        replace(s, mark="bad" if s.name in failed else "good" if right and s.name != "LABEL" else s.mark)
+        for s in (*filter(None, made), _label(state))
+    ]
 
 
 def _ms(trace: Trace, stage: str) -> str:
@@ -126,12 +132,15 @@ def _ms(trace: Trace, stage: str) -> str:
     return f"{value:.1f} ms" if value < 100 else f"{value:.0f} ms"
 
 
+def _sound(is_so: object) -> Mark:
+    return "good" if is_so else "doubt"
+
+
 def _parse(trace: Trace) -> Stage:
-    reading = trace.query.default if trace.ranking is None else trace.ranking.reading
     several = f"one of {len(trace.query.readings)} readings" if len(trace.query.readings) > 1 else ""
+    reading = trace.query.default if trace.ranking is None else trace.ranking.reading
     words = "; ".join(filter(None, (reading.description, several, *parse_notes(trace))))
-    unused = any(note.startswith("not used") for note in parse_notes(trace))
-    return Stage("PARSE", "doubt" if unused else "good", words, _ms(trace, "parse"))
+    return Stage("PARSE", _sound(not unused_words(trace.query)), words, _ms(trace, "parse"))
 
 
 def _opm(trace: Trace) -> Stage:
@@ -147,18 +156,15 @@ def _lift(state: State, trace: Trace) -> Stage:
     words = "; ".join(doubts) or f"{counted(len(trace.objects), 'object')} in 3D"
     # An object that was lifted for an earlier question costs nothing now.
     cost = _ms(trace, "lift") if trace.timings.get("lift", 0.0) > 1e-4 else "cached"
-    return Stage("LIFT", "doubt" if doubts else "good", words, cost)
+    return Stage("LIFT", _sound(not doubts), words, cost)
 
 
 def _srm(state: State, trace: Trace) -> Stage:
-    chosen = state.chosen
+    chosen, cost = state.chosen, _ms(trace, "srm")
     if chosen is None or chosen.reference is None:
-        return Stage(
-            "SRM", "good" if trace.objects else "idle", f"relations are scored by {trace.scorer}", _ms(trace, "srm")
-        )
-    doubt = not chosen.holds or abs(chosen.relation_probability - HOLDS) < 0.1
+        return Stage("SRM", "good" if trace.objects else "idle", f"relations are scored by {trace.scorer}", cost)
     words = f"“{trace.phrase}” has {probability(chosen.p_relation)} for the chosen pair (scorer: {trace.scorer})"
-    return Stage("SRM", "doubt" if doubt else "good", words, _ms(trace, "srm"))
+    return Stage("SRM", _sound(chosen.holds and abs(chosen.relation_probability - HOLDS) >= 0.1), words, cost)
 
 
 def _attribute(state: State) -> Stage | None:
@@ -167,18 +173,17 @@ def _attribute(state: State) -> Stage | None:
         return None
     factors = () if state.chosen is None else state.chosen.factors
     words = ", ".join(f"“{f.text}” has {probability(f.probability)}" for f in factors) or "no pair is chosen"
-    return Stage("ATTRIBUTE", "good" if all(f.holds for f in factors) else "doubt", words)
+    return Stage("ATTRIBUTE", _sound(all(f.holds for f in factors)), words)
 
 
 def _prm(trace: Trace) -> Stage:
-    reason, ranking = why_no_answer(trace), trace.ranking
+    reason, ranking, cost = why_no_answer(trace), trace.ranking, _ms(trace, "prm")
     if reason is not None or ranking is None:
         return Stage("PRM", "idle" if trace.missing else "bad", "nothing to rank" if trace.missing else reason or "")
     if len(ranking.pairs) == 1:
-        return Stage("PRM", "good", "the only candidate pair", _ms(trace, "prm"))
-    close = ranking.margin < 0.1
+        return Stage("PRM", "good", "the only candidate pair", cost)
     words = f"{len(ranking.pairs)} pairs, the best leads by {ranking.margin:.2f}"
-    return Stage("PRM", "doubt" if close else "good", words, _ms(trace, "prm"))
+    return Stage("PRM", _sound(ranking.margin >= 0.1), words, cost)
 
 
 def _label(state: State) -> Stage:
@@ -211,9 +216,9 @@ def parse_notes(trace: Trace) -> list[str]:
 
 
 def _chip(state: State, text: str, span: Span) -> Element:
-    if span.role in ("target", "reference"):
-        color = hex_color(palette(state.dark)["target" if span.role == "target" else "reference"])
-        return h.button(text, cls="chip", css={"--c": color}, do=f"chip:{span.role}", title=f"select the {span.role}")
+    if span.role == "target" or span.role == "reference":
+        css = {"--c": hex_color(palette(state.dark)[span.role])}
+        return h.button(text, cls="chip", css=css, do=f"chip:{span.role}", title=f"select the {span.role}")
     if span.role == "unused":
         return h.span(h.s(text), cls="chip rel unused", title=f"not used: {span.note}")
     return h.span(text, cls="chip rel", title=span.role)
@@ -240,19 +245,25 @@ def _readings(trace: Trace) -> Element | None:
 
 def _noun(node: Node) -> Element:
     """A noun with all that is said of it below it."""
-    said = [*(str(a) for a in node.attributes), *(c.text for c in node.choices)]
+    said = [*map(str, node.attributes), *(c.text for c in node.choices)]
     below = [_attachment(a) for a in node.attachments]
     below += [h.li(h.i("not", cls="neg"), h.ul(_noun(other))) for other in node.excluded]
-    count = f" × {node.count}" if node.count else ""
-    return h.li(h.b(node.name), count, ((" ", h.span(a, cls="attr")) for a in said), h.ul(below) if below else None)
+    return h.li(
+        h.b(node.name),
+        f" × {node.count}" if node.count else "",
+        ((" ", h.span(a, cls="attr")) for a in said),
+        h.ul(below) if below else None,
+    )
 
 
 def _attachment(attachment: Attachment) -> Element:
-    phrase = h.i(f"not {attachment.phrase}" if attachment.negated else attachment.phrase)
     meant = wording(attachment.relation, inverse=attachment.inverse)
-    told = h.span(f" {meant}", cls="dim") if meant != attachment.phrase else None
-    nodes = h.ul(_noun(n) for n in attachment.nodes)
-    return h.li(phrase, told, nodes, cls="neg" if attachment.negated else "")
+    return h.li(
+        h.i(f"not {attachment.phrase}" if attachment.negated else attachment.phrase),
+        h.span(f" {meant}", cls="dim") if meant != attachment.phrase else None,
+        h.ul(_noun(n) for n in attachment.nodes),
+        cls="neg" if attachment.negated else "",
+    )
 
 
 SHOWN_PAIRS = 30
@@ -270,21 +281,19 @@ def pairs_evidence(state: State, trace: Trace) -> list[Child]:
 def _ranked(state: State) -> list[Child]:
     """The ranked pairs with each factor; the weakest factor of a pair stands out."""
     fit = any(p.factors for p in state.ranked)
-    names = [
-        ("target", "P(target | name)"),
-        ("ref", "P(reference | name)"),
-        ("rel", "P(relation)"),
-        *([("fit", "P(attributes and choices)")] if fit else []),
-        ("P", "posterior over all pairs"),
-    ]
-    head = h.tr(
-        h.th("#", cls="n"),
-        h.th("target, reference"),
-        (h.th("tgt" if name == "target" else name, cls="n", title=title) for name, title in names),
-    )
-    rows = (_row(state, i, pair, fit) for i, pair in enumerate(state.ranked[:SHOWN_PAIRS]))
+    names = {"tgt": "P(target | name)", "ref": "P(reference | name)", "rel": "P(relation)"}
+    names |= {"fit": "P(attributes and choices)"} if fit else {}
+    names["P"] = "posterior over all pairs"
+    heads = (h.th(name, cls="n", title=title) for name, title in names.items())
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"
-    return [h.h3("Ranked pairs", h.span(more)), h.table(h.thead(head), h.tbody(rows), cls="pairs")]
+    return [
+        h.h3("Ranked pairs", h.span(more)),
+        h.table(
+            h.thead(h.tr(h.th("#", cls="n"), h.th("target, reference"), heads)),
+            h.tbody(_row(state, i, pair, fit) for i, pair in enumerate(state.ranked[:SHOWN_PAIRS])),
+            cls="pairs",
+        ),
+    ]
 
 
 def _numbers(pair: ScoredPair, fit: bool) -> list[float]:
@@ -293,23 +302,26 @@ def _numbers(pair: ScoredPair, fit: bool) -> list[float]:
 
 
 def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
-    colors, edited = palette(state.dark), state.edited
+    colors = palette(state.dark)
     target, *others = state.at(pair)
-    ends = ", ".join(state.shown.names[k] for k in others)
-    before = None if edited is None else edited.pair_before(pair)
-    rank = None if edited is None else edited.rank_before(pair)
+    rank, before = (None, None) if state.edited is None else state.edited.pair_before(pair)
     *factors, posterior = _numbers(pair, fit)
     old = [None] * (len(factors) + 1) if before is None else _numbers(before, fit)
-    cells = []
-    for k, (p, o) in enumerate(zip(factors, old, strict=False)):
-        empty = pair.reference is None and k in (1, 2)
-        low = p == min(factors) and p < 0.5
-        cells.append(cell("–" if empty else f"{p:.2f}", was(p, o), "n low" if low else "n"))
+    cells = [
+        cell(
+            "–" if pair.reference is None and k in (1, 2) else f"{p:.2f}",
+            was(p, old[k]),
+            "n low" if p == min(factors) and p < 0.5 else "n",
+        )
+        for k, p in enumerate(factors)
+    ]
     return h.tr(
         cell(i + 1, None if rank in (None, i + 1) else f"was rank {rank}", "n dim"),
         h.td(
             h.div(named(colors["target"], state.shown.names[target])),
-            None if pair.reference is None else h.div(named(colors["reference"], ends)),
+            None
+            if pair.reference is None
+            else h.div(named(colors["reference"], ", ".join(state.shown.names[k] for k in others))),
             cls="w",
         ),
         cells,
@@ -335,18 +347,17 @@ def _against(state: State) -> list[Child]:
         above, right = needed.get(name), getattr(d.right, f"p_{name}")
         css = {"--c": hex_color(COLORS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale / 2:.1%}"}
         wanted = None if above is None else h.div(f"> {threshold(above, right)[0]}", cls="dim", title=NEEDED)
-        bar = h.i(cls="for" if share >= 0 else "against", css=css)
         rows.append(
             h.tr(
                 h.th(name, scope="row"),
                 h.td(f"{getattr(d.winner, f'p_{name}'):.2f}", cls="n"),
                 h.td(f"{right:.2f}", wanted, cls="n"),
-                h.td(h.div(bar, cls="diverge")),
+                h.td(h.div(h.i(cls="for" if share >= 0 else "against", css=css), cls="diverge")),
                 h.td(f"{share:+.2f}", cls="n"),
             )
         )
-    total = d.winner.log_score - d.right.log_score
-    rows.append(h.tr(h.th("sum", scope="row"), h.td(colspan=3), h.td(h.b(f"{total:+.2f}"), cls="n"), cls="sum"))
+    total = f"{d.winner.log_score - d.right.log_score:+.2f}"
+    rows.append(h.tr(h.th("sum", scope="row"), h.td(colspan=3), h.td(h.b(total), cls="n"), cls="sum"))
     head = h.tr(
         h.td(),
         h.th("answer", cls="n"),
@@ -354,15 +365,17 @@ def _against(state: State) -> list[Child]:
         h.th("right · answer", title="which of the two the factor favours"),
         h.th("Δ log", cls="n"),
     )
+    return [
+        h.h3("Answer against the right pair"),
+        h.dl(h.dt("answer"), _ends(state, d.winner), h.dt("right"), _ends(state, d.right), cls="facts"),
+        h.table(h.thead(head), h.tbody(rows), cls="against"),
+    ]
+
+
+def _ends(state: State, pair: ScoredPair) -> Element:
     colors = palette(state.dark)
-
-    def ends(pair: ScoredPair) -> list[Child]:
-        target, reference = (_name(state, i) for i in (pair.target, pair.reference))
-        return [named(colors["target"], target), " · ", named(colors["reference"], reference)]
-
-    pairs = ((h.dt(what), h.dd(ends(p))) for what, p in (("answer", d.winner), ("right", d.right)))
-    table = h.table(h.thead(head), h.tbody(rows), cls="against")
-    return [h.h3("Answer against the right pair"), h.dl(pairs, cls="facts"), table]
+    target, reference = (_name(state, i) for i in (pair.target, pair.reference))
+    return h.dd(named(colors["target"], target), " · ", named(colors["reference"], reference))
 
 
 def _name(state: State, place: int | None) -> str:
@@ -379,21 +392,25 @@ def _matrix(state: State, trace: Trace) -> list[Child]:
     columns = _best(references)
     ranks = {(p.target, p.reference): k for k, p in enumerate(state.ranked)}
     accepted = state.judged.acceptable_pairs() if isinstance(state.judged, Diagnosis) else set()
-    body = (
-        h.tr(
-            h.th(named(colors["target"], _name(state, r)), cls="w2", scope="row"),
-            h.td(f"{score:.2f}", cls="n dim"),
-            (_pair_cell(state, ranks.get((r, c)), (r, c) in accepted) for c, _ in columns),
-            id=f"matrix-{r}",
-        )
-        for r, score in _best(targets)
-    )
+    css = {f"--{role}": hex_color(colors[role]) for role in ("target", "truth", "reference")}
+    cut = max(len(targets.index), len(references.index)) > MATRIX_LIMIT
     head = (
         h.th(_name(state, c).rpartition("·")[2], h.i(f"{s:.2f}"), cls="ref", title=_name(state, c)) for c, s in columns
     )
-    cut = max(len(targets.index), len(references.index)) > MATRIX_LIMIT
-    css = {f"--{role}": hex_color(colors[role]) for role in ("target", "truth", "reference")}
-    table = h.table(h.thead(h.tr(h.td(), h.td(), head)), h.tbody(body), cls="matrix", css=css)
+    table = h.table(
+        h.thead(h.tr(h.td(), h.td(), head)),
+        h.tbody(
+            h.tr(
+                h.th(named(colors["target"], _name(state, r)), cls="w2", scope="row"),
+                h.td(f"{score:.2f}", cls="n dim"),
+                (_pair_cell(state, ranks.get((r, c)), (r, c) in accepted) for c, _ in columns),
+                id=f"matrix-{r}",
+            )
+            for r, score in _best(targets)
+        ),
+        cls="matrix",
+        css=css,
+    )
     aside = f"best {MATRIX_LIMIT} a side" if cut else "relation · outlined: acceptable"
     return [h.h3("All pairs", h.span(aside)), h.div(table, cls="mx")]
 
@@ -402,11 +419,11 @@ def _pair_cell(state: State, rank: int | None, accepted: bool) -> Element:
     if rank is None:
         return h.td("·", cls="no", title="one and the same thing")
     pair = state.ranked[rank]
-    marks = {"sel": state.at(pair)[:2] == (state.pair or ())[:2], "ok": accepted, "top": rank == 0}
-    p = pair.p_relation
+    is_chosen, p = state.at(pair)[:2] == (state.pair or ())[:2], pair.p_relation
+    marks = ("c", "sel" if is_chosen else "", "ok" if accepted else "", "top" if rank == 0 else "")
     return h.td(
         "1" if p >= 0.995 else f"{p:.2f}"[1:],
-        cls=" ".join(("c", *(mark for mark, is_so in marks.items() if is_so))),
+        cls=" ".join(filter(None, marks)),
         css={"--a": f"{0.06 + 0.84 * p:.2f}", "--p": f"{pair.probability:.3f}"},
         do=f"pair:{rank}",
         # Keys reach the pairs in the table above.
@@ -417,8 +434,8 @@ def _pair_cell(state: State, rank: int | None, accepted: bool) -> Element:
 
 
 def _best(candidates: Candidates) -> list[tuple[int, float]]:
-    order = np.argsort(-candidates.scores, kind="stable")[:MATRIX_LIMIT]
-    return [(int(candidates.index[k]), float(candidates.scores[k])) for k in order]
+    best = np.argsort(-candidates.scores, kind="stable")[:MATRIX_LIMIT]
+    return [(int(candidates.index[k]), float(candidates.scores[k])) for k in best]
 
 
 EVIDENCE: dict[str, Callable[[State, Trace], list[Child]]] = {

@@ -20,13 +20,12 @@ from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.palette import Role
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.place import Place, Task
+from spatialviz.app.place import CameraMode, Place, Task
 from spatialviz.app.run_browser import Listing
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
 EditMode = Literal["off", "move", "turn", "resize"]
 Layers = Literal["both", "a", "b"]
-CameraMode = Literal["pair", "sensor", "orbit", "top"]
 Tool = Literal["", "level", "measure"]
 
 
@@ -131,6 +130,8 @@ class State:
     trace : Trace or None
     error : str
         Why the expression could not be asked.
+    unread : str
+        Of which kind that is, as the detail of the verdict PARSE says it.
     shown : Shown
     pair : tuple of int or None
         The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank.
@@ -177,6 +178,7 @@ class State:
     text: str = ""
     trace: Trace | None = None
     error: str = ""
+    unread: str = ""
     shown: Shown = NOTHING
     pair: tuple[int, ...] | None = None
     selected: int | None = None
@@ -217,8 +219,8 @@ class State:
     def unasked(self) -> State:
         """The same without any answer."""
         return replace(
-            self, trace=None, pair=None, selected=None, hovered=None, error="", judged=None, other=None, edited=None,
-            labels=None, second=None, stage="",
+            self, trace=None, pair=None, selected=None, hovered=None, error="", unread="", judged=None, other=None,
+            edited=None, labels=None, second=None, stage="",
         )  # fmt: skip
 
     @property
@@ -244,15 +246,24 @@ class State:
     @property
     def second_selected(self) -> int | None:
         """The selected object of the second detector: the one that was selected, else what it has of the own one."""
-        if self.beside is None or self.second is not None:
-            return None if self.beside is None else self.second
-        return self.beside.partner(self.selected)
+        if self.beside is None:
+            return None
+        return self.beside.partner(self.selected) if self.second is None else self.second
+
+    def name_of(self, i: int) -> str:
+        """The name of an object of the trace."""
+        return self.shown.names[self.shown.place[i]]
+
+    def key_at(self, place: int, keys: tuple[str, ...]) -> str | None:
+        """The key of a shown object, with `keys` those of the trace's objects; None where they do not have it."""
+        entry = self.shown.objects[place]
+        found = next((keys[t] for t, at in self.shown.place.items() if at == place and keys), None)
+        return f"#{entry.id}" if entry.id >= 0 else found
 
     def named(self, key: str) -> str:
         """The name of an object by its key (`pipeline.diagnosis.whatif.pair_tables`)."""
-        keys = () if self.edited is None else self.edited.after.keys
-        if key in keys:
-            return self.shown.names[self.shown.place[keys.index(key)]]
+        if self.edited is not None and key in self.edited.after.keys:
+            return self.name_of(self.edited.after.keys.index(key))
         ids = {f"#{o.id}": name for o, name in zip(self.shown.objects, self.shown.names, strict=True) if o.id >= 0}
         return ids.get(key, key)
 
@@ -282,11 +293,9 @@ class State:
         if self.pair is None:
             return {}
         roles: dict[int, Role] = {self.pair[1]: "reference"}
-        chosen = self.chosen
-        for link in () if chosen is None else chosen.links:
-            for end in (link.a, link.b, link.c):
-                if end is not None:
-                    roles[self.shown.place[end]] = "reference"
+        links = () if self.chosen is None else self.chosen.links
+        ends = [end for link in links for end in (link.a, link.b, link.c) if end is not None]
+        roles |= dict.fromkeys((self.shown.place[end] for end in ends), "reference")
         roles[self.pair[0]] = "target"
         return roles
 
@@ -302,24 +311,19 @@ class State:
     @property
     def ghosts(self) -> list[Ghost]:
         """The labelled target and reference in 3D, and those of the other run where it answers otherwise."""
-        found = []
-        if isinstance(self.judged, Diagnosis):
-            boxes = self.judged.labelled_boxes()
-            found += [Ghost(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
-        pair = None if self.other is None else self.other.best
-        if self.other is not None and self.other.trace is not None and pair is not None:
-            mine = self.ranked[0] if self.ranked else None
-            ends = (
-                ("target", pair.target, None if mine is None else mine.target),
-                ("reference", pair.reference, None if mine is None else mine.reference),
-            )
-            for name, place, own in ends:
-                entry = None if place is None else self.other.trace.objects[place]
-                if entry is None or (own is not None and _same(self.trace, own, entry)):
-                    continue
-                if entry.lifted.box is not None:
-                    text = f"{self.other.name}: {entry.label}"
-                    found.append(Ghost(f"other-{name}", text, entry.lifted.box, "edited"))
+        boxes = self.judged.labelled_boxes() if isinstance(self.judged, Diagnosis) else {}
+        found = [Ghost(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
+        other, mine = self.other, self.ranked[0] if self.ranked else None
+        if other is None or other.trace is None or other.best is None:
+            return found
+        ends = (
+            ("target", other.best.target, None if mine is None else mine.target),
+            ("reference", other.best.reference, None if mine is None else mine.reference),
+        )
+        for name, place, own in ends:
+            entry = None if place is None else other.trace.objects[place]
+            if entry is not None and entry.lifted.box is not None and not same_thing(self.trace, own, entry):
+                found.append(Ghost(f"other-{name}", f"{other.name}: {entry.label}", entry.lifted.box, "edited"))
         return found
 
     @property
@@ -350,13 +354,22 @@ class State:
     @property
     def at_place(self) -> Place:
         """What a reload brings back; while labels are shown no question is."""
-        text = self.text if self.labels is None else None
-        return Place(self.source, self.frame_id, text, self.task, self.stage)
+        look = None if self.camera == "pair" else self.camera
+        pair = next((n for n, p in enumerate(self.ranked, 1) if self.at(p) == self.pair), 1)
+        place = Place(
+            self.source, self.frame_id, self.text, self.task, self.stage, pair=None if pair == 1 else pair, look=look
+        )
+        if self.labels is None:
+            return place
+        card = self.labels.card
+        return replace(place, text=None, item=None if card is None else (card.a, card.b))
 
 
-def _same(trace: Trace | None, place: int, other: SceneObject) -> bool:
+def same_thing(trace: Trace | None, place: int | None, other: SceneObject) -> bool:
     """Whether two answers mean one thing, as the comparison of two runs has it."""
-    return trace is not None and float(iou_2d(trace.objects[place].bbox, other.bbox)[0, 0]) >= 0.5
+    if trace is None or place is None:
+        return False
+    return float(iou_2d(trace.objects[place].bbox, other.bbox)[0, 0]) >= 0.5
 
 
 def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before: Trace | None = None) -> Shown:
@@ -371,16 +384,10 @@ def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before:
             objects[by_id[entry.id]] = entry
     place: dict[int, int] = {}
     for i, entry in enumerate(() if trace is None else trace.objects):
-        at = by_id.get(entry.id) if entry.id >= 0 else None
-        if at is None:
-            at = len(objects)
-            objects.append(entry)
-        else:
-            # The question's name and score are those the answer was made with.
-            objects[at] = entry
-        place[i] = at
-    names = tuple(o.name(i, exact) for i, o in enumerate(objects))
-    return Shown(tuple(objects), names, place)
+        at = place[i] = by_id.get(entry.id, len(objects))
+        # The question's name and score are those the answer was made with.
+        objects[at : at + 1] = [entry]
+    return Shown(tuple(objects), tuple(o.name(i, exact) for i, o in enumerate(objects)), place)
 
 
 _Names = tuple[str | None, ...]
@@ -404,33 +411,22 @@ class Edited:
     judged: Diagnosis | str | None
     seconds: float
 
-    def rank_before(self, pair: ScoredPair) -> int | None:
-        """The place that a pair of the answer had, from 1; None where it was no candidate."""
-        found = self._ranked.get(_named(self.after, pair))
-        return None if found is None else found[0]
-
-    def pair_before(self, pair: ScoredPair) -> ScoredPair | None:
-        """A pair of the answer as it was."""
-        found = self._ranked.get(_named(self.after, pair))
-        return None if found is None else found[1]
+    def pair_before(self, pair: ScoredPair) -> tuple[int | None, ScoredPair | None]:
+        """A pair of the answer as it was, after the place that it had, from 1; None where it was no candidate."""
+        return self._ranked.get(_named(self.after, pair), (None, None))
 
     def relation_before(self, a: int, b: int, relation: str) -> float | None:
         """P("a RELATION b") as it was, for places in the objects of the answer."""
-        places = [self._places.get(self.after.keys[i]) for i in (a, b)]
-        scores = self.before.trace.scores
-        if None in places or relation not in scores.relations:
+        keys, scores = (self.after.keys[a], self.after.keys[b]), self.before.trace.scores
+        if relation not in scores.relations or not set(keys) <= set(self.before.keys):
             return None
-        return float(scores.of(relation)[places[0], places[1]])
+        return float(scores.of(relation)[tuple(map(self.before.keys.index, keys))])
 
     @cached_property
     def _ranked(self) -> dict[_Names, tuple[int, ScoredPair]]:
         ranking = self.before.trace.ranking
         pairs = () if ranking is None else ranking.pairs
         return {_named(self.before, pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
-
-    @cached_property
-    def _places(self) -> dict[str, int]:
-        return {key: at for at, key in enumerate(self.before.keys)}
 
 
 def _named(outcome: Outcome, pair: ScoredPair) -> _Names:

@@ -11,7 +11,7 @@ from pipeline.geometry.palette import DROPPED
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.beside import layers_html
 from spatialviz.app.keys import KEYS, MOVE_KEYS
-from spatialviz.app.layout import listed
+from spatialviz.app.layout import window
 from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, note, panel, segments, words
 from spatialviz.app.state import State
 
@@ -82,13 +82,16 @@ def scene_tools_html(state: State) -> Element:
 
 
 def _point_size(state: State) -> Element:
-    value = f"{state.point_size:.2f}"
     part = (state.point_size - LEAST_POINT) / (LARGEST_POINT - LEAST_POINT)
-    field = h.input(
-        type="range", min=LEAST_POINT, max=LARGEST_POINT, step="0.05", value=value, live="point-size", id="point-size",
-        css={"--v": f"{part:.3f}"}, title="how large points are drawn (- and =)",
+    return h.label(
+        "points",
+        h.input(
+            type="range", min=LEAST_POINT, max=LARGEST_POINT, step="0.05", value=f"{state.point_size:.2f}",
+            live="point-size", id="point-size", css={"--v": f"{part:.3f}"},
+            title="how large points are drawn (- and =)",
+        ),
+        cls="points",
     )  # fmt: skip
-    return h.label("points", field, cls="points")
 
 
 def frame_nav_html(place: int, count: int) -> Element:
@@ -107,13 +110,12 @@ def moves_html(leads: Mapping[str, str] | None) -> Element | None:
 
 
 def _step(by: int, label: str, hint: str, possible: bool) -> Element:
-    how = {"do": f"next-frame:{by}", "title": hint, "aria_label": hint, "id": f"step{by}", "disabled": not possible}
-    return h.button(label, cls="try", **how)
+    return button(label, f"next-frame:{by}", hint, aria_label=hint, id=f"step{by}", disabled=not possible)
 
 
 def _move(leads: Mapping[str, str], key: str, label: str, message: str) -> Element:
     """A button as the keys lie; a move that is not possible cannot be pressed."""
-    move = message.partition(":")[2]
+    move = message.removeprefix("move:")
     mark, word = MOVE_MARKS[move]
     hint = f"{label} ({key}): {leads.get(move, 'there is no picture')}"
     return h.button(h.i(mark), word, do=message, title=hint, id=f"move-{move}", disabled=move not in leads)
@@ -125,11 +127,8 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
         return panel(h.p("No example: it would rest on an assumed up.", cls="dim"))
     if not suggestions:
         return None
-    tries = (
-        h.li(h.button(text, cls="try on" if text == state.text else "try", do=f"try:{i}"))
-        for i, text in enumerate(suggestions)
-    )
-    return panel(h.ul(tries, cls="suggestions"))
+    rows = (h.li(button(t, f"try:{i}", cls="on" if t == state.text else "")) for i, t in enumerate(suggestions))
+    return panel(h.ul(rows, cls="suggestions"))
 
 
 TOOLS = (
@@ -145,25 +144,23 @@ TOOLS = (
 
 def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list[Element]:
     """Which dataset and which frame of it, with steps to its neighbours."""
-    place = ids.index(state.frame_id)
-    made = []
+    dataset = h.span(state.source, cls="dataset")
     if len(sources) > 1:
         options = (h.option(name, value=name, selected=name == state.source) for name in sources)
-        made.append(h.select(options, aria_label="Dataset", change="data:"))
-    else:
-        made.append(h.span(state.source, cls="dataset"))
+        dataset = h.select(options, aria_label="Dataset", change="data:")
     field = h.input(
         type="text", value=state.frame_id, list="frame-ids", aria_label="Frame", change="open:", cls="frame-id",
         autocomplete="off", spellcheck="false",
     )  # fmt: skip
-    offered = h.datalist((h.option(value=one) for one in listed(ids, state.frame_id)), id="frame-ids")
-    return [*made, field, offered, frame_nav_html(place, len(ids))]
+    at = ids.index(state.frame_id)
+    offered = h.datalist((h.option(value=ids[i]) for i in window(len(ids), at)), id="frame-ids")
+    return [dataset, field, offered, frame_nav_html(at, len(ids))]
 
 
 def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | None:
     """What the page is for: only what it can be for here."""
-    tasks = {"explain": "Explain"} | ({"evaluate": "Evaluate"} if with_run else {})
-    tasks |= {"label": "Label"} if with_labels else {}
+    possible = {"explain": True, "evaluate": with_run, "label": with_labels}
+    tasks = {name: name.capitalize() for name, is_so in possible.items() if is_so}
     return segments("task", tasks, state.task, "What the page is for") if len(tasks) > 1 else None
 
 
@@ -188,9 +185,13 @@ def refusal_html(state: State) -> Element | None:
     if not state.error:
         return None
     names = sorted({o.label for o in state.shown.objects})
-    there = h.p("In this frame: ", ", ".join(names)) if names else None
-    close = h.button("×", cls="close", local="dismiss", aria_label="close", title="close")
-    return h.div(note(state.error, BAD), close, there, cls="refusal", role="alert")
+    return h.div(
+        note(state.error, BAD),
+        h.button("×", cls="close", local="dismiss", aria_label="close", title="close"),
+        h.p("In this frame: ", ", ".join(names)) if names else None,
+        cls="refusal",
+        role="alert",
+    )
 
 
 OFFERED = 8
@@ -208,9 +209,11 @@ def offers(typed: str, state: State, suggestions: Sequence[str], asked: Sequence
         return _distinct(whole)
     found = [o for o in whole if o["text"].lower().startswith(text) and o["text"].lower() != text]
     names = sorted({o.label for o in state.shown.objects}, key=lambda n: (len(n), n))
+    # A relation follows a name, else a name does.
+    due = "relation" if any(text.rstrip().endswith(name.lower()) for name in names) else "name"
     for kind, vocabulary in (("name", names), ("relation", list(dict.fromkeys(PHRASE.values())))):
         for word in vocabulary:
-            if _begins(text, word.lower()) or (text.endswith(" ") and kind == _next(text, names)):
+            if _begins(text, word.lower()) or (text.endswith(" ") and kind == due):
                 found.append({"text": word, "kind": kind, "detail": "in this frame" if kind == "name" else kind})
     return _distinct(found)
 
@@ -219,11 +222,6 @@ def _begins(text: str, word: str) -> bool:
     """Whether the end of a text, from the beginning of a word of it, begins this word."""
     starts = (k for k in range(max(0, len(text) - len(word) + 1), len(text)) if k == 0 or text[k - 1] == " ")
     return any(word.startswith(text[k:]) for k in starts)
-
-
-def _next(text: str, names: Sequence[str]) -> str:
-    """What follows a text that ends with a whole word: a relation after a name, else a name."""
-    return "relation" if any(text.rstrip().endswith(name.lower()) for name in names) else "name"
 
 
 def _distinct(found: list[dict[str, str]]) -> list[dict[str, str]]:
@@ -249,14 +247,14 @@ def up_chip(state: State) -> Element | None:
     loud = source == "assumed"
     said = f"{ASSUMED[0].upper()}{ASSUMED[1:]}." if loud else f"Up: {SOURCES[source]}."
     chip = h.button if labels is None else h.span
-    made = chip(
+    return chip(
         f"up {source}",
         cls=f"upchip{' loud' if loud else ''}",
         css={"--c": DOUBT if loud else IDLE},
         title=f"{said} {HOW if labels is None else MADE_WITH}",
+        do="pick:level" if labels is None else None,
+        aria_pressed=str(state.picking == "level").lower() if labels is None else None,
     )
-    on = str(state.picking == "level").lower()
-    return made if labels is not None else made.with_(do="pick:level", aria_pressed=on)
 
 
 def level_html(state: State) -> Element | None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable
-from dataclasses import asdict, fields, replace
+from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +21,20 @@ from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState, decode, encode
 from pipeline.evaluation.shared_makers import shares_of_answer
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.judging import Judge
-from spatialviz.app.markup import h
+from spatialviz.app.markup import Element, h
 from spatialviz.app.place import Place
 from spatialviz.app.run_panel import RunPanel
-from spatialviz.app.state import SceneFlags, State
+from spatialviz.app.state import State
 from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
 from spatialviz.report import Subject, failure_page
+
+
+def _text(text: str, rows: int, name: str) -> Element:
+    """A text to be copied."""
+    return h.textarea(text, cls="state", rows=rows, readonly=True, spellcheck="false", aria_label=name)
 
 
 class ViewStrings(Part):
@@ -41,11 +47,10 @@ class ViewStrings(Part):
 
     def now(self) -> ViewState:
         """What is looked at."""
-        state = self.state
-        run = self.ctx.shared.runs.get(state.source)
+        state, run = self.state, self.ctx.run
         return view_of(
             state,
-            self.ctx.shared.store.sources[state.source],
+            self.ctx.source,
             self.ctx.scene.viewpoint.turned_to(),
             None if run is None else str(run.folder.resolve()),
             state.expression_id(state.text),
@@ -54,22 +59,17 @@ class ViewStrings(Part):
     @command("copy-state")
     def copy(self) -> None:
         """Put the view into the clipboard, and show it to be copied by hand."""
-        try:
-            string = encode(self.now())
-        except InputError as error:
-            self.ctx.fail(error)
-            return
-        hint = (
-            "Paste it into the Ask field of a page, or open it with ",
-            h.code("spatialviz view --state STRING"),
-            ".",
-        )
         self.ctx.dialog.show(
             "This view as a string",
             (
-                h.textarea(string, cls="state", rows=5, readonly=True, spellcheck="false", aria_label="The string"),
+                _text(encode(self.now()), 5, "The string"),
                 h.div("copying …", cls="copied", role="status"),
-                h.div(hint, cls="dim small"),
+                h.div(
+                    "Paste it into the Ask field of a page, or open it with ",
+                    h.code("spatialviz view --state STRING"),
+                    ".",
+                    cls="dim small",
+                ),
             ),
             h.button("Copy again", local="copy"),
         )
@@ -89,28 +89,22 @@ class ViewStrings(Part):
 
     @command("restore")
     def restore(self, string: str) -> None:
-        """Show the view of a string; say so where that is not possible."""
-        try:
-            view = decode(string)
-        except InputError as error:
-            self.ctx.fail(error)
-        else:
-            self.open(view)
+        """Show the view of a string."""
+        self.open(decode(string))
 
     def open(self, view: ViewState, confirmed: bool = False) -> None:
-        """Show a view; say so where that is not possible. A file that it names is loaded only when `confirmed`."""
-        try:
-            self._show(view, confirmed)
-        except InputError as error:
-            self.ctx.fail(error)
+        """Show a view. A file that it names is loaded only when `confirmed`.
 
-    def _show(self, view: ViewState, confirmed: bool) -> None:
-        """Show a view; InputError where it is of a dataset or a frame that is not here."""
-        if view.dataset not in self.ctx.shared.store.sources:
-            opened = ", ".join(self.ctx.shared.store.sources)
-            raise InputError("the view is of a dataset that is not open here", got=view.dataset, expected=opened)
-        if view.frame not in self.ctx.shared.store.sources[view.dataset].dataset.frame_ids:
-            raise InputError(f"{view.dataset} has no such frame", got=view.frame)
+        Raises
+        ------
+        InputError
+            It is of a dataset or a frame that is not here, or its edits cannot be applied.
+        """
+        sources = self.ctx.shared.store.sources
+        what, opened = "the view is of a dataset that is not open here", ", ".join(sources)
+        require(view.dataset in sources, what, got=view.dataset, expected=opened)
+        ids = sources[view.dataset].dataset.frame_ids
+        require(view.frame in ids, f"{view.dataset} has no such frame", got=view.frame)
         if view.edits.scorer not in SHIPPED_SCORERS and not confirmed:
             self._waiting = view
             self.ctx.dialog.show(
@@ -131,7 +125,8 @@ class ViewStrings(Part):
         """What to do with the scorer of the view that waits."""
         view, self._waiting = self._waiting, None
         if view is not None:
-            self.open(view if answer == "file" else replace(view, edits=view.edits.with_scorer(None)), confirmed=True)
+            view = view if answer == "file" else replace(view, edits=view.edits.with_scorer(None))
+            self.open(view, confirmed=True)
 
     def _look(self, view: ViewState) -> None:
         if view.dataset != self.state.source:
@@ -141,12 +136,11 @@ class ViewStrings(Part):
             self.ctx.note(f"the view is of the run {view.run}, which is not open here")
         elif view.expression_id is not None:
             self._panel.reveal(view.frame, view.expression_id)
-        before = self.state
-        self.state = with_settings(before, view)
+        self.state = with_settings(self.state, view)
         self.ctx.go(Place(view.dataset, view.frame, view.expression))
         if view.edits != self.state.edits:
             self._edit(view)
-        self.state = with_objects(self.state, self.ctx.shared.store.sources[view.dataset], view)
+        self.state = with_objects(self.state, self.ctx.source, view)
         self.ctx.draw()
         if self.state.loaded is not None:
             if view.camera is None:
@@ -214,7 +208,7 @@ def view_of(
 
 def with_settings(state: State, view: ViewState) -> State:
     """The state with a view's paint, toggles and place to look from; what is not known is passed over."""
-    known = {f.name for f in fields(SceneFlags)}
+    known = asdict(state.flags)
     flags = {name: value for name, value in view.toggles.items() if name in known and isinstance(value, bool)}
     changed: dict[str, Any] = {"flags": replace(state.flags, **flags)}
     if view.colors in ("rgb", "objects", "depth", "evidence"):
@@ -240,12 +234,9 @@ def with_objects(state: State, source: Pipeline, view: ViewState) -> State:
 def object_key(state: State, source: Pipeline, place: int) -> str | None:
     """The key of a shown object (`whatif.pair_tables.detection_keys`); None where the detector does not find it so."""
     entry = state.shown.objects[place]
-    if entry.id >= 0:
-        return f"#{entry.id}"
-    if state.edited is not None:
-        edited = next((state.edited.after.keys[t] for t, at in state.shown.place.items() if at == place), None)
-        if edited is not None:
-            return edited
+    key = state.key_at(place, () if state.edited is None else state.edited.after.keys)
+    if key is not None:
+        return key
     keys, alike = _detections(state, source, entry.label)
     return next((key for key, same in zip(keys, alike(entry), strict=True) if same), None)
 
@@ -258,11 +249,11 @@ def object_place(state: State, source: Pipeline, key: str) -> int | None:
     if state.edited is not None and key in state.edited.after.keys:
         return state.shown.place.get(state.edited.after.keys.index(key))
     name = key.rpartition("/")[0]
-    if not any(o.label == name and o.id < 0 for o in objects):
+    named = [i for i, o in enumerate(objects) if o.label == name]
+    if all(objects[i].id >= 0 for i in named):
         return None
     keys, alike = _detections(state, source, name)
-    at = keys.index(key) if key in keys else None
-    return None if at is None else next((i for i, o in enumerate(objects) if o.label == name and alike(o)[at]), None)
+    return next((i for i in named if key in keys and alike(objects[i])[keys.index(key)]), None)
 
 
 def _detections(
@@ -299,23 +290,23 @@ class Keeping(Part):
     @command("keep-case")
     def ask_name(self) -> None:
         """Ask where the case is to be saved."""
-        state = self.state
-        if state.trace is None:
-            self.ctx.fail(InputError("there is no answer to save", cause="ask something first"))
-            return
+        _, _, state = self._answered()
         name = folder_name(f"{state.text}-{state.frame_id}")
         field = h.input(
             cls="find", value=name, enter="save-case", autofocus=True, spellcheck="false", autocomplete="off",
             aria_label="Name of the folder",
         )  # fmt: skip
-        hint = (
-            "A small folder with the picture, the detections and the answer. ",
-            h.code("spatialviz replay"),
-            " runs it again and says whether the answer is still the same.",
-        )
         self.ctx.dialog.show(
             "Save this answer as a case",
-            (h.div(h.span(f"{CASES}/", cls="dim"), field, cls="case"), h.div(hint, cls="dim small")),
+            (
+                h.div(h.span(f"{CASES}/", cls="dim"), field, cls="case"),
+                h.div(
+                    "A small folder with the picture, the detections and the answer. ",
+                    h.code("spatialviz replay"),
+                    " runs it again and says whether the answer is still the same.",
+                    cls="dim small",
+                ),
+            ),
             h.button("Save", local="send:save-case:"),
         )
 
@@ -324,26 +315,18 @@ class Keeping(Part):
         """Save the answer as a case in a new folder."""
         clean = folder_name(name)
         folder = Path(CASES) / clean
-        try:
-            if not clean:
-                raise InputError("this is no name for a folder", got=repr(name[:40]), expected="letters and digits")
-            if folder.exists():
-                raise InputError("there is a case of this name already", expected="another name", path=folder)
-            source, context, state, given = self._given()
-            run = self.ctx.shared.runs.get(state.source)
-            view = self._view()
-            origin = {} if run is None else {"run": str(run.folder), "expression": view.expression_id}
-            save_case(folder, source, context, state.text, run=origin, **given)
-        except InputError as error:
-            self.ctx.fail(error)
-            return
+        require(clean, "this is no name for a folder", got=repr(name[:40]), expected="letters and digits")
+        require(not folder.exists(), "there is a case of this name already", expected="another name", path=folder)
+        (source, context, state), run = self._answered(), self.ctx.run
+        origin = {} if run is None else {"run": str(run.folder), "expression": self._view().expression_id}
+        save_case(folder, source, context, state.text, run=origin, **self._given(source, context))
         replay = shlex.join(["spatialviz", "replay", str(folder)])
         self.ctx.note(f"case saved: {replay}")
         self.ctx.dialog.show(
             "Saved",
             (
                 h.div("The case is in ", h.code(str(folder.resolve())), ". Run it again with"),
-                h.textarea(replay, cls="state", rows=2, readonly=True, spellcheck="false", aria_label="Command"),
+                _text(replay, 2, "Command"),
                 h.div(cls="copied", role="status"),
             ),
             h.button("Copy the command", local="copy"),
@@ -355,43 +338,32 @@ class Keeping(Part):
         from spatialviz.report.scene import scene_html
 
         self.ctx.page.toast("Report", "The page is being made.")
-        try:
-            source, context, state, given = self._given()
-            answered = answer(source, context, state.text, **given)
-            report = failure_page(answered, source, context, self._subject(answered), scene_html(answered, context))
-        except InputError as error:
-            self.ctx.fail(error)
-            return
+        source, context, state = self._answered()
+        answered = answer(source, context, state.text, **self._given(source, context))
+        report = failure_page(answered, source, context, self._subject(answered), scene_html(answered, context))
         name = f"{folder_name(f'{state.text}-{state.frame_id}') or 'answer'}.html"
         self.ctx.page.download(name, report.encode("utf-8", "replace"))
         self.ctx.note(f"report made: {name}")
 
-    def _given(self) -> tuple[Pipeline, PreparedFrame, State, dict[str, Any]]:
-        """What is asked of which frame, and what is known of the truth."""
+    def _answered(self) -> tuple[Pipeline, PreparedFrame, State]:
+        """What was asked of which frame; InputError where nothing was."""
         state = self.state
         if state.trace is None or state.loaded is None:
             raise InputError("there is no answer to keep", cause="ask something first")
-        source, context = self.ctx.shared.store.sources[state.source], state.loaded.context
-        truth = self._judge.truth(state.source, source, context)
-        known = self._judge.known(state.source, context, truth, self._view().expression_id)
-        edits = state.edits
-        return source, context, state, {"truth": truth, "edits": edits_record(edits) if edits else None, **known}
+        return self.ctx.source, state.loaded.context, state
+
+    def _given(self, source: Pipeline, context: PreparedFrame) -> dict[str, Any]:
+        """What is known of the truth, and the edits."""
+        known = self._judge.known(truth := self._judge.truth(source, context), self._view().expression_id)
+        edits = self.state.edits
+        return {"truth": truth, "edits": edits_record(edits) if edits else None, **known}
 
     def _subject(self, answered: Answer) -> Subject:
-        view = self._view()
-        try:
+        view, run, string = self._view(), self.ctx.run, None
+        with suppress(InputError):
             string = encode(view)
-        except InputError:
-            string = None
-        commands = (
-            () if string is None else (shlex.join(["spatialviz", *self.ctx.shared.opened_by, "--state", string]),)
-        )
+        opened = ["spatialviz", *self.ctx.shared.opened_by, "--state"]
+        commands = () if string is None else (shlex.join([*opened, string]),)
         facts = () if view.run is None else (("run", view.run), ("expression", view.expression_id or answered.text))
-        name = self.state.source
-        run = self.ctx.shared.runs.get(name)
-        shares = (
-            shares_of_answer(self.ctx.shared.store.sources[name], self._judge.labels(name))
-            if run is None
-            else run.shares
-        )
+        shares = shares_of_answer(self.ctx.source, self._judge.labels) if run is None else run.shares
         return Subject(view.dataset, view.frame, commands, string, facts, shares)

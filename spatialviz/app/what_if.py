@@ -16,8 +16,8 @@ from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, Part, command
+from pipeline.system.errors import InputError, needed
+from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.edit_messages import edited_by
 from spatialviz.app.edit_panel import cost_html, edit_html
 from spatialviz.app.edit_scene import MODES, BoxGizmo, EditScene, map_legend
@@ -50,11 +50,10 @@ class WhatIf(Part):
         asked = self._asked()
         if self._of is None or asked == self._of:
             return
-        state = self.state
-        if state.edits:
-            count = len(each_edit(state.edits))
+        if self.state.edits:
+            count = len(each_edit(self.state.edits))
             self.ctx.note(f"{counted(count, 'edit')} dropped: of “{self._of[2]}” in frame {self._of[1]}")
-        self.state = replace(state, edits=Edits(), edited=None)
+        self.state = replace(self.state, edits=Edits(), edited=None)
         self._undo, self._of, self._baseline, self._map, self._live_since = [], None, None, None, None
 
     def answered(self) -> None:
@@ -89,11 +88,7 @@ class WhatIf(Part):
     def _edit(self, said: str, live: bool = False) -> None:
         """Carry out an edit such as "size:1:0.2"; a live one is followed by others of the same hand."""
 
-        def change() -> Edits:
-            baseline, state = self._base(), self.state
-            return edited_by(said, state, self.ctx.source, self.keys(baseline))
-
-        self._try(change, live)
+        self._try(lambda: edited_by(said, self.state, self.ctx.source, self.keys(self._base())), live)
 
     def _try(self, change: Callable[[], Edits], live: bool = False) -> None:
         try:
@@ -127,14 +122,14 @@ class WhatIf(Part):
 
     def _apply(self, edits: Edits) -> None:
         """Answer again, and take the answer into the state."""
-        baseline, state = self._base(), self.state
+        baseline = self._base()
         start = perf_counter()
         outcome = rerun(baseline, edits)
         seconds = perf_counter() - start
         rank = replace(baseline.source.config.rank, **edits.rank) if edits.rank else None
         judged = self._judge(outcome.trace, rank) if edits else self._judged
         edited = Edited(baseline.outcome, outcome, self._judged, seconds)
-        self.state = _taken(state, edits, edited, judged, self.keys(baseline))
+        self.state = _taken(self.state, edits, edited, judged, self.keys(baseline))
 
     def keys(self, baseline: Baseline) -> tuple[str, ...]:
         """Keys of the objects of the answer that is shown."""
@@ -150,31 +145,21 @@ class WhatIf(Part):
 
     @command("edit-mode")
     def _set_mode(self, mode: str) -> None:
-        modes = dict(zip(MODES, MODES, strict=True))
-        state = self.state
-        if mode == "next":
-            mode = MODES[(MODES.index(state.mode) + 1) % len(MODES)]
-        if mode not in modes:
-            return
-        selected = state.selected
-        if selected is None and state.pair is not None:
-            selected = state.pair[0]
-        self.ctx.show(mode=modes[mode], selected=selected)
+        state, chosen = self.state, choice(MODES, self.state.mode, mode)
+        if chosen is not None:
+            selected = state.pair[0] if state.selected is None and state.pair is not None else state.selected
+            self.ctx.show(mode=chosen, selected=selected)
 
     # ---- map ------------------------------------------------------------------------
 
     @command("edit-map")
     def _toggle_map(self) -> None:
-        if self._map is not None:
-            self._map = None
-            self.ctx.draw()
-            return
+        shown, self._map = self._map, None
         try:
-            key = self._selected_key()
-            if key is None:
-                raise InputError("no candidate of the question is selected")
-            self._map = decision_map(self._base(), self.state.edits, key)
-            self.ctx.note(f"decision map of {self.state.named(key)}: {self._map.seconds * 1000:.0f} ms")
+            if shown is None:
+                key = needed(self._selected_key(), "no candidate of the question is selected")
+                self._map = decision_map(self._base(), self.state.edits, key)
+                self.ctx.note(f"decision map of {self.state.named(key)}: {self._map.seconds * 1000:.0f} ms")
         except InputError as error:
             self.ctx.page.toast("No decision map", str(error))
         self.ctx.draw()
@@ -193,24 +178,21 @@ class WhatIf(Part):
 
     def _selected_key(self) -> str | None:
         """The key of the selected object, where it is a candidate."""
-        state = self.state
-        if state.selected is None or state.selected not in state.shown.place.values():
+        i = self.state.selected
+        if i is None or i not in self.state.shown.place.values():
             return None
-        entry = state.shown.objects[state.selected]
-        return f"#{entry.id}" if entry.id >= 0 else _key_at(state, state.selected, self.keys(self._base()))
+        return self.state.key_at(i, self.keys(self._base()))
 
     def follow(self, live: bool = False) -> None:
         """Bring the handles, what is drawn of the edits, and the Edit tab up to the state."""
-        state = self.state
+        state, selected = self.state, self.state.selected
         if state.labels is not None:
             self._gizmo.show(None, "off")
             return
-        selected = state.selected
         candidate = selected is not None and selected in state.shown.place.values()
         box = None
-        if selected is not None and candidate and state.mode != "off" and state.loaded is not None:
-            box = state.shown.objects[selected].lifted.box
-            self._held = self._selected_key()
+        if selected is not None and candidate and state.mode != "off":
+            box, self._held = state.shown.objects[selected].lifted.box, self._selected_key()
         self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
         if not live and self._map is not None:
             self._renewed_map()
@@ -229,16 +211,12 @@ def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str |
     What was selected stays so. The chosen pair stays, too, unless it was the answer: then it is the new one.
     """
     assert state.loaded is not None
-    outcome = edited.after
-    trace = outcome.trace
-    chosen = state.chosen
-    first = chosen is None or chosen is state.ranked[0]
-    named = (
-        None
-        if chosen is None
-        else tuple(keys[i] for i in (chosen.target, chosen.reference, chosen.second_reference) if i is not None)
-    )
-    selected = _key_at(state, state.selected, keys)
+    outcome, trace = edited.after, edited.after.trace
+    chosen, named = state.chosen, None
+    # The answer itself is followed by the new one.
+    if chosen is not None and chosen is not state.ranked[0]:
+        named = [keys[i] for i in (chosen.target, chosen.reference, chosen.second_reference) if i is not None]
+    selected = None if state.selected is None else state.key_at(state.selected, keys)
     changed = replace(
         state,
         trace=trace,
@@ -252,8 +230,8 @@ def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str |
     at = {key: changed.shown.place[i] for i, key in enumerate(outcome.keys)}
     at |= {f"#{o.id}": i for i, o in enumerate(changed.shown.objects) if o.id >= 0 and f"#{o.id}" not in at}
     pairs = [changed.at(p) for p in changed.ranked]
-    kept = None if named is None or any(key not in at for key in named) else tuple(at[key] for key in named)
-    pair = kept if kept in pairs and not first else pairs[0] if pairs else None
+    kept = None if named is None else tuple(at.get(key) for key in named)
+    pair = next((pair for pair in pairs if pair == kept), pairs[0] if pairs else None)
     return replace(changed, pair=pair, selected=None if selected is None else at.get(selected))
 
 
@@ -262,20 +240,9 @@ def _with_confidences(shown: Shown, edits: Edits, outcome: Outcome) -> Shown:
     objects = list(shown.objects)
     for (name, key), p in edits.confidences.items():
         candidates = outcome.trace.candidates.get(name)
-        if candidates is None or key not in outcome.keys:
-            continue
-        here = np.flatnonzero(candidates.index == outcome.keys.index(key))
-        place = shown.place[outcome.keys.index(key)]
-        if len(here) and candidates.labels[here[0]] == objects[place].label:
-            objects[place] = replace(objects[place], score=p)
+        if candidates is not None and key in outcome.keys:
+            at = outcome.keys.index(key)
+            place, here = shown.place[at], np.flatnonzero(candidates.index == at)
+            if len(here) and candidates.labels[here[0]] == objects[place].label:
+                objects[place] = replace(objects[place], score=p)
     return replace(shown, objects=tuple(objects))
-
-
-def _key_at(state: State, i: int | None, keys: tuple[str, ...]) -> str | None:
-    """The key of an object that is shown."""
-    if i is None:
-        return None
-    entry = state.shown.objects[i]
-    if entry.id >= 0:
-        return f"#{entry.id}"
-    return next((keys[t] for t, s in state.shown.place.items() if s == i), None)

@@ -6,14 +6,13 @@ cd tests && python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]
 from __future__ import annotations
 
 import json
-import os
 import random
-import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -22,14 +21,13 @@ from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved,
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
 
-from .journal_writers import FRAME, read_report
+from .journal_writers import FRAME, read_report, ready_processes
 
 GROUP = 3
 """Edits of one action."""
 SHARED = 5
 """Cells that all writers edit."""
 PATIENCE_S = 180.0
-TESTS = Path(__file__).resolve().parent.parent
 
 
 @dataclass(frozen=True)
@@ -92,6 +90,12 @@ def write_groups(where: str, name: str) -> None:
                 seen |= {e.ref: (e.version, e.after) for e in events}
 
 
+def write_into(report: Path, where: str, name: str) -> None:
+    """The same, printing into a file."""
+    with open(report, "w", encoding="utf-8") as out, redirect_stdout(out):
+        write_groups(where, name)
+
+
 def _append(journal: Journal, edits: Sequence[Edit], author: str) -> Saved | Conflict:
     group = None
     while True:
@@ -145,13 +149,12 @@ def survive(
 
 
 def _round(where: str, reports: list[Path], first: int, rng: random.Random, disturb: Callable[[], None] | None) -> None:
+    context = ready_processes()
     processes = []
-    paths = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
     try:
         for number, report in enumerate(reports, start=first):
-            with open(report, "wb") as out:
-                program = [sys.executable, "-m", "benchmarks.journal_kills", "--writer", where, str(number)]
-                processes.append(subprocess.Popen(program, stdout=out, env={**os.environ, "PYTHONPATH": paths}))
+            processes.append(context.Process(target=write_into, args=(report, where, str(number)), daemon=True))
+            processes[-1].start()
         _wait_for(reports, [0] * len(reports))
         if disturb is not None:
             time.sleep(rng.uniform(0.0, 0.3))
@@ -163,7 +166,7 @@ def _round(where: str, reports: list[Path], first: int, rng: random.Random, dist
     finally:
         for process in processes:
             process.kill()
-            process.wait()
+            process.join()
 
 
 def _saved(report: Path) -> int:
@@ -200,10 +203,7 @@ def judge(events: Iterable[Event], told: Sequence[Sequence[dict[str, Any]]]) -> 
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The command above; `--writer JOURNAL NAME` is one of the writers."""
-    if arguments[:1] == ["--writer"]:
-        write_groups(arguments[1], arguments[2])
-        return 0
+    """The command above."""
     if not arguments:
         print("usage: python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]", file=sys.stderr)
         return 2

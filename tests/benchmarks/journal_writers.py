@@ -96,6 +96,15 @@ def write_many(where: str, name: str, edits: int, report: Path, seed: int = 0, s
                 print(json.dumps(entry), file=told, flush=True)
 
 
+def ready_processes() -> Any:
+    """Where the system has it, processes that are forked from one that has everything imported, and else spawned."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["pipeline.corrections.journal.journal"])
+    return context
+
+
 def prove(where: str, folder: Path, writers: int = 8, edits: int = 2_000, seed: int = 0) -> Proof:
     """Let processes write into one journal at the same time, and check it against what each of them was told.
 
@@ -108,7 +117,7 @@ def prove(where: str, folder: Path, writers: int = 8, edits: int = 2_000, seed: 
     """
     with open_journal(where) as journal:
         known = {event.ulid for event in journal.events()}
-    context = multiprocessing.get_context("spawn")
+    context = ready_processes()
     reports = [folder / f"writer-{k}.jsonl" for k in range(writers)]
     together = context.Barrier(writers + 1)
     processes = [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import shutil
 import signal
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmarks.journal_writers import prove, read_report, write_many
+from benchmarks.journal_writers import prove, read_report, ready_processes, write_many
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_checks import NAME, journal  # noqa: F401
@@ -303,7 +302,7 @@ def test_writers_at_once_lose_nothing_and_overwrite_nothing(tmp_path: Path) -> N
 
 def test_what_was_acknowledged_survives_a_killed_writer(tmp_path: Path) -> None:
     place, report = str(tmp_path / JOURNAL_FILE), tmp_path / "told.jsonl"
-    writer = multiprocessing.get_context("spawn").Process(target=write_many, args=(place, "0", 100_000, report))
+    writer = ready_processes().Process(target=write_many, args=(place, "0", 100_000, report))
     writer.start()
     wait_until(lambda: len(read_report(report)) >= 30)
     os.kill(writer.pid or 0, signal.SIGKILL)

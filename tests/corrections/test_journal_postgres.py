@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from concurrent.futures import TimeoutError as NotYet
 from pathlib import Path
 
 import pytest
-from benchmarks.journal_writers import prove, read_report, write_many
+from benchmarks.journal_writers import prove, read_report, ready_processes, write_many
 from journal_world import work_of
 from postgres_cluster import missing, running_cluster
 from sqlalchemy.exc import DBAPIError
@@ -149,7 +148,7 @@ def test_what_was_acknowledged_survives_a_killed_writer(database: str, tmp_path:
     report = tmp_path / "told.jsonl"
     with open_journal(database) as journal:
         there = {e.ulid for e in journal.events()}
-    writer = multiprocessing.get_context("spawn").Process(target=write_many, args=(database, "9", 100_000, report))
+    writer = ready_processes().Process(target=write_many, args=(database, "9", 100_000, report))
     writer.start()
     wait_until(lambda: sum("saved" in entry for entry in read_report(report)) >= 30)
     os.kill(writer.pid or 0, signal.SIGKILL)

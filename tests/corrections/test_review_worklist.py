@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from pipeline.corrections.review.items import (
     KINDS,
+    SETTLED,
     STATES,
     ItemKey,
     item_keys,
@@ -56,6 +57,10 @@ def test_a_list_is_its_queue_with_its_states(count: int, steps: list[tuple[int, 
     assert again.tally == found.tally
     counts = progress_counts(queue, states)
     assert found.counts == {k: v for k, v in counts.items() if k != "elsewhere"}
+    for frame, (settled, open_) in found.frame_counts.items():
+        of_frame = [states.get(k, "unreviewed") for k in keys if k.frame == frame]
+        assert (settled, open_) == (sum(s in SETTLED for s in of_frame), sum(s not in SETTLED for s in of_frame))
+    assert sum(map(sum, found.frame_counts.values())) == count
     skip = set(data.draw(st.lists(st.sampled_from(keys), max_size=4))) if keys else set()
     left = [k for k in item_keys(left_to_review(queue, states)) if k not in skip]
     assert found.next_item(skip=skip) == (left[0] if left else None)

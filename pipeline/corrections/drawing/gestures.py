@@ -105,7 +105,7 @@ def gesture_of(kind: Any, points: Any, height: int, width: int, *, fractions: bo
     require(
         not isinstance(points, (list, tuple)) or len(points) <= MOST_POINTS,
         "too many points",
-        got=len(points),
+        got=lambda: len(points),
         expected=f"at most {MOST_POINTS}",
     )
     try:

@@ -85,6 +85,17 @@ class Worklist:
         by_state = dict(zip(STATES, self.tally, strict=True))
         return {"items": sum(self.tally), **by_state, "settled": sum(by_state[s] for s in SETTLED)}
 
+    @cached_property
+    def frame_counts(self) -> dict[str, tuple[int, int]]:
+        """By frame, how many of its items are settled and how many are not, of those that have not gone."""
+        places = list(self.frames.values())
+        number = np.repeat(np.arange(len(places)), [len(indices) for indices in places])
+        items = np.concatenate(places or [np.zeros(0, np.int64)])
+        settled = np.isin(self.codes[items], [STATES.index(s) for s in SETTLED])
+        kept = ~self.gone[items]
+        counts = (np.bincount(number[kept & those], minlength=len(places)).tolist() for those in (settled, ~settled))
+        return dict(zip(self.frames, zip(*counts, strict=True), strict=True))
+
     def state(self, key: ItemKey) -> State:
         """The state of an item; InputError where the queue has no such item."""
         return STATES[self.codes[self._index(key)]]

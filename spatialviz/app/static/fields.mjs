@@ -360,7 +360,7 @@ calls.numbers = numbers => {
 };
 
 calls.overlay = marks => {
-  for (const drawing of document.querySelectorAll('.pic > svg')) fill(drawing, marks);
+  for (const drawing of document.querySelectorAll('.pic > #overlay')) fill(drawing, marks);
 };
 
 calls.shown = () => setTimeout(() => {

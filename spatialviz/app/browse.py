@@ -1,0 +1,136 @@
+"""The frames of a dataset to choose from: a strip and a grid of marked pictures, and the cameras of a scene.
+
+The browser shows those in sight only: their names and marks are asked for by range, their pictures by address.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, get_args
+
+from pipeline.datasets import moves
+from pipeline.datasets.camera_plan import CameraPlan
+from spatialviz.app.context import Context, Part, command
+
+Which = Literal["all", "failed", "right", "open", "settled"]
+"""What may be listed alone: frames with a wrong answer of the run or none, with an open item of the review or none."""
+MOST_ROWS = 400
+"""More are not asked for at once by the page."""
+Counts = Mapping[str, tuple[int, int]]
+"""By frame, how many of its answers are right, or of its items are settled; and how many are not."""
+
+
+class Browse(Part):
+    """Opens frames for one client, and fills its strip and its grid of them."""
+
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
+        self._which: Which = "all"
+        self._listed: tuple[int, ...] = ()
+        self._counted: tuple[str, str, Counts] | None = None
+        self._version = 0
+
+    @property
+    def _ids(self) -> tuple[str, ...]:
+        return tuple(self.ctx.source.dataset.frame_ids)
+
+    @command("frame")
+    def open_number(self, number: str) -> None:
+        """Show the frame of a number."""
+        if number.isdecimal() and int(number) < len(self._ids):
+            self.ctx.open_frame(self._ids[int(number)])
+
+    @command("next-frame")
+    def step(self, by: str) -> None:
+        """Show the next frame, or the one before."""
+        if by.lstrip("-").isdecimal():
+            self.open_number(str(self._ids.index(self.state.frame_id) + int(by)))
+
+    @command("move")
+    def move(self, move: str) -> None:
+        """Go where a move of the dataset's robot leads; one that is not possible does nothing."""
+        to = moves(self.ctx.source.dataset, self.state.frame_id).get(move)
+        if to is not None:
+            self.ctx.open_frame(to)
+
+    @command("frames-of")
+    def choose(self, which: str) -> None:
+        """List only some of the frames."""
+        known = next((w for w in get_args(Which) if w == which), None)
+        if known is not None:
+            self._which = known
+            self.follow()
+
+    @command("frame-grid")
+    def show_all(self) -> None:
+        """Show the frames as a grid of pictures."""
+        self.ctx.page.call("frameGrid")
+
+    @command("frame-rows")
+    def rows(self, text: str) -> None:
+        """Say names and marks of the frames from one place of the list up to another, "12,40"."""
+        first, _, after = text.partition(",")
+        if not (first.isdecimal() and after.isdecimal()):
+            return
+        ids, counts, listed = self._ids, self._counts, self._places
+        places = listed[int(first) : min(int(after), int(first) + MOST_ROWS)]
+        rows = [[n, ids[n], *counts.get(ids[n], (0, 0))] for n in places]
+        self.ctx.page.call("frameRows", {"from": int(first), "rows": rows})
+
+    # ---- drawing ----------------------------------------------------------------------
+
+    @property
+    def _counts(self) -> Counts:
+        """What is said of each frame: of the review while labels are shown, else of the run."""
+        if self.state.labels is not None:
+            return self.ctx.reviewed
+        run = self.ctx.run
+        return {} if run is None else run.frame_counts
+
+    @property
+    def _places(self) -> range | tuple[int, ...]:
+        """Numbers of the frames that are listed."""
+        counts, which, source = self._counts, self._which, self.state.source
+        before = self._counted
+        if before is None or before[:2] != (source, which) or before[2] is not counts:
+            well = which in ("right", "settled")
+            listed = (n for n, one in enumerate(self._ids) if one in counts and well == (not counts[one][1]))
+            self._counted, self._version = (source, which, counts), self._version + 1
+            self._listed = () if which == "all" else tuple(listed)
+        return range(len(self._ids)) if which == "all" or not counts else self._listed
+
+    @command("strip")
+    def follow(self) -> None:
+        """Say what the strip lists, and where the frame that is shown stands in it."""
+        state, counts, places = self.state, self._counts, self._places
+        labels = state.labels is not None
+        kinds = {} if not counts else {"open": "open", "settled": "settled"} if labels else {
+            "failed": "with failures", "right": "all right"}  # fmt: skip
+        at = self._ids.index(state.frame_id)
+        data = {
+            "source": list(self.ctx.shared.store.sources).index(state.source),
+            "name": state.source,
+            "count": len(places),
+            "all": len(self._ids),
+            "at": places.index(at) if at in places else -1,
+            "kinds": {"all": "all"} | kinds if kinds else {},
+            "which": self._which if self._which in kinds else "all",
+            "words": ["settled", "open"] if labels else ["right", "wrong"],
+            "version": self._version,
+        }
+        self.ctx.page.call("strip", data)
+
+    def browse(self) -> None:
+        """Behind whatever the user does: make the neighbours ready, and find where the scene's cameras stand."""
+        state, ids, store = self.state, self._ids, self.ctx.shared.store
+        at = ids.index(state.frame_id)
+        store.prepare(state.source, (*ids[at + 1 : at + 2], *ids[max(0, at - 1) : at]))
+
+        def found(plan: CameraPlan | None) -> None:
+            def show() -> None:
+                if (self.state.source, self.state.frame_id) == (state.source, state.frame_id):
+                    self.ctx.page.call("plan", None if plan is None else {"at": state.frame_id, **plan.record()})
+
+            self.ctx.post(show)
+
+        self.ctx.shared.pictures.plan(state.source, state.frame_id, found)

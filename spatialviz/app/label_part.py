@@ -1,0 +1,136 @@
+"""What every part of a page can do that shows or corrects labels: it is saved in the journal, and the page follows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from pipeline.corrections.journal.edits import Edits
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Conflict, Saved
+from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.label_editor import LabelEditor, Outcome
+from pipeline.corrections.scene import labelled_objects
+from pipeline.corrections.wording import consequences, outcome_text
+from pipeline.system.errors import needed, require
+from spatialviz.app.context import Part
+from spatialviz.app.label_view import ANYTHING, LabelView, Target
+from spatialviz.app.state import Shown, State
+
+NO_LABELS = "no labels are open: `spatialviz view DATASET --labels LABELS`"
+
+
+class LabelPart(Part):
+    """A part of one page that shows or corrects the labels of the source that is looked at.
+
+    What cannot be done raises InputError: `Session.handle` says why.
+    """
+
+    @property
+    def view(self) -> LabelView:
+        """The labels that are shown; InputError where none are."""
+        return needed(self.state.labels, "show the labels first")
+
+    @property
+    def location(self) -> JournalLocation:
+        """Where their corrections are kept; InputError where no labels are open."""
+        return needed(self.ctx.shared.journals.get(self.state.source), NO_LABELS)
+
+    @property
+    def editor(self) -> LabelEditor:
+        """Their editor; InputError where no labels are open."""
+        return needed(self.ctx.editors.of(self.state.source), NO_LABELS)
+
+    @property
+    def number(self) -> int | None:
+        """Of the selected labelled object."""
+        selected, view = self.state.selected, self.state.labels
+        return None if view is None or selected is None else dict(enumerate(view.numbers)).get(selected)
+
+    def look_at(self, wanted: Target) -> None:
+        """Show the labels of a frame, and in it a pair or an object."""
+        self.ctx.editors.wanted = wanted
+        if wanted.frame == self.state.frame_id:
+            self.show()
+            self.ctx.draw()
+        else:
+            self.ctx.open_frame(wanted.frame)
+
+    def show(self) -> None:
+        """Show the labels of the frame that is looked at, and in them what is wanted; InputError where there are none.
+
+        Draws nothing.
+        """
+        editors, state = self.ctx.editors, self.state
+        wanted, editors.wanted = editors.wanted or ANYTHING, None
+        editor = self.editor
+        if state.loaded is None:
+            return
+        require(state.frame_id in editor, f"the labels have no frame {state.frame_id}")
+        frame = editor.frame(state.frame_id)
+        view = LabelView(frame, said=editors.said[0], bad=editors.said[1])
+        numbers: list[int] = []
+        if wanted.frame == frame.frame:
+            view = replace(view, relation=wanted.relation, item=wanted.item)
+            numbers = [n for n in wanted.objects if n in frame.objects]
+        self.state = _looking_at(state.unasked, view, numbers, numbers[0] if numbers else None)
+        if wanted.frame != frame.frame and editor.disputed:
+            self.ctx.handle("conflict")
+
+    def renew(self) -> None:
+        """Look at the labels again after they changed; what is selected and chosen stays by its number."""
+        state, view = self.state, self.state.labels
+        if view is not None:
+            pair = [view.numbers[i] for i in state.pair or ()]
+            view = replace(view, frame=self.editor.frame(state.frame_id), moved=None)
+            self.state = _looking_at(state, view, pair, self.number)
+
+    def save(self, made: Callable[[EffectiveFrame], Edits], draw: bool = True) -> Outcome:
+        """Save what an action comes down to, made on the labels as this client sees them.
+
+        Raises
+        ------
+        InputError
+            It is none.
+        """
+        outcome = self.editor.save(made(self.view.frame))
+        self.came_to(outcome, "saved", draw)
+        return outcome
+
+    def came_to(self, outcome: Outcome, verb: str, draw: bool = True) -> None:
+        """Show what came of an action, and what followed from it."""
+        before = None if self.state.labels is None else self.state.labels.frame
+        said, bad = outcome_text(outcome, verb, before)
+        self.tell(said, bad, None if isinstance(outcome, Conflict) else before)
+        if isinstance(outcome, Saved):
+            for listener in self.ctx.editors.on_saved:
+                listener(outcome.events)
+        if draw:
+            self.ctx.draw()
+        if isinstance(outcome, Conflict):
+            self.ctx.handle("conflict")
+
+    def tell(self, said: str, bad: bool = False, before: EffectiveFrame | None = None) -> None:
+        """Say something where the outcome of actions is said, with the labels as they are now; draws nothing."""
+        self.renew()
+        view = self.state.labels
+        if view is not None and before is not None and (followed := str(consequences(before, view.frame))):
+            said = f"{said} · {followed}"
+        self.ctx.editors.said = said, bad
+        if view is not None:
+            self.state = replace(self.state, labels=replace(view, said=said, bad=bad))
+        elif said:
+            self.ctx.page.toast("Labels", said)
+        self.ctx.note(said)
+
+
+def _looking_at(state: State, view: LabelView, pair: Sequence[int], selected: int | None) -> State:
+    """The state with the labels of a view shown; the pair and the selected object are given by their numbers."""
+    objects = labelled_objects(view.frame)
+    return replace(
+        state,
+        labels=view,
+        shown=Shown(objects, tuple(f"{o.label}·{o.id}" for o in objects), {}),
+        pair=view.places(*pair) if len(pair) > 1 else None,
+        selected=None if selected is None else view.place(selected),
+    )

@@ -1,0 +1,50 @@
+"""Memory that was freed goes back to the system: glibc keeps what lies between blocks that are in use."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import threading
+import time
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
+"""Parameters of glibc's mallopt(3)."""
+TRIM_SECONDS = 20.0
+"""Looking through the heap takes some ten milliseconds of one thread."""
+_trimming = threading.Lock()
+_trimmed = 0.0
+
+
+def return_freed_memory() -> None:
+    """Ask glibc to hand large freed blocks back to the system and to keep few arenas; elsewhere nothing happens.
+
+    By default glibc raises its threshold to the largest block that was ever
+    freed, and from then on keeps such blocks in one pool for each thread.
+    """
+    for parameter, value in ((_M_MMAP_THRESHOLD, 1 << 18), (_M_TRIM_THRESHOLD, 1 << 20), (_M_ARENA_MAX, 2)):
+        _glibc("mallopt", parameter, value)
+
+
+def trim() -> None:
+    """Hand back also the pages that lie free between blocks in use; called often, it does so now and then."""
+    global _trimmed
+    if time.monotonic() - _trimmed > TRIM_SECONDS and _trimming.acquire(blocking=False):
+        try:
+            _glibc("malloc_trim", 0)
+            _trimmed = time.monotonic()
+        finally:
+            _trimming.release()
+
+
+def collect() -> None:
+    """Find what refers to itself, such as pages that are closed, and hand back what it held."""
+    gc.collect()
+    _glibc("malloc_trim", 0)
+
+
+def _glibc(name: str, *values: int) -> None:
+    try:
+        function = getattr(ctypes.CDLL(None), name)
+    except (OSError, AttributeError, TypeError):
+        return
+    function(*values)

@@ -1,0 +1,38 @@
+"""The glossary: whole, and the same in the document as in the program."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.diagnosis.oracles import ORACLES
+from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
+from pipeline.language.glossary import find_term, glossary, glossary_markdown
+from pipeline.system.errors import InputError
+
+
+def test_the_document_is_the_glossary():
+    document = Path(__file__).parents[2] / "docs" / "glossary.md"
+    assert document.read_text("utf-8") == glossary_markdown()
+
+
+@pytest.mark.parametrize("name", [*VERDICTS, *MODULE_OF.values(), *ORACLES, "T", "U", "F", "Shapley"])
+def test_every_verdict_module_and_oracle_is_explained(name):
+    assert glossary()[name].text.endswith(".")
+
+
+def test_a_word_is_found_however_it_is_written():
+    assert find_term("opm-conf").name == "OPM-CONF"
+    assert find_term("IOU").hint.startswith(find_term("IoU").short)
+    with pytest.raises(InputError, match=r"zzz.*posterior"):
+        find_term("zzz")
+
+
+def test_words_are_explained_once_and_end_as_sentences():
+    terms = list(glossary().values())
+    assert len({t.name for t in terms}) == len(terms)
+    for term in terms:
+        assert term.text.endswith((".", "?"))
+        assert not term.short.endswith(".")
+        assert "|" not in term.text
