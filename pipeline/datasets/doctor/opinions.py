@@ -27,6 +27,8 @@ UNITS = {
 SHARP, NEAR_UNIT = 0.25, 0.45
 """How far a number that is wrong may be off, as a share, to be mended; and a scale, where one known unit is as near.
 The ranges are wide: in all that was planted on public recordings the numbers themselves were right to 4 %."""
+OFF_UNIT = 0.06
+"""A scale is a known unit's where it is no farther from it, as a share."""
 FINE_SCALE, FINE_FOCAL = 0.3, 0.12
 """How far one that was read may be off to be called fine."""
 NEAR_TOLD = 0.04
@@ -175,12 +177,16 @@ def _scale(search: Search, units: float | None) -> Opinion:
     return Opinion("depth scale", "wrong", text, {"depth_scale": right}, f"--depth-scale {right:g}", evidence)
 
 
-def _known_unit(units: float, found: Range) -> float | None:
-    """The only unit, of those known, that the scale allows; None where there is none, or too many."""
-    if found.sharp > NEAR_UNIT:
-        return None
+def _only_unit(units: float, found: Range) -> float | None:
+    """The only unit, of those known, that a scale allows; None where there is none, or several."""
     allowed = [unit for unit in UNITS if found.holds(units / unit)]
-    return allowed[0] if len(allowed) == 1 else None
+    return allowed[0] if len(allowed) == 1 and found.sharp <= NEAR_UNIT else None
+
+
+def _known_unit(units: float, found: Range) -> float | None:
+    """The unit, of those known, that the scale is; None where it is none."""
+    near = [unit for unit in UNITS if abs(np.log(units / unit / found.value)) < OFF_UNIT]
+    return near[0] if near and (found.sharp <= SHARP or _only_unit(units, found)) else None
 
 
 def scale_by_sizes(found: Sequence[SizeFactor], units: float | None) -> Opinion | None:
@@ -188,7 +194,7 @@ def scale_by_sizes(found: Sequence[SizeFactor], units: float | None) -> Opinion 
     low, high = max(f.low for f in found), min(f.high for f in found)
     if low > high or units is None:
         return None
-    unit = _known_unit(units, Range(1 / float(np.sqrt(low * high)), 1 / high, 1 / low))
+    unit = _only_unit(units, Range(1 / float(np.sqrt(low * high)), 1 / high, 1 / low))
     if unit is None:
         return None
     things = sum(f.things for f in found)
