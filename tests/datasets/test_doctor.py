@@ -110,6 +110,15 @@ def test_frames_without_poses_are_not_judged(room: list[Frame]) -> None:
     assert {found.of(about).state for about in ("poses", "depth scale", "focal length")} == {"unknown"}
 
 
+def test_sizes_of_known_things_tell_the_unit_of_one_frame(room: list[Frame]) -> None:
+    """Millimetres that were read as 1/5000 m."""
+    dataset = InMemoryDataset([replace(room[0], depth=room[0].depth / np.float32(5.0))])
+    found = examine_frames(dataset, [dataset.load(room[0].id)], 5000.0)
+    assert found.of("depth scale").state == "wrong"
+    assert found.mends == {"depth_scale": 1000.0}
+    assert "known classes" in found.of("depth scale").text
+
+
 def test_poses_of_other_frames_are_not_explained_away(room: list[Frame]) -> None:
     turned = [replace(f, camera=replace(f.camera, T_world_camera=other.camera.T_world_camera))
               for f, other in zip(room, room[1:] + room[:1], strict=True)]  # fmt: skip

@@ -185,7 +185,9 @@ def examine_frames(
         for grid in (COARSE_GRID, FINE_GRID)
     ]
     search = Search(views[0], replace(views[1], detail=np.stack([detail_of(f.rgb) for f in frames])))
-    K = cameras[0].K if all(np.allclose(c.K, cameras[0].K) for c in cameras) else None
+    # With a declared registration the cameras are those of the colour; the setting is of the depth.
+    alike = all(np.allclose(c.K, cameras[0].K) for c in cameras) and not (settings and settings.registration)
+    K = cameras[0].K if alike else None
     opinions = landing_opinions(search, K, units)
     opinions = [_by_sizes(dataset, frames, units) or o if _undecided_scale(o) else o for o in opinions]
     mends = {key: value for o in opinions for key, value in o.mend.items()}

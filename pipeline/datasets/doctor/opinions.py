@@ -180,13 +180,14 @@ def _scale(search: Search, units: float | None) -> Opinion:
 def _only_unit(units: float, found: Range) -> float | None:
     """The only unit, of those known, that a scale allows; None where there is none, or several."""
     allowed = [unit for unit in UNITS if found.holds(units / unit)]
-    return allowed[0] if len(allowed) == 1 and found.sharp <= NEAR_UNIT else None
+    return allowed[0] if len(allowed) == 1 else None
 
 
 def _known_unit(units: float, found: Range) -> float | None:
     """The unit, of those known, that the scale is; None where it is none."""
     near = [unit for unit in UNITS if abs(np.log(units / unit / found.value)) < OFF_UNIT]
-    return near[0] if near and (found.sharp <= SHARP or _only_unit(units, found)) else None
+    sure = found.sharp <= SHARP or (found.sharp <= NEAR_UNIT and _only_unit(units, found))
+    return near[0] if near and sure else None
 
 
 def scale_by_sizes(found: Sequence[SizeFactor], units: float | None) -> Opinion | None:
@@ -268,7 +269,7 @@ def _with_intrinsics(
     truth = Hypothesis(
         focal=best.focal if focal.state == "wrong" else 1.0, center=best.center if center.state == "wrong" else "told"
     )
-    mend, option = {}, "each frame has intrinsics of its own: mend their file"
+    mend, option = {}, "mend it where it stands: frames have intrinsics of their own, or a declared registration"
     if K is not None:
         right = truth.intrinsics(K, size)
         four = tuple(round(float(n), 3) for n in (right[0, 0], right[1, 1], right[0, 2], right[1, 2]))
