@@ -144,6 +144,15 @@ MOVE_KEYS: Rows = (
 """The keys of datasets with moves: two rows of a number pad, and the rows of the buttons."""
 
 MOUSE: Mapping[str, Rows] = {
+    "The list of Evaluate": (
+        ("/", "Search", ""),
+        ("J", "Next row (K: the one before; arrows, Home, End, Page Up and Down in the list)", ""),
+        ("Enter", "Explain the row", ""),
+        ("X", "Select the row, or no more (Space, Ctrl+Click)", ""),
+        ("Shift+Arrows", "Select from row to row (Shift+Click)", ""),
+        ("Ctrl+A", "Select all that the search finds", ""),
+        ("Escape", "Select nothing", ""),
+    ),
     "Mouse and keys in the scene": (
         ("Drag", "Turn the view", ""),
         ("Right drag", "Move the view", ""),
