@@ -184,6 +184,27 @@ def check_announced(browser: Browser, address: str) -> None:
     tab.page.close()
 
 
+def check_refusals(browser: Browser, address: str) -> None:
+    """What cannot be taken is said in plain words, and the page goes on as it was."""
+    tab = new_tab(browser).open(address)
+    before, field = tab.frame, tab.page.locator("#where .frame-id")
+    field.fill("kitchen")
+    field.press("Enter")
+    tab.see(".toast.bad", "no frame 'kitchen'")
+    tab.poll("before => document.querySelector('#where .frame-id').value === before", before)
+    tab.send("paste-state")
+    tab.see("#dialog-window textarea").fill("no view")
+    tab.see("#dialog-window .go").click()
+    tab.see("#dialog-problem", "view")
+    tab.page.keyboard.press("Escape")
+    tab.poll("!document.getElementById('dialog-window')")
+    tab.ask("laptop right of the mug")
+    tab.see("#answer .names", "right of")
+    raw = tab.page.locator(".toast, #log").all_inner_texts()
+    assert not any(word in text for text in raw for word in ("Error:", "Traceback", "must be a valid")), raw
+    tab.page.close()
+
+
 def check_keys(browser: Browser, address: str) -> None:
     """Tab goes as one reads, and out of the scene; arrows choose; Escape closes whatever is open, where one was."""
     tab = new_tab(browser).open(address)
@@ -264,7 +285,15 @@ def main() -> None:
 
     with chromium() as browser:
         with Server() as server:
-            for check in (check_words, check_announced, check_keys, check_sizes, check_preferences, check_axe):
+            for check in (
+                check_words,
+                check_announced,
+                check_refusals,
+                check_keys,
+                check_sizes,
+                check_preferences,
+                check_axe,
+            ):
                 timed(check, browser, server.address)
         with Server("demo", "--host", "0.0.0.0") as server:
             timed(check_refused, browser, server.address)
