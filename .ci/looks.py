@@ -38,11 +38,12 @@ def explained(tab: Tab) -> Iterator[str]:
 def others(tab: Tab) -> Iterator[str]:
     """The same of the other tasks."""
     tab.click("task:evaluate")
-    tab.see("#listing tr")
+    tab.see("#figures .falls")
+    tab.poll("document.querySelectorAll('#rows .card').length > 3")
     yield "evaluate"
-    tab.drawer("Run")
-    tab.see("#run-summary .panel")
-    yield "run"
+    tab.click("rows-view:table")
+    tab.see("#rows [role=columnheader]", "verdict")
+    yield "evaluate, table"
     tab.click("task:label")
     tab.see("#review-list .queue .q")
     tab.press("j")

@@ -212,9 +212,9 @@ def _other(state: State, trace: Trace) -> list[Child]:
     if other is None:
         return []
     if other.error:
-        return [h.h3("The other run", h.span(other.name)), note(other.error)]
+        return [h.h3("The second run", h.span(other.name)), note(other.error)]
     rows = []
-    for name, pair, asked in (("this", mine, trace), ("other", other.best, other.trace)):
+    for name, pair, asked in (("first", mine, trace), ("second", other.best, other.trace)):
         cells: Child = h.td("no answer", colspan=4)
         if pair is not None and asked is not None and pair.reference is not None:
             names = " · ".join(_named_here(state, asked.objects[i]) for i in (pair.target, pair.reference))
@@ -223,13 +223,16 @@ def _other(state: State, trace: Trace) -> list[Child]:
         rows.append(h.tr(h.th(name, scope="row"), cells))
     moved = ""
     if mine is not None and other.best is not None and other.trace is not None:
-        same = same_thing(trace, mine.target, other.trace.objects[other.best.target])
-        moved = "the same target" if same else "another target"
+        ends = ((mine.target, other.best.target), (mine.reference, other.best.reference))
+        same = [a is not None and b is not None and same_thing(trace, a, other.trace.objects[b]) for a, b in ends]
+        moved = {(True, True): "the same pair", (True, False): "the same target, another reference"}.get(
+            (same[0], same[1]), "another target"
+        )
     head = h.tr(
         h.td(), h.td(), (h.th(term(f"P({name})", name[:3]), cls="n") for name in ("target", "reference", "relation"))
     )
     return [
-        h.h3("Against the other run", h.span(f"{other.name}: {moved}")),
+        h.h3("The second run", h.span(f"{other.name}: {moved}" if moved else other.name)),
         verdict_chip_of(other.judged) if isinstance(other.judged, Diagnosis) else None,
         h.table(h.thead(head), h.tbody(rows), cls="other"),
     ]

@@ -3,6 +3,7 @@
 import {byId, calls, connect, el, fields, go, locals, patch, send, sceneWindow, typing} from './core.mjs';
 import './fields.mjs';
 import './pixels.mjs';
+import './rows.mjs';
 import './scale.mjs';
 import './shot.mjs';
 import './sides.mjs';
@@ -214,7 +215,7 @@ calls.task = name => {
   if (document.body.dataset.mode === name) return;
   document.body.dataset.mode = name;
   // What a task is about is open.
-  locals.tab(null, {explain: 'Objects', evaluate: 'Run', label: 'Edit'}[name]);
+  locals.tab(null, {explain: 'Objects', evaluate: 'Objects', label: 'Edit'}[name]);
 };
 calls.author = name => { kept('author', name); };
 calls.toast = ({title, text, bad}) => {
