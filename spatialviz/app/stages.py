@@ -20,7 +20,7 @@ from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
-from spatialviz.app.answer import MEANING, verdict_evidence
+from spatialviz.app.answer import verdict_evidence
 from spatialviz.app.markup import Child, Element, cell, chosen, h, hint_of, named, term, was, with_terms
 from spatialviz.app.stage_objects import attributes_evidence, candidates_evidence, lift_evidence, relations_evidence
 from spatialviz.app.state import State
