@@ -179,7 +179,7 @@ def _prm(trace: Trace) -> Stage:
 def _label(state: State) -> Stage:
     annotated = 0 if state.loaded is None else len(state.loaded.context.frame.annotations)
     if isinstance(state.judged, Diagnosis):
-        return Stage("LABEL", "good" if state.judged.correct else "idle", MEANING[state.judged.verdict])
+        return Stage("LABEL", "good" if state.judged.correct else "idle", glossary()[state.judged.verdict].verdict)
     if isinstance(state.judged, str):
         return Stage("LABEL", "idle", "no verdict")
     words = f"the dataset annotates {counted(annotated, 'object')}" if annotated else "nothing is known of this frame"
