@@ -11,11 +11,26 @@ from browser import Server, Tab, chromium, new_tab
 from playwright.sync_api import Browser
 
 AXE = """async rules => {
-  const options = {
-    iframes: false, resultTypes: ['violations'], rules: {'target-size': {enabled: true}},
-    ...(rules.length ? {runOnly: rules} : {}),
-  };
+  const options = {iframes: false, resultTypes: ['violations'], ...(rules.length ? {runOnly: rules} : {})};
   return (await axe.run({exclude: [['#view']]}, options)).violations;
+}"""
+# This axe-core has no rule for WCAG 2.5.8 yet: a target that is smaller than 24x24 keeps a circle of 24 to itself.
+# Of a bar of shares the width is the figure itself, and its searches stand beside it as chips.
+SMALL = """() => {
+  const pressed = 'a[href], button, input, select, textarea, summary, [data-do], [data-local]';
+  const all = [...document.querySelectorAll(pressed)]
+    .filter(e => e.checkVisibility({visibilityProperty: true}) && !e.closest('[inert], .hidden, .stack'))
+    .map(e => [e, e.getBoundingClientRect()]).filter(([, b]) => b.width && b.height);
+  const small = b => Math.min(b.width, b.height) < 23.5;
+  const near = (x, y, b) => small(b) ? Math.hypot(x - b.left - b.width / 2, y - b.top - b.height / 2) < 24
+    : Math.hypot(Math.max(b.left - x, 0, x - b.right), Math.max(b.top - y, 0, y - b.bottom)) < 12;
+  return all.filter(([, b]) => small(b)).flatMap(([e, b]) => {
+    const x = b.left + b.width / 2, y = b.top + b.height / 2;
+    const other = all.find(([f, c]) => !e.contains(f) && !f.contains(e) && near(x, y, c));
+    const name = f => f.getAttribute('aria-label') || f.textContent.slice(0, 30) || f.id;
+    const size = `${b.width | 0}x${b.height | 0} ${e.tagName}`;
+    return other ? [`target-size: ${size} "${name(e)}" beside "${name(other[0])}"`] : [];
+  });
 }"""
 SOURCE = (resources.files("axe_playwright_python") / "axe.min.js").read_text("utf-8")
 MAGNIFIED = {"width": 720, "height": 450}
@@ -115,7 +130,7 @@ def check_axe(browser: Browser, address: str) -> None:
     for states in (explained, others):
         for state in states(tab):
             tab.page.wait_for_timeout(150)
-            seen = axe(tab)
+            seen = [*axe(tab), *tab.page.evaluate(SMALL)]
             tab.page.evaluate("document.documentElement.dataset.theme = 'light'")
             tab.page.wait_for_timeout(150)
             seen += [f"light: {one}" for one in axe(tab, "color-contrast", "link-in-text-block")]
@@ -181,6 +196,27 @@ def check_announced(browser: Browser, address: str) -> None:
     assert tab.page.evaluate(LIVE_PARTS) == 0
     tab.ask("unicorn left of the mug")
     tab.see("#ask-problem [role=alert]", "unicorn")
+    tab.page.close()
+
+
+def check_refusals(browser: Browser, address: str) -> None:
+    """What cannot be taken is said in plain words, and the page goes on as it was."""
+    tab = new_tab(browser).open(address)
+    before, field = tab.frame, tab.page.locator("#where .frame-id")
+    field.fill("kitchen")
+    field.press("Enter")
+    tab.see(".toast.bad", "no frame 'kitchen'")
+    tab.poll("before => document.querySelector('#where .frame-id').value === before", before)
+    tab.send("paste-state")
+    tab.see("#dialog-window textarea").fill("no view")
+    tab.see("#dialog-window .go").click()
+    tab.see("#dialog-problem", "view")
+    tab.page.keyboard.press("Escape")
+    tab.poll("!document.getElementById('dialog-window')")
+    tab.ask("laptop right of the mug")
+    tab.see("#answer .names", "right of")
+    raw = tab.page.locator(".toast, #log").all_inner_texts()
+    assert not any(word in text for text in raw for word in ("Error:", "Traceback", "must be a valid")), raw
     tab.page.close()
 
 
@@ -264,7 +300,15 @@ def main() -> None:
 
     with chromium() as browser:
         with Server() as server:
-            for check in (check_words, check_announced, check_keys, check_sizes, check_preferences, check_axe):
+            for check in (
+                check_words,
+                check_announced,
+                check_refusals,
+                check_keys,
+                check_sizes,
+                check_preferences,
+                check_axe,
+            ):
                 timed(check, browser, server.address)
         with Server("demo", "--host", "0.0.0.0") as server:
             timed(check_refused, browser, server.address)

@@ -9,8 +9,7 @@ from pipeline.answering.json_records import headline, probability, told, why_no_
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
-from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS, Diagnosis
-from pipeline.diagnosis.verdict import ORACLE_WORDS as ORACLES
+from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS as COLORS
@@ -167,7 +166,6 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-ORACLE_WORDS = {name: (words, glossary()[name].text) for name, words in ORACLES.items()}
 UNKNOWN = "No verdict: nothing is known of the truth in this frame. It needs labels (a run) or annotations."
 
 
@@ -185,7 +183,9 @@ def _oracles(d: Diagnosis) -> list[Child]:
     for k, name in enumerate(("", *d.oracles)):
         subset = 0 if k == 0 else 1 << (k - 1)
         right, margin = bool(d.right_with >> subset & 1), float(d.margins[subset])
-        words, hint = ("nothing: as it is", "the pipeline's own answer") if k == 0 else ORACLE_WORDS[name]
+        words, hint = "nothing: as it is", "the pipeline's own answer"
+        if k:
+            words, hint = ORACLE_WORDS[name], glossary()[name].text
         rows.append(
             h.tr(
                 h.th(term(name) if name else None, scope="row"),
@@ -242,10 +242,6 @@ def _named_here(state: State, entry: SceneObject) -> str:
     """An object as this page calls it; by its class alone where this run does not have it."""
     overlap = iou_2d(np.array([o.bbox for o in state.shown.objects]), entry.bbox)[:, 0]
     return state.shown.names[int(overlap.argmax())] if overlap.max() >= 0.5 else entry.label
-
-
-MEANING = {verdict: glossary()[verdict].verdict for verdict in VERDICTS}
-"""What each verdict says, in a few words."""
 
 
 def verdict_chip(verdict: str, detail: str | None = None) -> Element:

@@ -136,8 +136,8 @@ class Channel:
             try:
                 job()
             except Exception as error:  # One failed click must not end the session.
-                said = {"title": "Something went wrong", "text": f"{type(error).__name__}: {error}", "bad": True}
-                self.send(Call("toast", said))
+                said = f"A fault of the program; the page goes on. For its makers: {type(error).__name__}: {error}"
+                self.send(Call("toast", {"title": "Something went wrong", "text": said, "bad": True}))
             finally:
                 _AT_WORK.discard(self)
             if self.behind > MANY and not self._ended:

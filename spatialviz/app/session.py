@@ -11,7 +11,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import unused_words
 from pipeline.answering.json_records import holds
 from pipeline.answering.suggestions import suggest_expressions
-from pipeline.datasets.base import dataset_notes
+from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
@@ -277,6 +277,7 @@ class Session(Context):
     @command("open")
     def open_frame(self, frame_id: str, first: bool = False, asking: str | None = None) -> None:
         """Show a frame and ask `asking` of it; without, what was asked before, or on a `first` frame what fits it."""
+        frame_id = named_frame(self.source.dataset.frame_ids, frame_id, self.source.dataset.root)
         if frame_id == self.state.frame_id and not first:
             return
         self._begun, self._suggestions = True, ()

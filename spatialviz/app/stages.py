@@ -20,7 +20,7 @@ from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
-from spatialviz.app.answer import MEANING, verdict_evidence
+from spatialviz.app.answer import verdict_evidence
 from spatialviz.app.markup import Child, Element, cell, chosen, h, hint_of, named, term, was, with_terms
 from spatialviz.app.stage_objects import attributes_evidence, candidates_evidence, lift_evidence, relations_evidence
 from spatialviz.app.state import State
@@ -179,7 +179,7 @@ def _prm(trace: Trace) -> Stage:
 def _label(state: State) -> Stage:
     annotated = 0 if state.loaded is None else len(state.loaded.context.frame.annotations)
     if isinstance(state.judged, Diagnosis):
-        return Stage("LABEL", "good" if state.judged.correct else "idle", MEANING[state.judged.verdict])
+        return Stage("LABEL", "good" if state.judged.correct else "idle", glossary()[state.judged.verdict].verdict)
     if isinstance(state.judged, str):
         return Stage("LABEL", "idle", "no verdict")
     words = f"the dataset annotates {counted(annotated, 'object')}" if annotated else "nothing is known of this frame"

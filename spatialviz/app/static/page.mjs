@@ -108,8 +108,8 @@ document.addEventListener('change', e => {
   const f = e.target, {change, live: command} = f.dataset;
   if (command) { clearTimeout(timers[command]); delete timers[command]; }
   if (change) said(change, f.type === 'checkbox' ? f.checked : f.value);
-  // A number that is taken comes back with the next patch; one that is refused falls back.
-  if (change && f.type === 'number') { const was = f.value; setTimeout(() => { if (f.value === was) f.value = f.defaultValue; }, 900); }
+  // A number, or one of a list, that is taken comes back with the next patch; one that is refused falls back.
+  if (change && (f.type === 'number' || f.list)) { const was = f.value; setTimeout(() => { if (f.value === was) f.value = f.defaultValue; }, 900); }
 });
 for (const kind of ['focus', 'blur']) {
   document.addEventListener(kind, e => { if (e.target.dataset?.field) fields[e.target.dataset.field]?.[kind]?.(e, e.target); }, true);
