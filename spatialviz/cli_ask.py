@@ -117,16 +117,29 @@ class Measure(Output):
 
 @dataclass(frozen=True)
 class Frames(Output):
-    """List the frames of a dataset: what is in each, and what is broken."""
+    """Say what is in a dataset, and what is broken: counts, and each note once with how many frames have it."""
 
-    dataset: DatasetArg
+    dataset: Positional[str]
+    """Dataset folder or capture; a folder of dataset folders, for all of them; or "demo"."""
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    all: Flag = False
+    """List every frame too. --json lists them without it."""
     plan: str | None = None
     """FRAME: print where the cameras of its scene stand, seen from above, instead."""
     summary: Flag = False
-    """Print only counts over all frames; with --json, as one JSON object."""
+    """With --json: one JSON object of the counts, in place of a line for each frame."""
     remember: Flag = False
     """Keep --intrinsics, --depth-scale, --up and --level-at in spatialviz.toml beside the data."""
+
+
+@dataclass(frozen=True)
+class ImportRecording(Output):
+    """Write a recording of any layout as color/, depth/, pose/, label/ and spatialviz.toml."""
+
+    dataset: Positional[str]
+    """Dataset folder or capture."""
+    out: Positional[NewFolder]
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,9 @@ from pipeline.system.whole_files import write_whole
 
 FILE_NAME = "spatialviz.toml"
 KEYS = ("name", "intrinsics", "depth_scale", "world_up", "up", "frame_up")
+INTRINSICS = "--intrinsics fx,fy,cx,cy"
+DEPTH_SCALE = "--depth-scale UNITS_PER_METRE"
+"""The options that tell what a recording may not."""
 TABLE = "frame_up"
 """The one key that is a table."""
 
@@ -38,6 +41,8 @@ class Settings:
         Up in the camera frame of single frames; the poses carry it to the others of the scene.
     name : str or None
         The dataset's name for people.
+    browse : bool
+        Pictures are only looked at: what nothing tells of the camera is made up, and said to be (`Camera.untold`).
     """
 
     intrinsics: tuple[float, float, float, float] | None = None
@@ -46,6 +51,7 @@ class Settings:
     name: str | None = None
     up: GivenUp | None = None
     frame_up: Mapping[str, Vector] = field(default_factory=dict)
+    browse: bool = False
 
     def __post_init__(self) -> None:
         if self.intrinsics is not None:
@@ -94,7 +100,7 @@ def unit_notes(settings: Settings, units_per_metre: float, whose: str) -> tuple[
         return ()
     return (
         f"the depth's unit is {whose}, {units_per_metre:g} to a metre, which no file states: "
-        "--depth-scale UNITS_PER_METRE tells another",
+        f"{DEPTH_SCALE} tells another",
     )
 
 
@@ -103,7 +109,7 @@ def camera_notes(settings: Settings, numbers: Sequence[float], whose: str) -> tu
     if settings.intrinsics is not None:
         return ()
     values = ",".join(f"{n:g}" for n in numbers)
-    return (f"the camera is {whose}, {values}, which no file states: --intrinsics fx,fy,cx,cy tells another",)
+    return (f"the camera is {whose}, {values}, which no file states: {INTRINSICS} tells another",)
 
 
 def read_settings(root: Path) -> Settings:
@@ -114,7 +120,7 @@ def read_settings(root: Path) -> Settings:
     InputError
         Malformed TOML, an unknown key, or a value that cannot be.
     """
-    path = root / FILE_NAME
+    path = settings_file(root)
     if not path.is_file():
         return Settings()
     try:
@@ -166,11 +172,17 @@ def write_settings(
             lines.append(f"{key} = [{', '.join(repr(float(v)) for v in value)}]")
         elif isinstance(value, float):
             lines.append(f"{key} = {value!r}")
-    lines += _tables(root / FILE_NAME)
+    path = settings_file(root)
+    lines += _tables(path)
     if told:
         lines += ["", f"[{TABLE}]", *(f"{_quoted(frame)} = {list(v)!r}" for frame, v in told.items())]
-    write_whole(root / FILE_NAME, ("\n".join(lines) + "\n").encode(), "the settings", make_folder=False)
-    return root / FILE_NAME
+    write_whole(path, ("\n".join(lines) + "\n").encode(), "the settings", make_folder=False)
+    return path
+
+
+def settings_file(root: Path) -> Path:
+    """Where the settings of a dataset stand: in its folder, or beside a capture, which may share it with others."""
+    return (root.parent if root.is_file() else root) / FILE_NAME
 
 
 def _tables(path: Path) -> list[str]:

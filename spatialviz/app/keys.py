@@ -96,6 +96,8 @@ LABEL_KEYS: Mapping[str, Rows] = {
         ("Shift+I", "Edit the pixels of the selected object", "px-tool:brush"),
         ("Shift+X", "Cut the selected object in parts", "px-tool:cut"),
         ("Shift+N", "New object, drawn on the picture", "px-new"),
+        ("Shift+W", "New object, painted on the picture", "px-new:brush"),
+        ("Shift+Q", "New object, by clicks in the picture's depth", "px-new:depth"),
         ("Shift+T", "New object, by clicks in the scene", "px-new:scene"),
         ("Shift+M", "Merge the selected object into the one before", "px-merge"),
     ),

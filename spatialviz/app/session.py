@@ -363,7 +363,9 @@ class Session(Context):
             self.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)
-            self.note(answer_in_words(self.state))
+            said = answer_in_words(self.state)
+            self.note(said)
+            self.page.call("announce", said)
         if draw:
             self.draw()
 
