@@ -112,11 +112,11 @@ class NerfstudioDataset(PosedPictures):
     def _list(self) -> dict[str, PosedPicture]:
         self.source = self.root / TRANSFORMS
         table = read_json(self.source)
-        frames = table.get("frames")
+        frames: Any = table.get("frames")
         require(isinstance(frames, list), "a list of frames is missing", path=self.source)
         self._shared = {key: value for key, value in table.items() if key != "frames"}
         found: dict[str, PosedPicture] = {}
-        for number, frame in enumerate(frames if isinstance(frames, list) else ()):
+        for number, frame in enumerate(frames):
             path = frame.get("file_path") if isinstance(frame, Mapping) else None
             require(isinstance(path, str), f"frame {number} names no file", path=self.source)
             color = path_inside(self.root, f"{path}", self.source, number)
