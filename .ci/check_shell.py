@@ -1,4 +1,4 @@
-"""The shell of the page: who gets in, what the address keeps, a server that is lost, keys alone, what is cut, axe."""
+"""The shell of the page: who gets in, what the address keeps, a server that is lost, keys alone, what is cut."""
 
 import http.server
 import json

@@ -143,6 +143,20 @@ class ImportRecording(Output):
 
 
 @dataclass(frozen=True)
+class Doctor(Output):
+    """Find a wrong depth scale, focal length, principal point, pose convention, registration or up of a recording.
+
+    It compares the depth of posed frames that overlap, outlines of depth with edges of colour, and level planes. Exit
+    status: 0 where nothing was found wrong, or what was is mended with --apply; 1 where something is wrong.
+    """
+
+    dataset: DatasetArg
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    apply: Flag = False
+    """Keep what mends it in spatialviz.toml beside the data, where readers find it."""
+
+
+@dataclass(frozen=True)
 class Context(Output):
     """Fuse the posed frames around a frame into a mesh, in its camera frame (extra: open3d)."""
 
@@ -232,7 +246,7 @@ class Eval(Output):
 @dataclass(frozen=True)
 class Failures(Output):
     """What a run got wrong: what a search finds, with the reasons, or, without a search, verdicts, what each module
-    costs, slices, and all that failed."""
+    costs, slices, and all that failed. With --json also its facets under the search, marks and kept searches."""
 
     run_folder: RunArg
     search: Positional[str] = ""
@@ -243,6 +257,9 @@ class Failures(Output):
     slices: str | None = None
     """By what the run is cut, with commas: relation, class, reference, distance, size, occlusion, same_class,
     label_margin, scene, frame. Default: relation; beside a search, tables of the run are shown where this is given."""
+    compare: Path | None = None
+    """A second run on the same labels: what it fixed and broke is counted, and can be searched for by change:broken,
+    change:fixed, change:other_reason, change:verdict, second_verdict:LIFT."""
 
 
 @dataclass(frozen=True)

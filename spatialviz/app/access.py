@@ -17,6 +17,11 @@ from pipeline.system.errors import as_input_error, require
 LOCAL_NAMES = ("127.0.0.1", "localhost", "[::1]")
 COOKIE = "spatialviz"
 EVERYWHERE = ("", "0.0.0.0", "::")
+REFUSAL = (
+    '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+    '<meta name="color-scheme" content="dark light"><title>spatialviz: no access</title></head>'
+    "<body><main><h1>No access</h1><p>{}</p></main></body></html>\n"
+)
 
 
 class Access:
@@ -66,17 +71,17 @@ class Access:
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         host = hosts[0] if len(hosts) == 1 else ""
         if not self._names(host):
-            return _refused(http.HTTPStatus.MISDIRECTED_REQUEST, "This server does not go by that name.\n")
+            return _refused(http.HTTPStatus.MISDIRECTED_REQUEST, "This server does not go by that name.")
         if len(origins) > 1 or (origins and urlsplit(origins[0]).netloc != host):
-            return _refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.\n")
+            return _refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
         if request.headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none") and not (
             request.headers.get("Sec-Fetch-Mode") == "navigate" and request.headers.get("Sec-Fetch-Dest") == "document"
         ):
-            return _refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.\n")
+            return _refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
         asked = _token(urlsplit(request.path).query)
         if self._tokens and self.name(request) is None and asked not in self._tokens:
             return _refused(
-                http.HTTPStatus.UNAUTHORIZED, "A token is needed: open the address that the server has printed.\n"
+                http.HTTPStatus.UNAUTHORIZED, "A token is needed: open the address that the server has printed."
             )
         return None
 
@@ -143,7 +148,11 @@ def _token(query: str) -> str:
 
 
 def _refused(status: http.HTTPStatus, text: str) -> Response:
-    body = text.encode()
-    return Response(
-        status, status.phrase, Headers({"Content-Type": "text/plain", "Content-Length": str(len(body))}), body
-    )
+    """A refusal as a page that is read to everybody; `text` is the program's own."""
+    body = REFUSAL.format(text).encode()
+    headers = {
+        "Content-Type": "text/html; charset=utf-8",
+        "Content-Length": str(len(body)),
+        "Cache-Control": "no-store",
+    }
+    return Response(status, status.phrase, Headers(headers), body)

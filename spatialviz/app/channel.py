@@ -26,7 +26,7 @@ WAITING_BYTES = 8 * 2**20
 """A browser that lets so much wait is cut off; it comes back and is sent the page as it is then."""
 MANY, REST_SECONDS = 10, 0.25
 """Where more jobs than that wait for one page, it rests after each: others are answered meanwhile."""
-LASTING = ("ask-typed", "edit-live", "hover")
+LASTING = ("ask-typed", "edit-live", "hover", "rows")
 """Commands of which only the last one counts, where several wait."""
 
 

@@ -19,10 +19,11 @@ from pipeline.language.unreadable import why_unread
 from pipeline.system.errors import InputError, UnknownClass
 from spatialviz.app import (
     beside,
+    evaluate,
     filling,
     frame_cloud,
     keys,
-    run_panel,
+    row_cases,
     selection,
     view_strings,
     what_if,
@@ -67,9 +68,9 @@ class Session(Context):
         self._selection = selection.Selection(self, pointing.on_pixel)
         self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
         self._beside = beside.BesideLayer(self)
-        self._runs = run_panel.RunPanel(self)
+        self._runs = evaluate.Evaluate(self)
         self._what_if, self._browse = what_if.WhatIf(self, self._judge.judge), Browse(self)
-        self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs)
+        self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs.reveal)
         parts = (
             self,
             self._selection,
@@ -83,6 +84,7 @@ class Session(Context):
             selection.ViewSettings(self),
             keys.Keys(self),
             view_strings.Keeping(self, self._judge, self._strings.now),
+            row_cases.RowCases(self, self._judge, self._runs.selected),
             *self._labels.parts,
         )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
@@ -172,7 +174,7 @@ class Session(Context):
 
     def _begin(self, place: Place) -> None:
         """Show what the address says, else what the server was started with, else the first failure or frame."""
-        if place.frame is not None or place.text is not None:
+        if place.frame is not None or place.text is not None or place.task == "evaluate":
             if place.text is None and place.task is None and self.state.correctable:
                 self.editors.wanted = ANYTHING
             self.go(place, restoring=True)
@@ -361,7 +363,9 @@ class Session(Context):
             self.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)
-            self.note(answer_in_words(self.state))
+            said = answer_in_words(self.state)
+            self.note(said)
+            self.page.call("announce", said)
         if draw:
             self.draw()
 
