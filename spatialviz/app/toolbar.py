@@ -170,13 +170,8 @@ def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | Non
 
 def tools_html() -> Element:
     """What one may want to keep or change, in one menu."""
-    items = (
-        h.button(name, h.small(hint), title=hint, id=f"tool-{key}", **how)
-        for key, name, hint, how in TOOLS
-    )
-    return h.details(
-        h.summary("⋯", aria_label="Tools", title="share, keep, look"), h.div(items), cls="menu"
-    )
+    items = (h.button(name, h.small(hint), title=hint, id=f"tool-{key}", **how) for key, name, hint, how in TOOLS)
+    return h.details(h.summary("⋯", aria_label="Tools", title="share, keep, look"), h.div(items), cls="menu")
 
 
 def problem_html(state: State) -> Element | None:

@@ -140,10 +140,7 @@ def test_poses_of_neighbours(tmp_path: Path) -> None:
     render_dataset(tmp_path / "room", rooms=1, views=6, seed=3, width=320, height=240)
     dataset = open_dataset(tmp_path / "room")
     frames = [dataset.load(frame_id) for frame_id in dataset.frame_ids]
-    late = [
-        replace(f, camera=replace(f.camera, T_world_camera=n.camera.T_world_camera))
-        for f, n in pairwise(frames)
-    ]
+    late = [replace(f, camera=replace(f.camera, T_world_camera=n.camera.T_world_camera)) for f, n in pairwise(frames)]
     assert looked_at(frames).of("time").state == "fine"
     found = looked_at(late)
     assert not wrong(found)

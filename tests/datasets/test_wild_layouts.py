@@ -52,11 +52,12 @@ def test_pairs_are_told_by_the_words_of_their_names(tmp_path: Path, color: str, 
 
 
 def test_a_pair_beside_the_folders_of_frames_is_not_the_recording(tmp_path: Path) -> None:
-    for number, truth in enumerate(truths(3)):
+    made = truths(3)
+    for number, truth in enumerate(made):
         write_png(tmp_path / f"color/{number}.png", truth.rgb)
         write_png(tmp_path / f"depth/{number}.png", truth.millimetres)
-    write_png(tmp_path / "test_color.png", truth.rgb)
-    write_png(tmp_path / "test_depth.png", truth.millimetres)
+    write_png(tmp_path / "test_color.png", made[0].rgb)
+    write_png(tmp_path / "test_depth.png", made[0].millimetres)
     assert open_dataset(tmp_path, **FOLDER).frame_ids == ("0", "1", "2")
 
 
