@@ -26,6 +26,7 @@ from pipeline.system.errors import InputError, MissingExtra
 from spatialviz.cli_ask import (
     Ask,
     Context,
+    Doctor,
     Eval,
     Failures,
     Frames,
@@ -82,6 +83,7 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "measure": (Measure, "run_ask"),
         "frames": (Frames, "run_ask"),
         "import-recording": (ImportRecording, "run_ask"),
+        "doctor": (Doctor, "run_doctor"),
         "context": (Context, "run_ask"),
         "render": (Render, "run_ask"),
         "glossary": (Glossary, "run_ask"),

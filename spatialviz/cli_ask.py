@@ -143,6 +143,20 @@ class ImportRecording(Output):
 
 
 @dataclass(frozen=True)
+class Doctor(Output):
+    """Find a wrong depth scale, focal length, principal point, pose convention, registration or up of a recording.
+
+    It compares the depth of posed frames that overlap, outlines of depth with edges of colour, and level planes. Exit
+    status: 0 where nothing was found wrong, or what was is mended with --apply; 1 where something is wrong.
+    """
+
+    dataset: DatasetArg
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    apply: Flag = False
+    """Keep what mends it in spatialviz.toml beside the data, where readers find it."""
+
+
+@dataclass(frozen=True)
 class Context(Output):
     """Fuse the posed frames around a frame into a mesh, in its camera frame (extra: open3d)."""
 

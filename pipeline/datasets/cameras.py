@@ -13,6 +13,7 @@ from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import INTRINSICS, Settings
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.pose_convention import standard_poses
 from pipeline.system.errors import InputError, needed, require
 
 Value = TypeVar("Value")
@@ -119,7 +120,7 @@ def make_camera(
     path: Blob,
     untold: tuple[str, ...] = (),
 ) -> Camera:
-    """A checked camera; the settings' intrinsics win over `K`.
+    """A checked camera; the settings' intrinsics win over `K`, and they may say what a pose means.
 
     Parameters
     ----------
@@ -146,6 +147,8 @@ def make_camera(
         # Any camera shows the picture; that it is none is kept with it.
         K, untold = intrinsics(width, width, (width - 1) / 2, (height - 1) / 2), (INTRINSICS, *untold)
     K = needed(K, "the camera is not known", expected=INTRINSICS, path=path)
+    if settings.poses is not None and T_world_camera is not None:
+        T_world_camera = standard_poses(T_world_camera, settings.poses)
     try:
         camera = Camera(K, width, height, T_world_camera, untold=untold)
     except InputError as error:

@@ -23,7 +23,7 @@ from pipeline.datasets.pairing import choose_naming, files_in_roles
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import DEPTH_SCALE, Settings
 from pipeline.geometry.camera import intrinsics
-from pipeline.system.errors import needed, require
+from pipeline.system.errors import InputError, needed, require
 
 OPENCV_OF_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenCV's camera frame to OpenGL's: y and z are turned round."""
@@ -113,10 +113,11 @@ class NerfstudioDataset(PosedPictures):
         self.source = self.root / TRANSFORMS
         table = read_json(self.source)
         frames = table.get("frames")
-        require(isinstance(frames, list), "a list of frames is missing", path=self.source)
+        if not isinstance(frames, list):
+            raise InputError("a list of frames is missing", path=self.source)
         self._shared = {key: value for key, value in table.items() if key != "frames"}
         found: dict[str, PosedPicture] = {}
-        for number, frame in enumerate(frames if isinstance(frames, list) else ()):
+        for number, frame in enumerate(frames):
             path = frame.get("file_path") if isinstance(frame, Mapping) else None
             require(isinstance(path, str), f"frame {number} names no file", path=self.source)
             color = path_inside(self.root, f"{path}", self.source, number)

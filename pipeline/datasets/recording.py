@@ -18,6 +18,7 @@ from pipeline.datasets.images import read_color, read_depth, read_stored
 from pipeline.datasets.pairing import Pair
 from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
 from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.registration import Registration, registered
 from pipeline.system.errors import InputError
 
 Value = TypeVar("Value")
@@ -180,6 +181,9 @@ class Recording:
             notes = [*notes, f"nothing can be measured, sizes are made up: {' and '.join(camera.untold)}"]
         if up is not None:
             camera = camera.with_up(up, "declared")
+        if self._settings.registration is not None:
+            metres, camera = registered(pair[1], camera, Registration(*self._settings.registration))
+            pair = pair[0], metres
         return make_frame(frame_id, pair, camera, depth_path, annotations, tuple(notes))
 
 

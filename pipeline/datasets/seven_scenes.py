@@ -13,6 +13,10 @@ from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings, camera_notes
 
 DEFAULT_INTRINSICS = (585.0, 585.0, 320.0, 240.0)
+UNREGISTERED = (
+    "colour and depth of 7-Scenes are of two cameras, and are read as of one: `spatialviz doctor DATASET --apply` "
+    "estimates the warp between them"
+)
 
 _IMAGE = re.compile(r"(frame-[0-9]{1,12})\.(color|depth)\.(png|jpg|jpeg)")
 
@@ -41,6 +45,8 @@ class SevenScenesDataset(Recording):
         self.frame_ids = tuple(self._files)
         if any(_camera_file(root, (root / frame_id).parent) is None for frame_id in self.frame_ids):
             self.notes += camera_notes(settings, DEFAULT_INTRINSICS, "7-Scenes' own")
+        if settings.registration is None:
+            self.notes += (UNREGISTERED,)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         files = self._found(self._files, frame_id)
