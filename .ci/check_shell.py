@@ -167,8 +167,8 @@ def check_opened(tab: Tab) -> None:
     tab.page.keyboard.press("Escape")
     tab.poll("!document.getElementById('dialog-window')")
     assert tab.page.url == before
-    pasted(tab, replace(view, run="/nowhere/run"))
-    tab.poll("document.getElementById('log').textContent.includes('/nowhere/run, which is not open here')")
+    pasted(tab, replace(view, run="/nowhere/other"))
+    tab.poll("document.getElementById('log').textContent.includes('/nowhere/other, which is not open here')")
     network = "/nowhere/network.onnx"
     told = "name => ['log', 'toasts'].some(id => document.getElementById(id).textContent.includes(name))"
     for answer in ("Without it", "Load it"):

@@ -90,9 +90,13 @@ def run_view(command: View) -> None:
 
 
 def _is_new(folder: Path) -> bool:
-    """Whether labels are to be begun in a folder: it is missing, or empty."""
+    """Whether labels are to be begun in a folder: it is empty. One that is missing may be a slip of the hand."""
     folder = folder.expanduser()
-    return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+    require(
+        folder.exists(), "there are no labels here", path=folder,
+        expected="labels, or an empty folder in which labels are begun by hand (mkdir makes one)",
+    )  # fmt: skip
+    return folder.is_dir() and not any(folder.iterdir())
 
 
 def _by_hand(command: View, sources: Mapping[str, Pipeline]) -> dict[str, Labels]:

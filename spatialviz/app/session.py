@@ -16,7 +16,7 @@ from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.language.unreadable import why_unread
-from pipeline.system.errors import InputError, UnknownClass
+from pipeline.system.errors import InputError, UnknownClass, require
 from spatialviz.app import (
     beside,
     evaluate,
@@ -164,6 +164,7 @@ class Session(Context):
 
     @command("data")
     def _turn_to_source(self, name: str) -> None:
+        require(name in self.shared.store.sources, "this dataset is not open here", got=name)
         self.go(Place(name))
 
     @property
