@@ -122,7 +122,8 @@ def test_tum_times_that_are_none_are_refused(tmp_path: Path, stamp: str) -> None
 
 
 UNSTATED = {
-    "bop": (), "tum": ("5000 to a metre", "525,525,319.5,239.5"), "7-scenes": ("1000 to a metre", "585,585,320,240"),
+    "bop": (), "tum": ("5000 to a metre", "525,525,319.5,239.5"),
+    "7-scenes": ("1000 to a metre", "585,585,320,240", "of two cameras"),
     "scannet": ("1000 to a metre",), "redwood": ("1000 to a metre",), "sunrgbd": ("1000 to a metre",),
     "avd": ("1000 to a metre",), "sunrgbd-votenet": (), "semantic-abstraction": (),
 }  # fmt: skip
@@ -137,14 +138,18 @@ def test_what_no_file_states_is_said_once_with_the_option_that_tells_it(tmp_path
     dataset = open_dataset(tmp_path)
     notes = dataset_notes(dataset)
     assert len(notes) == len(said)
-    for note, words, option in zip(notes, said, ("--depth-scale", "--intrinsics"), strict=False):
+    for note, words, option in zip(notes, said, ("--depth-scale", "--intrinsics", "spatialviz doctor"), strict=False):
         assert words in note
         assert option in note
     counts = SurveyCounts()
     assert list(counts.watch(survey(dataset)))
     assert counts.record()["notes"] == list(notes)
+    # Where the colour camera stands is told by spatialviz.toml alone.
+    warp = tuple(note for note in notes if "of two cameras" in note)
     told = open_dataset(tmp_path, intrinsics=CAMERA, depth_scale=1234)
-    assert dataset_notes(told) == ()
+    assert dataset_notes(told) == warp
+    (tmp_path / "spatialviz.toml").write_text("registration = [60.0, 60.0, 31.5, 23.5, 0.0, 0.0, 0.0]\n")
+    assert not [note for note in dataset_notes(open_dataset(tmp_path)) if "of two cameras" in note]
     (tmp_path / "spatialviz.toml").write_text("depth_scale = 1234.0\n")
     assert not [note for note in dataset_notes(open_dataset(tmp_path)) if "--depth-scale" in note]
 
@@ -154,12 +159,13 @@ def test_an_own_camera_file_of_7_scenes_needs_no_note(tmp_path: Path) -> None:
         (tmp_path / seq).mkdir()
         write_seven_scenes(tmp_path / seq, 1)
         (tmp_path / seq / "camera-intrinsics.txt").unlink()
-    assert len(dataset_notes(open_dataset(tmp_path))) == 2
+    assert len(dataset_notes(open_dataset(tmp_path))) == 3
     (tmp_path / "seq-01" / "camera-intrinsics.txt").write_text("60 0 31.5 0 61 23.5 0 0 1")
-    assert len(dataset_notes(open_dataset(tmp_path))) == 2
+    assert len(dataset_notes(open_dataset(tmp_path))) == 3
     (tmp_path / "seq-02" / "camera-intrinsics.txt").write_text("60 0 31.5 0 61 23.5 0 0 1")
-    (note,) = dataset_notes(open_dataset(tmp_path))
-    assert "--depth-scale" in note
+    unit, warp = dataset_notes(open_dataset(tmp_path))
+    assert "--depth-scale" in unit
+    assert "of two cameras" in warp
 
 
 @pytest.mark.parametrize(
