@@ -54,6 +54,8 @@ def drag_an_edge(tab: Tab, journal: Path, labels: Path) -> None:
     tab.press("j")
     tab.see("#sides .side-view canvas")
     tab.poll(f"document.querySelector('#crop figcaption b')?.textContent === {CLAIM}")
+    # The points may come after the words.
+    tab.poll("document.getElementById('sides').dataset.of === document.querySelector('#crop figcaption b').textContent")
     tab.page.wait_for_timeout(1000)
     size = "[...document.querySelectorAll('#sides .side-view figcaption span')].map(e => e.textContent)[0]"
     before = tab.poll(size)

@@ -298,6 +298,7 @@ const build = () => {
 calls.sides = data => {
   if (!bench) build();
   bench.hidden = !data;
+  bench.dataset.of = data?.name || '';
   const other = data?.name !== S.data?.name;
   S.data = data && {...data, points: unpacked(data.points), around: unpacked(data.around)};
   if (other) for (const view of views) view.zoom = 1;
