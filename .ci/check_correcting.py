@@ -12,6 +12,8 @@ from playwright.sync_api import Locator
 
 FRAME, MUG, LAPTOP = "000001/000000", 3, 2
 FIELD = "document.activeElement.tagName"
+ANSWERS = '#review-item [data-do="settle:T"]'
+"""Only an item about a relation has them."""
 ITEM = "document.querySelector('#review-item .claim')?.textContent"
 
 
@@ -48,9 +50,10 @@ def check_review(tab: Tab) -> None:
     tab.see("#review-list .queue .q")
     tab.click("queue-kind:relation")
     tab.press("j")
+    tab.see(ANSWERS)
     first = tab.see("#review-item .claim").inner_text()
     show_pair(tab)
-    tab.poll(f"!{ITEM}")
+    tab.poll("answers => !document.querySelector(answers)", ANSWERS)
     tab.press("k")
     tab.press("j")
     tab.poll(f"text => {ITEM} === text", first)
