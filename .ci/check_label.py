@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 from bare_recording import write_recording
@@ -51,9 +52,15 @@ def settle_by_keys(tab: Tab, journal: Path, labels: Path) -> None:
 def drag_an_edge(tab: Tab, journal: Path, labels: Path) -> None:
     """An edge of a side view is drawn outwards: the box of the labels grows by as much; one undo takes it back."""
     tab.click("queue-kind:object")
-    tab.press("j")
-    tab.see("#sides .side-view canvas")
-    tab.poll(f"document.querySelector('#crop figcaption b')?.textContent === {CLAIM}")
+    # The queue may be renewed by what a detector has found meanwhile; what is wanted is an item about an object.
+    shown = f"document.querySelector('#crop figcaption b')?.textContent === {CLAIM}"
+    for _ in range(4):
+        tab.press("j")
+        tab.see("#sides .side-view canvas")
+        with suppress(AssertionError):
+            tab.poll(shown, seconds=8)
+            break
+    tab.poll(shown)
     # The points may come after the words.
     tab.poll("document.getElementById('sides').dataset.of === document.querySelector('#crop figcaption b').textContent")
     tab.page.wait_for_timeout(1000)
@@ -183,7 +190,9 @@ def check_bare(browser: Browser, home: Path) -> dict[str, str]:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder, chromium() as browser:
         check_demo(browser, Path(folder))
-        print("settled by keys, dragged, accepted in bulk; judged:", check_bare(browser, Path(folder)))
+        print("settled by keys, dragged, accepted in bulk")
+        if "--bare" in sys.argv:
+            print("judged:", check_bare(browser, Path(folder)))
 
 
 if __name__ == "__main__":
