@@ -71,12 +71,15 @@ class PosedPictures(Recording):
             self.notes += ("lens distortion is left out: each camera is taken for a plain pinhole",)
 
     def _list(self) -> dict[str, PosedPicture]:
+        """Each format's own: its pictures by frame id."""
         raise NotImplementedError
 
     def _read_camera(self, camera: Any, picture: Path) -> Stated:
+        """Each format's own: what it says of a picture's camera."""
         raise NotImplementedError
 
     def _read_pose(self, pose: Any) -> np.ndarray:
+        """Each format's own: a pose as (4, 4), T_world_camera."""
         raise NotImplementedError
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:

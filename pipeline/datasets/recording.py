@@ -106,6 +106,7 @@ class Recording:
         return self._decoded(frame_id)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
+        """Each format's own: the files of a frame and what is known of them; `notes` takes what is to be said."""
         raise NotImplementedError
 
     def _decoded(self, frame_id: str, annotated: bool = True) -> Frame:
