@@ -188,8 +188,9 @@ def check_announced(browser: Browser, address: str) -> None:
     tab.poll("document.getElementById('announced').textContent.length > 0")
     tab.page.evaluate(LISTEN)
     tab.ask("laptop right of the mug")
+    tab.poll("window.heard.length > 0")
     tab.see("#answer .names", "right of")
-    tab.page.wait_for_timeout(600)
+    tab.page.wait_for_timeout(600)  # long enough for a second announcement of the same answer
     heard = tab.page.evaluate("window.heard")
     assert len(heard) == 1, heard
     assert "right of" in heard[0], heard
