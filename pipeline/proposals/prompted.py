@@ -18,7 +18,7 @@ from pipeline.proposals.contracts import Contract, _fits, by_name, follows
 from pipeline.proposals.mismatch import explain_mismatch, shapes
 from pipeline.proposals.network import pillow_resized
 from pipeline.system.errors import InputError, require
-from pipeline.system.onnx_session import as_declared, model_hash, open_session, signature
+from pipeline.system.onnx_session import as_declared, model_hash, open_session, run_limited, signature
 from pipeline.system.recent import Recent
 
 _KEPT = 4
@@ -285,7 +285,9 @@ def run(session: Any, outputs: Sequence[str], feed: dict[str, np.ndarray], path:
     """
     feed = as_declared(session, feed, path)
     try:
-        return session.run(list(outputs), feed)
+        return run_limited(session, outputs, feed, path)
+    except InputError:
+        raise
     except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
         first = str(error).splitlines()[0] if str(error) else type(error).__name__
         given = ", ".join(f"{n} {list(v.shape)}" for n, v in feed.items())

@@ -23,7 +23,7 @@ from pipeline.relations.contract import Contract
 from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScores, RuleScorer
 from pipeline.system.errors import InputError, require
-from pipeline.system.onnx_session import metadata, open_session, signature
+from pipeline.system.onnx_session import metadata, open_session, run_limited, signature
 
 __all__ = ["Contract", "OnnxScorer"]
 
@@ -135,7 +135,7 @@ class OnnxScorer:
             return np.zeros(shape)
         features = (self.features.pair(rows) - self.contract.mean) / self.contract.std
         flat = features.reshape(-1, features.shape[-1]).astype(np.float32)
-        (found,) = self._session.run(None, {self._input: flat})
+        (found,) = run_limited(self._session, None, {self._input: flat}, self.path)
         mirrored = antisymmetric if self.contract.output == "sigmoid" else antisymmetric_log_softmax
         return mirrored(found.astype(np.float64).reshape(shape), vocabulary)
 

@@ -6,11 +6,10 @@ as their parent does.
 
 from __future__ import annotations
 
-import mmap
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -18,7 +17,11 @@ from typing import Any, Literal
 import numpy as np
 import xxhash
 
+from pipeline.system.door import opened
 from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.limits import LIMITS_OPTION, current_limits
+from pipeline.system.onnx_contents import check_network, weight_files
+from pipeline.system.time_limit import stopped_after
 
 
 def open_session(path: Path, threads: int | None = None) -> Any:
@@ -39,7 +42,8 @@ def open_session(path: Path, threads: int | None = None) -> Any:
         Where the file is missing or is not an ONNX model.
     """
     require(not path.is_dir(), "the model is a folder", expected="the ONNX file in it", path=path)
-    require(path.is_file(), "there is no model file", path=path, cause="give the path of an ONNX file")
+    require(path.exists(), "there is no model file", path=path, cause="give the path of an ONNX file")
+    check_network(path)
     import onnxruntime as ort
 
     verbose = is_verbose()
@@ -50,18 +54,62 @@ def open_session(path: Path, threads: int | None = None) -> Any:
         ort.set_default_logger_severity(4)
     if threads is not None:
         options.intra_op_num_threads = threads
+    if _limited_memory():
+        options.add_session_config_entry("session.use_env_allocators", "1")
     create = create_session if threads is None else cpu_session
     failure: Exception | None = None
+    seconds = current_limits().seconds
     for level in (ort.GraphOptimizationLevel.ORT_ENABLE_ALL, ort.GraphOptimizationLevel.ORT_DISABLE_ALL):
         options.graph_optimization_level = level
         try:
-            return _legible(create(str(path), options), path)
+            # Half of loading is computing what is constant.
+            with stopped_after(seconds, lambda: options.set_load_cancellation_flag(True)) as loading:
+                return _legible(create(str(path), options), path)
         except InputError:
             raise
         except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
+            if loading.stopped:
+                raise _endless("loading the model", seconds, path) from error
             failure = failure or error
     cause = _no_model(path) or _likely_cause(str(failure))
     raise InputError("ONNX Runtime cannot load the model", got=first_line(failure), cause=cause, path=path) from failure
+
+
+@lru_cache(maxsize=1)
+def _limited_memory() -> bool:
+    """Let the networks of this process share one arena of limited size on the CPU; False where it is not to be had."""
+    import onnxruntime as ort
+
+    try:
+        kind = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
+        ort.create_and_register_allocator(kind, ort.OrtArenaCfg({"max_mem": current_limits().memory}))
+    except Exception:  # ONNX Runtime raises its own classes, and releases differ in what they offer.
+        return False
+    return True
+
+
+def _endless(what: str, seconds: float, path: Path) -> InputError:
+    return InputError(
+        f"{what} does not come to an end", got=f"more than {seconds} seconds", expected="less",
+        cause=f"a slow machine? {LIMITS_OPTION} seconds={10 * seconds}", path=path,
+    )  # fmt: skip
+
+
+def run_limited(session: Any, outputs: Sequence[str] | None, feed: Mapping[str, np.ndarray], path: Path) -> list[Any]:
+    """What the session computes; what ONNX Runtime raises, and InputError where it takes longer than the limit.
+
+    ONNX Runtime looks between two operators whether it was told to stop: a loop ends, a single operator does not.
+    """
+    import onnxruntime as ort
+
+    options, seconds = ort.RunOptions(), current_limits().seconds
+    with stopped_after(seconds, lambda: setattr(options, "terminate", True)) as running:
+        try:
+            return session.run(None if outputs is None else list(outputs), feed, options)
+        except Exception as error:
+            if running.stopped:
+                raise _endless("running the model", seconds, path) from error
+            raise
 
 
 def _legible(session: Any, path: Path) -> Any:
@@ -98,7 +146,7 @@ _CAUSES = (
 
 def _no_model(path: Path) -> str | None:
     """What stands where a download failed, where the file is that."""
-    with path.open("rb") as file:
+    with opened(path, "model") as file:
         begin = file.read(64).lstrip().lower()
     return next((cause for begins, cause in _NO_MODEL if begin.startswith(begins)), None)
 
@@ -125,14 +173,18 @@ def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndar
     """
     cast = as_declared(session, feed, path)
     try:
-        values = [np.asarray(v) for v in session.run(list(outputs), cast)]
+        values = [np.asarray(v) for v in run_limited(session, outputs, cast, path)]
+    except InputError:
+        raise
     except Exception as error:  # As above.
         text = str(error)
         wrong_text = "out of data bounds" in text or "out of bounds" in text
-        cause = "a token is not in the model's vocabulary: is the tokenizer that of another model?"
-        raise InputError(
-            "the model cannot be run", got=first_line(text), cause=cause if wrong_text else None, path=path
-        ) from error
+        cause = None
+        if wrong_text:
+            cause = "a token is not in the model's vocabulary: is the tokenizer that of another model?"
+        if "smaller than requested bytes" in text:
+            cause = f"it asks for more memory than networks may hold: {LIMITS_OPTION} memory=16G"
+        raise InputError("the model cannot be run", got=first_line(text), cause=cause, path=path) from error
     values = [v.astype(np.float32) if v.dtype.kind == "f" else v for v in values]
     for name, value in zip(outputs, values, strict=True):
         require(
@@ -196,7 +248,7 @@ def signature(session: Any) -> str:
 def file_hash(path: Path) -> str:
     """Hash of a file's content."""
     digest = xxhash.xxh3_128()
-    with path.open("rb") as file:
+    with opened(path, "model") as file:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
@@ -205,25 +257,8 @@ def file_hash(path: Path) -> str:
 def model_hash(path: Path) -> str:
     """Hash of a model file and of the files that its weights are in, where they are in files of their own."""
     companions = {path.with_name(path.name + ending): None for ending in ("_data", ".data")}
-    companions |= {path.parent / name: None for name in sorted(set(_weight_files(path)))}
+    companions |= {path.parent / name: None for name in weight_files(path)}
     return "+".join(file_hash(p) for p in (path, *companions) if p.is_file())
-
-
-_LOCATION = re.compile(rb"\n\x08location\x12([\x80-\xff]?[\x01-\x7f])")
-"""How protobuf writes the key of an entry of `external_data`, and the length of its value."""
-
-
-def _weight_files(path: Path) -> Iterator[str]:
-    """The files that a model's tensors name; by chance also what only looks like a name."""
-    with path.open("rb") as file:
-        if not path.stat().st_size:
-            return
-        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            for found in _LOCATION.finditer(content):
-                size = sum((byte & 127) << 7 * digit for digit, byte in enumerate(found[1]))
-                name = content[found.end() : found.end() + size]
-                if b"\0" not in name:
-                    yield name.decode("utf-8", "replace")
 
 
 def require_onnx() -> Any:

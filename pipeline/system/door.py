@@ -1,0 +1,293 @@
+"""The one way in for files that others made: datasets, labels, runs, cases and models.
+
+What is no regular file is refused before it is opened, what lies outside the folder that was opened (a link, a name
+with "..") before it is read, and what is larger than `limits` allows before it is decoded; each with one line. Errors
+of the system (a missing file) go through as they are.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import math
+import os
+import re
+import stat
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import IO, Any, NamedTuple
+from zipfile import ZipFile
+
+import numpy as np
+
+from pipeline.system.arrow import pq
+from pipeline.system.errors import InputError, require
+from pipeline.system.limits import LIMITS_OPTION, Limits, current_limits, within
+from pipeline.system.picture_headers import array_shape, header_size
+
+
+class _Root(NamedTuple):
+    """A folder that was opened: where it really is, and by what its own settings change the limits."""
+
+    real: str
+    told: tuple[tuple[str, Any], ...]
+
+
+_ROOTS: dict[str, _Root] = {}
+_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_CLOEXEC", 0)
+_FLAGS |= getattr(os, "O_BINARY", 0)
+_OPENED = Path("/proc/self/fd")
+_HAS_OPENED = _OPENED.is_dir()
+_KINDS = {stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
+
+
+def enter(root: Path, told: Mapping[str, Any] | None = None) -> Path:
+    """From now on what is read below this folder must lie in it, with links followed; returns it.
+
+    Parameters
+    ----------
+    root : Path
+        A folder, or a file that holds all.
+    told : mapping, optional
+        Limits that the folder's own `spatialviz.toml` raises; raises InputError as `Limits.changed`.
+    """
+    values = tuple((told or {}).items())
+    current_limits().changed(dict(values), own=True)
+    _ROOTS[_absolute(root)] = _Root(os.path.realpath(_home(root)), values)
+    return root
+
+
+def _home(root: Path) -> Path:
+    """The folder that files may lie in: the cache of a hub keeps the content of `snapshots/COMMIT` in `blobs` above."""
+    real = Path(os.path.realpath(root))
+    for folder in (real, *real.parents):
+        if folder.parent.name == "snapshots" and (folder.parent.parent / "blobs").is_dir():
+            return folder.parent.parent
+    return real
+
+
+def _absolute(path: Any) -> str:
+    """An absolute path in which ".." stands as it was written."""
+    text = os.fspath(path)
+    return text if os.path.isabs(text) else os.path.join(os.getcwd(), "" if text == "." else text).rstrip(os.sep)
+
+
+def _roots(path: Any) -> Iterator[_Root]:
+    """The folders that were opened and are above a path as it is written, the innermost first."""
+    text = _absolute(path)
+    while True:
+        if text in _ROOTS:
+            yield _ROOTS[text]
+        above = os.path.dirname(text)
+        if above == text:
+            return
+        text = above
+
+
+def limits_of(path: Any) -> Limits:
+    """The limits of a file: of this process, and where the folder that it is in raises some, those."""
+    limits = current_limits()
+    told = next(_roots(path), None)
+    return limits if told is None or not told.told else limits.changed(dict(told.told), own=True)
+
+
+@contextmanager
+def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
+    """A file to read, at its start.
+
+    Parameters
+    ----------
+    path : Path
+    limit : str
+        The name of the limit of its size.
+
+    Raises
+    ------
+    InputError
+        No regular file, a link out of the folder that was opened, or too large.
+    OSError
+        What the system says: missing, not to be read.
+    """
+    _check(path, os.stat(path), limit)
+    # What was a file a moment ago may be a FIFO now: opening must not wait.
+    with os.fdopen(os.open(path, _FLAGS), "rb") as file:
+        _check(path, os.fstat(file.fileno()), limit)
+        _check_place(path, file.fileno())
+        yield file
+
+
+def checked_path(path: Path, limit: str = "bytes") -> Path:
+    """The path, for a library that opens it itself; raises as `opened`."""
+    _check(path, os.stat(path), limit)
+    _check_place(path)
+    return path
+
+
+def _check(path: Path, state: os.stat_result, limit: str) -> None:
+    if stat.S_ISDIR(state.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "Is a directory", os.fspath(path))
+    if not stat.S_ISREG(state.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(state.st_mode), "something else")
+        raise InputError("no regular file", got=kind, cause="such are never read", path=path)
+    if state.st_size > getattr(current_limits(), limit):
+        within(state.st_size, limit, "a file", path, limits_of(path))
+
+
+def _check_place(path: Path, descriptor: int | None = None) -> None:
+    """Raise InputError where a file lies outside of every folder that was opened and is above it as it is written."""
+    above = tuple(_roots(path))
+    if not above:
+        return
+    seen = descriptor is not None and _HAS_OPENED
+    real = os.readlink(f"{_OPENED}/{descriptor}") if seen else os.path.realpath(path)
+    if not any(real == root.real or real.startswith(root.real.rstrip(os.sep) + os.sep) for root in above):
+        require(
+            current_limits().links,
+            "a file outside the folder that was opened",
+            got="a link that leads out, or a name with ..",
+            expected=f"files in {above[-1].real}",
+            cause=f"{LIMITS_OPTION} links=1 follows such links, if you trust whoever made them",
+            path=path,
+        )
+
+
+def read_bytes(path: Path, limit: str = "bytes") -> bytes:
+    """The whole file; raises as `opened`."""
+    with opened(path, limit) as file:
+        return file.read()
+
+
+def read_text(path: Path, encoding: str = "utf-8") -> str:
+    """The whole text, with its ends of lines as "\\n"; raises as `opened`, and UnicodeDecodeError."""
+    return read_bytes(path, "text").decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_json(path: Path, **options: Any) -> Any:
+    """What a JSON file holds; raises as `opened` and `parse_json`."""
+    return parse_json(read_bytes(path, "text"), path, **options)
+
+
+def parse_json(data: bytes | str, path: Any = None, **options: Any) -> Any:
+    """What JSON holds; `options` are those of `json.loads`.
+
+    Raises
+    ------
+    InputError
+        Brackets inside brackets, more levels than the limit `depth`.
+    ValueError
+        No JSON (`json.JSONDecodeError`), or no UTF-8.
+    """
+    depth = current_limits().depth
+    if _deeper(data.encode("utf-8", "replace") if isinstance(data, str) else data, depth):
+        within(depth + 1, "depth", "JSON", path, current_limits())
+    return json.loads(data if isinstance(data, str) else data.decode("utf-8-sig"), **options)
+
+
+_STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
+_ALIKE = bytes.maketrans(b"{}", b"[]")
+_NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
+
+
+def _deeper(data: bytes, depth: int) -> bool:
+    """Whether brackets stand inside one another more than `depth` levels deep: pairs are taken away level by level."""
+    left = data.translate(_ALIKE, _NO_BRACKETS)
+    for _ in range(depth):
+        shorter = left.replace(b"[]", b"")
+        if len(shorter) == len(left):
+            break
+        left = shorter
+    if left and b'"' in data:
+        # Strings may hold brackets: without them the count is exact.
+        return _deeper(_STRING.sub(b"", data).replace(b'"', b""), depth)
+    # What does not pair is no JSON; the parser says so, if it is not too deep to find out.
+    return b"[]" in left or left.count(b"[") > depth
+
+
+def check_pixels(data: bytes, path: Any) -> None:
+    """Raise InputError where an encoded picture would have more pixels than the limit, or its header tells no size."""
+    size = header_size(data)
+    if size is None or min(size) < 0:
+        raise InputError("a picture whose header tells no size", cause="is it cut off or damaged?", path=path)
+    if size[0] * size[1] > current_limits().pixels:
+        within(size[0] * size[1], "pixels", f"a picture of {size[0]}x{size[1]}", path, limits_of(path))
+
+
+def load_arrays(source: bytes | IO[bytes], path: Any) -> Any:
+    """The array of an NPY, or those of an NPZ by name, each read when it is asked for; nothing is unpickled.
+
+    Raises
+    ------
+    InputError
+        Larger than the limits, by the headers.
+    Exception
+        Damaged bytes fail in zipfile, zlib or NumPy, each with its own class.
+    """
+    file = io.BytesIO(source) if isinstance(source, bytes) else source
+    packed = file.read(2) == b"PK"
+    file.seek(0)
+    if packed:
+        check_members(ZipFile(file), path)
+    else:
+        shape = array_shape(file)
+        within(math.prod(shape), "pixels", f"an array of {'x'.join(map(str, shape))}", path, limits_of(path))
+    file.seek(0)
+    return np.load(file, allow_pickle=False)
+
+
+@contextmanager
+def opened_arrays(path: Path) -> Iterator[Any]:
+    """The same of a file; raises as `opened` too."""
+    with opened(path) as file, load_arrays(file, path) as arrays:
+        yield arrays
+
+
+def check_members(archive: ZipFile, path: Any) -> None:
+    """Raise InputError where an archive has too many members, too large ones, or one whose name climbs out of it.
+
+    No more is ever unpacked of a member than it declares.
+    """
+    limits, members = limits_of(path), archive.infolist()
+    within(len(members), "members", "an archive", path, limits)
+    for member in members:
+        name = PurePosixPath(member.filename.replace("\\", "/"))
+        require(
+            not name.is_absolute() and ".." not in name.parts,
+            "a member of the archive that would lie outside it", got=repr(member.filename[:80]), path=path,
+        )  # fmt: skip
+        within(member.file_size, "bytes", f"{member.filename[:80]} in an archive", path, limits)
+    within(sum(m.file_size for m in members), "unpacked", "an archive, unpacked,", path, limits)
+
+
+def open_zip(path: Path) -> ZipFile:
+    """An archive whose members are read in place; raises as `opened` (of its size `unpacked`) and `check_members`."""
+    archive = ZipFile(checked_path(path, "unpacked"))
+    check_members(archive, path)
+    return archive
+
+
+def open_parquet(source: Any, path: Any = None, **options: Any) -> Any:
+    """A `pyarrow.parquet.ParquetFile` of a path or an open file (then `path` names it); `options` are those of it.
+
+    Raises
+    ------
+    InputError
+        As `opened` (of its size `unpacked`), or too many rows.
+    pyarrow.ArrowException
+        Damaged.
+    """
+    path = path or source
+    file = pq.ParquetFile(checked_path(source, "unpacked") if isinstance(source, Path) else source, **options)
+    try:
+        within(file.metadata.num_rows, "rows", "a table", path, limits_of(path))
+    except InputError:
+        file.close()
+        raise
+    return file
+
+
+def read_parquet(path: Path, columns: Any = None, filters: Any = None) -> Any:
+    """A whole `pyarrow.Table`; raises as `open_parquet`."""
+    open_parquet(path).close()
+    return pq.read_table(path, columns=columns, filters=filters)
