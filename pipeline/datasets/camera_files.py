@@ -6,8 +6,6 @@ read into one flat table of names and numbers, and the names that are known are 
 
 from __future__ import annotations
 
-import io
-import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ import numpy as np
 from pipeline.datasets.files import read_bytes, read_mat
 from pipeline.datasets.images import Blob
 from pipeline.geometry.camera import intrinsics
+from pipeline.system import door
 from pipeline.system.errors import InputError, require
 
 CAMERA_SUFFIXES = (".json", ".yml", ".yaml", ".txt", ".toml", ".ini", ".cfg", ".mat", ".npy", ".npz", ".pincam")
@@ -218,16 +217,20 @@ def _named_numbers(path: Blob) -> Iterator[tuple[str, np.ndarray]]:
     require(len(data) <= LARGEST_BYTES, "too large for a camera file", got=f"{len(data)} bytes", path=path)
     if suffix in (".npy", ".npz"):
         try:
-            loaded: Any = np.load(io.BytesIO(data), allow_pickle=False)
+            loaded: Any = door.load_arrays(data, path)
             arrays = {"": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+        except InputError:
+            raise
         except Exception as error:  # Damaged archives raise a dozen kinds of error.
             raise InputError("an array that cannot be read", got=str(error)[:120], path=path) from error
         yield from ((k, v.astype(np.float64).ravel()) for k, v in arrays.items() if v.dtype.kind in "uif")
         return
     try:
         text = data.decode("utf-8-sig")
-        yield from flat_numbers(json.loads(text)) if suffix == ".json" else _text_numbers(text)
-    except (ValueError, RecursionError) as error:
+        yield from flat_numbers(door.parse_json(text, path)) if suffix == ".json" else _text_numbers(text)
+    except InputError:
+        raise
+    except ValueError as error:
         raise InputError("malformed", got=str(error)[:80], path=path) from error
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import re
 from collections.abc import Iterator
@@ -14,7 +15,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pipeline.system import door
 from pipeline.system.errors import InputError, require
+from pipeline.system.limits import within
 
 CUT_OFF = "was the copy or the download interrupted?"
 
@@ -33,16 +36,16 @@ class Blob(Protocol):
     def __fspath__(self) -> str: ...
 
 
-def read_bytes(path: Blob) -> bytes:
-    """The whole file, wherever it stands.
+def read_bytes(path: Blob, limit: str = "bytes") -> bytes:
+    """The whole file, wherever it stands; `limit` is the name of the limit of its size.
 
     Raises
     ------
     InputError
-        Missing, unreadable, or empty.
+        Missing, unreadable, or empty; no regular file, outside the dataset, or too large.
     """
     try:
-        data = path.read_bytes()
+        data = door.read_bytes(path, limit) if isinstance(path, Path) else path.read_bytes()
     except FileNotFoundError as error:
         raise InputError("a file is missing", path=path) from error
     except OSError as error:
@@ -59,14 +62,16 @@ def read_json(path: Blob) -> dict[str, Any]:
     InputError
         Missing, empty, malformed (with the line), or of another shape.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, "text")
     try:
-        table = json.loads(data.decode("utf-8-sig"))
+        table = door.parse_json(data, path)
     except json.JSONDecodeError as error:
         raise InputError(
             f"malformed JSON in line {error.lineno}, column {error.colno}", got=error.msg, path=path
         ) from error
-    except (UnicodeDecodeError, RecursionError, ValueError) as error:
+    except InputError:
+        raise
+    except ValueError as error:
         raise InputError("malformed JSON", got=f"{type(error).__name__}: {error}", path=path) from error
     require(isinstance(table, dict), "a JSON object was expected", got=type(table).__name__, path=path)
     return table
@@ -81,7 +86,7 @@ def numbered_lines(path: Blob) -> list[tuple[int, str]]:
         Missing, empty, unreadable, or no text.
     """
     try:
-        text = read_bytes(path).decode("utf-8-sig")
+        text = read_bytes(path, "text").decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError("not a text file", path=path) from error
     lines = ((number, line.strip()) for number, line in enumerate(text.splitlines(), start=1))
@@ -139,10 +144,15 @@ def read_mat(path: Blob, *names: str) -> dict[str, Any]:
         Missing, cut off, or no MATLAB file.
     """
     data = read_bytes(path)
-    from scipy.io import loadmat
+    from scipy.io import loadmat, whosmat
 
     try:
+        for name, shape, _ in whosmat(io.BytesIO(data)):
+            if name in names:
+                within(math.prod(shape), "pixels", f"{name[:80]} of {shape}", path, door.limits_of(path))
         return loadmat(io.BytesIO(data), variable_names=names)
+    except InputError:
+        raise
     except Exception as error:  # The package raises a dozen kinds of error for damaged files.
         raise InputError("a MATLAB file that cannot be read", got=str(error)[:120], cause=CUT_OFF, path=path) from error
 
@@ -164,6 +174,7 @@ def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
                     (folders if entry.is_dir(follow_symlinks=links) else files).append(entry.name)
     except OSError as error:
         raise InputError("a folder cannot be listed", got=error.strerror, path=folder) from error
+    within(len(folders) + len(files), "names", "a folder", folder, door.limits_of(folder))
     found = in_order(folders), in_order(files)
     if memo is not None:
         memo[folder, links] = found

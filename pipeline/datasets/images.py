@@ -7,7 +7,6 @@ JPEG marker by marker to its end-of-image marker, a PGM by its size.
 
 from __future__ import annotations
 
-import io
 import os
 import re
 import zlib
@@ -20,6 +19,7 @@ import numpy as np
 from PIL import Image
 
 from pipeline.datasets.files import CUT_OFF, Blob, read_bytes
+from pipeline.system import door
 from pipeline.system.errors import InputError, needed, require
 
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy", ".npz")
@@ -124,7 +124,7 @@ def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
         if kind in ("npy", "npz"):
             stored = _decode_numpy(data, path)
         elif kind == "exr":
-            stored = _decode_exr(path)
+            stored = _decode_exr(data, path)
         else:
             stored = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
     if stored.ndim == 3 and stored.shape[2] == 1:
@@ -148,7 +148,7 @@ def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
 def picture_size(path: Path) -> tuple[int, int] | None:
     """(width, height) by the header of a picture; None where it is none."""
     try:
-        with Image.open(path) as picture:
+        with door.opened(path) as file, Image.open(file) as picture:
             return picture.size
     except (OSError, ValueError, Image.DecompressionBombError):
         return None
@@ -174,6 +174,8 @@ def _checked(path: Blob, expected: str) -> tuple[bytes, str]:
         _check_png(data, path)
     elif kind == "jpeg":
         _check_jpeg(data, path)
+    if kind not in _ARRAYS:
+        door.check_pixels(data, path)
     return data, kind
 
 
@@ -265,7 +267,7 @@ def _decode_pnm(data: bytes, path: Blob, flags: int) -> np.ndarray:
 def _decode_numpy(data: bytes, path: Blob) -> np.ndarray:
     """The array of an NPY, or of an NPZ: its only one, or the one that is named for depth."""
     try:
-        array = np.load(io.BytesIO(data), allow_pickle=False)
+        array = door.load_arrays(data, path)
         if isinstance(array, np.lib.npyio.NpzFile):
             names = [name for name in array.files if len(array.files) == 1 or "depth" in name.lower()]
             require(len(names) == 1, "an NPZ without one array of depth", got=", ".join(array.files), path=path)
@@ -278,7 +280,7 @@ def _decode_numpy(data: bytes, path: Blob) -> np.ndarray:
     return np.asarray(array)
 
 
-def _decode_exr(path: Blob) -> np.ndarray:
+def _decode_exr(data: bytes, path: Blob) -> np.ndarray:
     """The only channel of an OpenEXR file, or the first of several equal ones.
 
     OpenCV's wheels either lack OpenEXR (5.0) or hide it behind an environment
@@ -294,6 +296,7 @@ def _decode_exr(path: Blob) -> np.ndarray:
             cause="the wheels of OpenCV cannot be relied on to read EXR",
             path=path,
         ) from error
+    door.check_pixels(data, path)
     try:
         with OpenEXR.File(os.fspath(path), separate_channels=True) as image:
             channels = [np.array(channel.pixels) for channel in image.channels().values()]

@@ -28,6 +28,7 @@ from pipeline.datasets.files import listed_once
 from pipeline.datasets.settings import GivenUp, read_settings
 from pipeline.datasets.unknown import unknown
 from pipeline.datasets.up import with_given_up
+from pipeline.system.door import enter
 from pipeline.system.errors import require
 from pipeline.system.plugins import load_plugins
 
@@ -106,7 +107,9 @@ def open_dataset(
     require(root.exists(), "there is no such dataset", expected="a folder", path=root)
     require(up is None or level_at is None, "--up and --level-at say the same", expected="one of them")
     told = None if up is None else GivenUp.parse(up)
-    settings = replace(read_settings(root).overridden(intrinsics, depth_scale, told), browse=browse)
+    known = read_settings(enter(root))
+    enter(root, known.limits)
+    settings = replace(known.overridden(intrinsics, depth_scale, told), browse=browse)
     added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
     formats = (*FORMATS, *added, FALLBACK) if root.is_dir() else CAPTURES
     with listed_once():

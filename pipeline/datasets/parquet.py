@@ -19,6 +19,7 @@ from pipeline.datasets.files import readable
 from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import DEPTH_SCALE, Settings
+from pipeline.system.door import open_parquet
 from pipeline.system.errors import as_input_error, needed, require
 
 SUFFIX = ".parquet"
@@ -63,10 +64,8 @@ def _file(table: Path) -> Any:
 
 @lru_cache(maxsize=4)
 def _opened(table: Path, written: int) -> Any:
-    from pyarrow.parquet import ParquetFile
-
     with as_input_error("a table that cannot be read", Exception, got=str, path=table):
-        return ParquetFile(table, memory_map=True)
+        return open_parquet(table, memory_map=True)
 
 
 def _row(table: Path, row: int) -> dict[str, Any]:

@@ -5,7 +5,6 @@ https://github.com/apple/ARKitScenes/blob/main/DATA.md, https://record3d.app
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,6 +24,7 @@ from pipeline.datasets.pairing import Files, Pair, numbers
 from pipeline.datasets.reconstructions import OPENCV_OF_OPENGL
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings
+from pipeline.system.door import open_zip, parse_json
 from pipeline.system.errors import as_input_error, extra_module, needed, require
 
 WITHIN_S = 0.005
@@ -127,7 +127,7 @@ def _archive(path: Path) -> ZipFile:
 @lru_cache(maxsize=4)
 def _opened(path: Path, written: int) -> ZipFile:
     """An open archive; `ZipFile` reads members from several threads."""
-    return ZipFile(path)
+    return open_zip(path)
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ class Record3dDataset(Recording):
         super().__init__(root, settings)
         with as_input_error("not a Record3D capture", BadZipFile, KeyError, OSError, ValueError, got=str, path=root):
             names = set(_archive(root).namelist())
-            table = json.loads(_archive(root).read("metadata"))
+            table = parse_json(_archive(root).read("metadata"), root)
         self._table: Mapping[str, Any] = needed(table if isinstance(table, dict) else None, "no metadata", path=root)
         stems = (name[5:-4] for name in names if name.startswith("rgbd/") and name.endswith(".jpg"))
         self._ids = {stem: k for k, stem in enumerate(sorted(stems, key=natural)) if f"rgbd/{stem}.depth" in names}

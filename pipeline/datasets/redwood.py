@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import Stated
 from pipeline.datasets.cameras import or_note, pose_from_matrix
-from pipeline.datasets.files import as_floats, listing, numbered_lines, read_json, readable
+from pipeline.datasets.files import as_floats, listing, numbered_lines, read_bytes, read_json, readable
 from pipeline.datasets.pairing import Key, image_files, paired_files
 from pipeline.datasets.recording import DepthRule, Listed, Recording, files_of
 from pipeline.datasets.settings import Settings
@@ -107,9 +107,8 @@ def _has_images(folder: Path) -> bool:
 def _is_camera_file(path: Path) -> bool:
     """Whether a file of the right name speaks of Open3D's intrinsics; what is wrong with them is told at loading."""
     try:
-        small = path.is_file() and path.stat().st_size <= CAMERA_FILE_BYTES
-        return small and b"intrinsic_matrix" in path.read_bytes()
-    except OSError:
+        return path.stat().st_size <= CAMERA_FILE_BYTES and b"intrinsic_matrix" in read_bytes(path)
+    except (OSError, InputError):
         return False
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from pipeline.datasets.base import GivenExpression
 from pipeline.datasets.files import CUT_OFF, read_bytes, read_json
+from pipeline.system.door import checked_path
 from pipeline.system.errors import InputError, require
 
 MOST_VALUES = 100_000_000
@@ -38,7 +39,7 @@ def open_view(path: Path) -> Iterator[Any]:
     import h5py
 
     try:
-        with h5py.File(path, "r") as file:
+        with h5py.File(checked_path(path, "unpacked"), "r") as file:
             yield file
     except InputError as error:
         raise error if error.path is not None else InputError(str(error), path=path) from error

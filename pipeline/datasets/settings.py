@@ -12,6 +12,7 @@ from typing import Any, Literal
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.pose_convention import check_convention
 from pipeline.geometry.registration import Registration
+from pipeline.system.door import read_text
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import parse_toml
 from pipeline.system.whole_files import write_whole
@@ -22,7 +23,9 @@ INTRINSICS = "--intrinsics fx,fy,cx,cy"
 DEPTH_SCALE = "--depth-scale UNITS_PER_METRE"
 """The options that tell what a recording may not."""
 TABLE = "frame_up"
-"""The one key that is a table."""
+"""The one key that is a table and is written."""
+LIMITS_TABLE = "limits"
+"""The table of limits that are raised for this dataset."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,8 @@ class Settings:
         Up in the camera frame of single frames; the poses carry it to the others of the scene.
     name : str or None
         The dataset's name for people.
+    limits : dict of str to int or str
+        Limits that are raised for what is read below the dataset's folder: `system.limits.Limits`.
     browse : bool
         Pictures are only looked at: what nothing tells of the camera is made up, and said to be (`Camera.untold`).
     """
@@ -59,6 +64,7 @@ class Settings:
     up: GivenUp | None = None
     frame_up: Mapping[str, Vector] = field(default_factory=dict)
     browse: bool = False
+    limits: Mapping[str, Any] = field(default_factory=dict)
     poses: str | None = None
     registration: tuple[float, ...] | None = None
 
@@ -143,16 +149,20 @@ def read_settings(root: Path) -> Settings:
     if not path.is_file():
         return Settings()
     try:
-        table = parse_toml(path.read_text(encoding="utf-8"))
+        table = parse_toml(read_text(path))
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         raise InputError("the settings cannot be read", got=str(error), path=path) from error
+    limits = table.pop(LIMITS_TABLE, {})
+    require(isinstance(limits, dict), "limits must be a table", path=path)
     # Tables such as [generator] say how the data came to be; they are for people and other tools.
     table = {key: value for key, value in table.items() if key == TABLE or not isinstance(value, dict)}
     unknown = sorted(set(table) - set(KEYS))
     if unknown:
         raise InputError(f"unknown setting {unknown[0]!r}", expected=f"one of {', '.join(KEYS)}", path=path)
     try:
-        return Settings(**table)
+        return Settings(**table, limits=limits)
     except InputError as error:
         raise InputError(str(error), path=path) from error
 
@@ -212,7 +222,7 @@ def _tables(path: Path) -> list[str]:
         return []
     kept: list[str] = []
     inside: str | None = None
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in read_text(path).splitlines():
         if line.lstrip().startswith("["):
             inside = line.split("#")[0].strip()
         if inside is not None and inside != f"[{TABLE}]":

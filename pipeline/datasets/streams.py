@@ -27,6 +27,7 @@ from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.datasets.tum import match_times
+from pipeline.system.door import check_pixels, checked_path
 from pipeline.system.errors import InputError, as_input_error, extra_module, needed, require
 
 SUFFIXES = (".bag", ".db3", ".mcap")
@@ -82,6 +83,8 @@ class Stream:
         self.path, self.lock = path, Lock()
         store = typesys.get_typestore(typesys.Stores.LATEST)
         with as_input_error("a recording that cannot be read", Exception, got=str, path=path):
+            for part in path.iterdir() if path.is_dir() else (path,):
+                checked_path(part, "unpacked")
             self.reader: Any = highlevel.AnyReader([path], default_typestore=store)
             self.reader.open()
         self.kinds: dict[str, str] = {c.topic: c.msgtype for c in self.reader.connections}
@@ -212,7 +215,9 @@ def _image(message: Any, path: Path) -> tuple[np.ndarray, str]:
     """The pixels of an Image or a CompressedImage, and their encoding."""
     if hasattr(message, "format"):
         skip = COMPRESSED_DEPTH_HEADER if "compressedDepth" in message.format else 0
-        pixels = cv2.imdecode(np.asarray(message.data)[skip:], cv2.IMREAD_UNCHANGED)
+        data = np.asarray(message.data)[skip:]
+        check_pixels(data.tobytes(), path)
+        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
         pixels = needed(pixels, "an image that cannot be decoded", got=message.format, path=path)
         return pixels, "bgr8" if pixels.ndim == 3 else "mono8" if pixels.dtype == np.uint8 else "16UC1"
     encoding = message.encoding

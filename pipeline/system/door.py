@@ -180,8 +180,11 @@ def parse_json(data: bytes | str, path: Any = None, **options: Any) -> Any:
         No JSON (`json.JSONDecodeError`), or no UTF-8.
     """
     depth = current_limits().depth
-    if _deeper(data.encode("utf-8", "replace") if isinstance(data, str) else data, depth):
-        within(depth + 1, "depth", "JSON", path, current_limits())
+    require(
+        not _deeper(data.encode("utf-8", "replace") if isinstance(data, str) else data, depth),
+        "malformed JSON: brackets inside brackets", got=f"more than {depth} levels",
+        cause=f"meant to be so deep? {LIMITS_OPTION} depth={10 * depth}", path=path,
+    )  # fmt: skip
     return json.loads(data if isinstance(data, str) else data.decode("utf-8-sig"), **options)
 
 

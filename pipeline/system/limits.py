@@ -37,7 +37,7 @@ class Limits:
     names: int = _limit(2 * 10**6, "names in a folder", True)
     rows: int = _limit(200 * 10**6, "rows of a table", True)
     members: int = _limit(5 * 10**6, "members of an archive, or fields in the messages of a network's file", True)
-    unpacked: int = _limit(64 * 10**9, "bytes of an archive's members together", True)
+    unpacked: int = _limit(256 * 10**9, "bytes of an archive, unpacked too, of a stream or a table", True)
     model: int = _limit(8 * 10**9, "bytes of a network's file, of a file of its weights, or of text vectors")
     tensor: int = _limit(2 * 10**9, "bytes of one tensor that a network's file declares")
     memory: int = _limit(8 * 10**9, "bytes that the networks of a process hold while they compute on the CPU")
@@ -122,4 +122,4 @@ def shown_above(number: float) -> str:
     return f"{-(-scaled // step) * step}{unit}"
 
 
-_UNIT_OF = dict.fromkeys(("bytes", "text", "unpacked", "model", "tensor", "memory"), "bytes") | {"depth": "levels"}
+_UNIT_OF = dict.fromkeys(("bytes", "text", "unpacked", "model", "tensor", "memory"), "bytes")

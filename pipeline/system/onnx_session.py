@@ -59,18 +59,18 @@ def open_session(path: Path, threads: int | None = None) -> Any:
     create = create_session if threads is None else cpu_session
     failure: Exception | None = None
     seconds = current_limits().seconds
-    for level in (ort.GraphOptimizationLevel.ORT_ENABLE_ALL, ort.GraphOptimizationLevel.ORT_DISABLE_ALL):
-        options.graph_optimization_level = level
-        try:
-            # Half of loading is computing what is constant.
-            with stopped_after(seconds, lambda: options.set_load_cancellation_flag(True)) as loading:
+    # Half of loading is computing what is constant.
+    with stopped_after(seconds, lambda: options.set_load_cancellation_flag(True)) as loading:
+        for level in (ort.GraphOptimizationLevel.ORT_ENABLE_ALL, ort.GraphOptimizationLevel.ORT_DISABLE_ALL):
+            options.graph_optimization_level = level
+            try:
                 return _legible(create(str(path), options), path)
-        except InputError:
-            raise
-        except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
-            if loading.stopped:
-                raise _endless("loading the model", seconds, path) from error
-            failure = failure or error
+            except InputError:
+                raise
+            except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
+                failure = failure or error
+    if loading.stopped:
+        raise _endless("loading the model", seconds, path) from failure
     cause = _no_model(path) or _likely_cause(str(failure))
     raise InputError("ONNX Runtime cannot load the model", got=first_line(failure), cause=cause, path=path) from failure
 

@@ -21,7 +21,10 @@ Checked = TypeVar("Checked")
 
 def parse_toml(text: str) -> dict[str, Any]:
     """A table of TOML; ValueError where it is none."""
-    return tomllib.loads(text)
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise ValueError("brackets inside brackets too deep") from error
 
 
 def checked(
