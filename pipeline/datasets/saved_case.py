@@ -24,6 +24,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.masks import RunLength
+from pipeline.system.door import enter, read_bytes
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
 
@@ -140,7 +141,7 @@ def read_manifest(root: Path) -> dict[str, Any]:
     InputError
         No manifest, one that is damaged, or one of another version.
     """
-    path = root / MANIFEST
+    path = enter(root) / MANIFEST
     table = read_json(path)
     require(
         table.get("format") == CASE_FORMAT,
@@ -166,9 +167,8 @@ def checked_file(root: Path, manifest: dict[str, Any], name: str) -> Path:
     if not isinstance(wanted, str):
         raise InputError(f"the case does not list {name}", path=root / MANIFEST)
     require(path.is_file(), "a file of the case is missing", path=path)
-    require(path.resolve().is_relative_to(root.resolve()), "a file of the case is a link out of its folder", path=path)
     try:
-        found = hashlib.sha256(path.read_bytes()).hexdigest()
+        found = hashlib.sha256(read_bytes(path)).hexdigest()
     except OSError as error:
         raise InputError("a file of the case cannot be read", got=error.strerror, path=path) from error
     require(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
-from pipeline.system.errors import InputError, require
+from pipeline.system.door import read_json
+from pipeline.system.errors import as_input_error, require
 
 _KEYS = ("frame", "id", "mark")
 MARKS = ("BAD_LABEL", "BAD_BOX")
@@ -20,10 +20,8 @@ def read_marks(path: Path) -> dict[tuple[str, str], str]:
     InputError
         The file cannot be read, a mark is not one of MARKS, or an expression is marked twice.
     """
-    try:
-        entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("the marks cannot be read", got=str(error), path=path) from error
+    with as_input_error("the marks cannot be read", OSError, ValueError, got=str, path=path):
+        entries: Any = read_json(Path(path))
     require(isinstance(entries, list), "marks must be a list", got=type(entries).__name__, path=path)
     found: dict[tuple[str, str], str] = {}
     for n, entry in enumerate(entries):

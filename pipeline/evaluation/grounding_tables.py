@@ -21,6 +21,7 @@ from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, boots
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.system.arrow import pa
+from pipeline.system.door import read_bytes
 from pipeline.system.errors import InputError
 
 FIGURES = Path(__file__).with_name("reported.json")
@@ -214,7 +215,7 @@ def read_reported(path: Path = FIGURES) -> tuple[Reported, ...]:
         It is missing or of another shape.
     """
     try:
-        return tuple(Publications.model_validate_json(path.read_bytes()).rows)
+        return tuple(Publications.model_validate_json(read_bytes(path, "text")).rows)
     except FileNotFoundError as error:
         raise InputError("there is no such file of published figures", path=path) from error
     except ValidationError as error:

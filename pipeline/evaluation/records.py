@@ -17,7 +17,8 @@ from pipeline.diagnosis.oracles import CONF, LIFT, SRM
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.tree import Query
-from pipeline.system.arrow import pa, pq
+from pipeline.system.arrow import pa
+from pipeline.system.door import read_parquet
 from pipeline.system.errors import InputError
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
@@ -363,10 +364,12 @@ def read_records(run: Path) -> pa.Table:
     """
     path = Path(run) / "records.parquet"
     try:
-        return pq.read_table(path)
+        return read_parquet(path)
     except FileNotFoundError as error:
         if (Path(run) / "relation_records.parquet").is_file():
             raise InputError("this run has no expressions", cause="made with --tables relations", path=run) from error
         raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=run) from error
+    except InputError:
+        raise
     except (ValueError, OSError) as error:
         raise InputError("the records of the run cannot be read", got=str(error).split("\n")[0], path=path) from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +22,7 @@ from pipeline.relations.features import geometry_of
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
-from pipeline.system.arrow import pq
+from pipeline.system.door import read_json, read_parquet
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import metadata, open_session
 from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, known_pairs, object_rows, rows_of_frame
@@ -123,7 +122,7 @@ def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | 
 
 def _part(labels: Labels, table: str, names: Sequence[str], first: int, stop: int) -> dict[str, np.ndarray]:
     chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
-    found = pq.read_table(labels.root / f"{table}.parquet", columns=list(names), filters=chosen)
+    found = read_parquet(labels.root / f"{table}.parquet", list(names), chosen)
     return column_arrays(found.select(list(names)))
 
 
@@ -358,6 +357,6 @@ def uses_language(which: str) -> bool:
 def _of_rooms(path: Path) -> bool:
     """Whether the card beside a network says that it was trained on rendered rooms."""
     try:
-        return "rooms" in json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        return "rooms" in read_json(path.with_suffix(".json"))
     except (OSError, ValueError, TypeError):
         return False

@@ -26,7 +26,8 @@ from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS
 from pipeline.relations.model import OnnxScorer
-from pipeline.system.arrow import pa, pq
+from pipeline.system.arrow import pa
+from pipeline.system.door import open_parquet, parse_json, read_parquet
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import parts_seen
 
@@ -199,7 +200,7 @@ def _part_of(system: RelationSystem, pairs: FramePairs, labels: Labels) -> str |
 
 def read_pair_names(path: Path) -> list[tuple[str, str, str]]:
     """Frame and class names (of a, of b) of each pair, in the order of `read_relation_records`."""
-    table = pq.read_table(path, columns=["frame", "label_a", "label_b"])
+    table = read_parquet(path, ["frame", "label_a", "label_b"])
     return list(zip(*(column.to_pylist() for column in table.columns), strict=True))
 
 
@@ -212,12 +213,14 @@ def read_relation_records(path: Path) -> RelationRecords:
         The file is missing, or is something else.
     """
     try:
-        file = pq.ParquetFile(path)
+        file = open_parquet(path)
         schema = file.schema_arrow
-        about = json.loads(schema.metadata[SYSTEMS_KEY])
+        about = parse_json(schema.metadata[SYSTEMS_KEY], path)
     except FileNotFoundError as error:
         cause = "was eval run with --tables grounding?"
         raise InputError("no relation records here", cause=cause, path=path) from error
+    except InputError:
+        raise
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError("not a file of relation records", got=str(error).split("\n")[0], path=path) from error
     with file:

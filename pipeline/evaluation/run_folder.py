@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import json
+import io
 import os
 import tempfile
 from collections import Counter
@@ -28,6 +28,7 @@ from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.labels.schema import TABLES
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
+from pipeline.system.door import enter, read_json, read_text
 from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import parse_hub_id
 
@@ -115,8 +116,8 @@ class Run:
 
 def _rows(path: Path) -> list[dict[str, str | float]]:
     """The rows of a table that was written as CSV."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return [{name: _number(cell) for name, cell in row.items() if cell} for row in csv.DictReader(file)]
+    lines = io.StringIO(read_text(path), newline="")
+    return [{name: _number(cell) for name, cell in row.items() if cell} for row in csv.DictReader(lines)]
 
 
 def _number(cell: str) -> str | float:
@@ -182,11 +183,13 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """
     path = folder / RUN_FILE
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
+        manifest = read_json(enter(folder) / RUN_FILE)
         if not isinstance(manifest["name"], str) or not isinstance(manifest.get("labels", {}), dict):
             raise ValueError("no name of a system, or no labels")
     except (FileNotFoundError, NotADirectoryError) as error:
         raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=folder) from error
+    except InputError:
+        raise
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError("the run's manifest cannot be read", got=str(error), path=path) from error
     return manifest

@@ -15,6 +15,7 @@ from platformdirs import user_data_path
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.datasets.demo import demo_run
+from pipeline.system.door import read_bytes
 from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import write_whole
 
@@ -76,7 +77,7 @@ def read_notes(path: Path) -> Notes:
         It cannot be read.
     """
     try:
-        found = _READ.validate_json(path.read_bytes())
+        found = _READ.validate_json(read_bytes(path, "text"))
     except FileNotFoundError:
         return Notes()
     except (OSError, ValidationError) as error:

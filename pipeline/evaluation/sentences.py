@@ -30,6 +30,7 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, FrameCases
 from pipeline.language.unreadable import why_unread, why_unused
+from pipeline.system.door import read_bytes
 from pipeline.system.errors import InputError, ServerError, require
 from pipeline.system.reading import checked
 
@@ -155,7 +156,7 @@ def read_sentence_file(path: Path, source: Pipeline, name: str | None = None) ->
     """
     name = name or source.dataset.root.resolve().name
     try:
-        lines = path.read_bytes().removeprefix(b"\xef\xbb\xbf").split(b"\n")
+        lines = read_bytes(path, "text").removeprefix(b"\xef\xbb\xbf").split(b"\n")
     except OSError as error:
         raise InputError("the sentences cannot be read", got=error.strerror, path=path) from error
     found: list[Sentence] = []

@@ -16,7 +16,8 @@ from typing import Any
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import SENTENCES_FILE, Labels, arrow_schema
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
-from pipeline.system.arrow import pa, pc, pq
+from pipeline.system.arrow import pa, pc
+from pipeline.system.door import open_parquet
 
 UNKNOWN_LICENCE = "unknown: ask the dataset's owner"
 _HUB_LICENCE = re.compile(r"[a-z0-9][a-z0-9.+-]*")
@@ -100,7 +101,7 @@ def count_labels(labels: Labels) -> Counts:
 
 
 def _columns(labels: Labels, name: str, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
-    with pq.ParquetFile(labels.root / f"{name}.parquet") as file:
+    with open_parquet(labels.root / f"{name}.parquet") as file:
         yield from file.iter_batches(columns=list(columns))
 
 

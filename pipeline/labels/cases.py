@@ -18,7 +18,8 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Node, Query
 from pipeline.language.unreadable import Unread, why_unread, why_unused
 from pipeline.relations.relations import U
-from pipeline.system.arrow import pa, pq
+from pipeline.system.arrow import pa
+from pipeline.system.door import read_parquet
 from pipeline.system.errors import InputError, require
 
 if TYPE_CHECKING:
@@ -293,8 +294,8 @@ _COLUMNS = {
 
 
 def _part(root: Path, name: str, columns: list[str], first: int, stop: int) -> pa.Table:
-    return pq.read_table(
-        root / f"{name}.parquet", columns=columns, filters=[("frame_index", ">=", first), ("frame_index", "<", stop)]
+    return read_parquet(
+        root / f"{name}.parquet", columns, [("frame_index", ">=", first), ("frame_index", "<", stop)]
     )
 
 

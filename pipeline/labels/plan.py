@@ -20,6 +20,7 @@ from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
 from pipeline.relations.relations import PROFILE
 from pipeline.system.detector_setup import with_files
+from pipeline.system.door import parse_json, read_bytes
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.version import __version__
@@ -220,7 +221,7 @@ def _declared(options: dict[str, Any]) -> dict[str, str]:
     """What a person declared of the camera and of names, by content: the rows depend on it."""
     found = {n: json.dumps(options[n]) for n in CAMERA if options.get(n) is not None}
     if options.get("synonyms") is not None:
-        found["synonyms"] = hashlib.sha256(Path(options["synonyms"]).read_bytes()).hexdigest()
+        found["synonyms"] = hashlib.sha256(read_bytes(Path(options["synonyms"]))).hexdigest()
     return found
 
 
@@ -291,7 +292,7 @@ def load_plan(store: Store) -> Plan:
     expected = f"a folder with the {PLAN_FILE} of `label`"
     text = needed(store.read_text(PLAN_FILE), "no labels here", expected=expected, path=store.where)
     try:
-        record = json.loads(text)
+        record = parse_json(text, store.where)
         config = dict(record["config"])
         config["lift"] = LiftConfig(**config["lift"])
         config["background"] = tuple(config["background"])

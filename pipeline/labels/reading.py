@@ -7,7 +7,6 @@ them, each table checked when it is read, and the dataset that they were made fr
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import types
 import typing
@@ -25,6 +24,7 @@ from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES, Manifest
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pc, pq
+from pipeline.system.door import enter, open_parquet, read_json, read_parquet
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
 from pipeline.system.whole_files import temporary_sibling
 
@@ -123,7 +123,7 @@ def read_table(
             "not a readable Parquet file", pa.ArrowInvalid, pa.ArrowTypeError, OSError, got=first_line, path=path
         ),
         as_input_error(f"the table {table} is missing", FileNotFoundError, cause="are these labels merged?", path=path),
-        pq.ParquetFile(source) as file,
+        open_parquet(source, path) as file,
     ):
         schema = file.schema_arrow
         check_version(schema.metadata or {}, table, path)
@@ -274,7 +274,7 @@ def open_labels(path: str | Path) -> Labels:
     InputError
         No labels there, unmerged ones, or ones of another schema.
     """
-    root = Path(path).expanduser()
+    root = enter(Path(path).expanduser())
     file = root / MANIFEST_FILE
     if not file.is_file():
         unmerged = (root / "parts").is_dir()
@@ -285,7 +285,7 @@ def open_labels(path: str | Path) -> Labels:
             path=root,
         )
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = read_json(file)
         version = str(content.get("schema_version", ""))
         require(
             version.split(".")[0] == SCHEMA_VERSION.split(".")[0],
@@ -354,7 +354,7 @@ def read_corrections(root: Path) -> Corrections:
         got=first_line,
         path=path,
     ):
-        rows = pq.read_table(path, columns=["table", "frame", "key", "column", "origin", "was"]).to_pylist()
+        rows = read_parquet(path, ["table", "frame", "key", "column", "origin", "was"]).to_pylist()
         relations, expressions = set(), set()
         for row in rows:
             # A relation that was ruled out follows from no geometry, and neither does its pair's.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from pipeline.labels.merge import write_manifest, write_merged
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.system.arrow import pa
+from pipeline.system.door import read_json
 from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.whole_files import temporary_folder
 
@@ -23,7 +23,7 @@ def read_sentences(path: Path) -> dict[tuple[str, str], str]:
         The file cannot be read, or an entry lacks one of these.
     """
     with as_input_error("the sentences cannot be read", OSError, ValueError, RecursionError, got=str, path=path):
-        entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+        entries: Any = read_json(Path(path))
     keys = ("frame", "id", "text")
     require(
         isinstance(entries, list)

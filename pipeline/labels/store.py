@@ -12,6 +12,7 @@ from typing import Any
 
 from pipeline.labels.reading import read_table
 from pipeline.system.arrow import pa, pq
+from pipeline.system.door import opened, parse_json, read_text
 from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
 from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, temporary_sibling, write_synced
 
@@ -92,7 +93,7 @@ class Store:
             return (
                 self._fs.cat_file(f"{self._root}/{name}").decode()
                 if self.remote
-                else (self.folder / name).read_text(encoding="utf-8")
+                else read_text(self.folder / name)
             )
         except FileNotFoundError:
             return None
@@ -176,7 +177,7 @@ class Store:
             It is damaged.
         """
         try:
-            record = json.loads(self.read_text(f"{PARTS}/{name}/{DONE_FILE}") or "")
+            record = parse_json(self.read_text(f"{PARTS}/{name}/{DONE_FILE}") or "")
             return {**record, "files": {table: dict(entry) for table, entry in record["files"].items()}}
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise self._damaged(name, f"an unreadable {DONE_FILE}") from error
@@ -202,7 +203,7 @@ class Store:
                 raise self._damaged(name, f"another content of {table}.parquet")
 
     def _open_part(self, path: str) -> Any:
-        return self._fs.open(f"{self._root}/{path}", "rb") if self.remote else open(self.folder / path, "rb")
+        return self._fs.open(f"{self._root}/{path}", "rb") if self.remote else opened(self.folder / path, "unpacked")
 
     def _damaged(self, name: str, got: str) -> InputError:
         return InputError(

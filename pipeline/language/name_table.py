@@ -12,7 +12,8 @@ from typing import Any
 import xxhash
 
 from pipeline.language.normal import key_of, normal_form
-from pipeline.system.errors import InputError
+from pipeline.system.door import read_json
+from pipeline.system.errors import InputError, as_input_error
 
 NAMES = Path(__file__).with_name("names")
 """The project's own table: every JSON file in here. `docs/names.md` says what its keys mean."""
@@ -194,12 +195,9 @@ def default_synonyms() -> Synonyms:
 
 
 def _json_of(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise InputError(
-            "the synonym table cannot be read", got=str(error), expected="a JSON file", path=path
-        ) from None
+    unreadable = "the synonym table cannot be read"
+    with as_input_error(unreadable, OSError, ValueError, got=str, expected="a JSON file", path=path):
+        return read_json(path)
 
 
 def checked_table(table: Any, path: Path) -> dict[str, Any]:

@@ -14,7 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 
 from pipeline.proposals.captions import sigmoid
 from pipeline.proposals.class_names import read_class_names
-from pipeline.system.errors import InputError, require
+from pipeline.system.door import read_text
+from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.reading import parse_toml
 
 EXAMPLES = Path(__file__).with_name("detectors")
@@ -126,10 +127,8 @@ def read_box_model(path: Path) -> BoxModel:
     InputError
         The file cannot be read, or a key is unknown, missing or wrong.
     """
-    try:
-        table: dict[str, Any] = parse_toml(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("the detector's TOML file cannot be read", got=str(error), path=path) from error
+    with as_input_error("the detector's TOML file cannot be read", OSError, ValueError, got=str, path=path):
+        table: dict[str, Any] = parse_toml(read_text(path, "utf-8-sig"))
     try:
         model = BoxModel.model_validate(table)
     except ValidationError as error:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.system.door import checked_path
 from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.onnx_session import first_line
 
@@ -224,7 +225,10 @@ def load_tokenizer(path: Path) -> Any:
         raise MissingExtra("a detector that reads text", "hub") from error
     require(path.is_file(), "there is no tokenizer file", path=path)
     try:
-        tokenizer = _word_pieces(path) if path.suffix == ".txt" else tokenizers.Tokenizer.from_file(str(path))
+        file = checked_path(path, "text")
+        tokenizer = _word_pieces(file) if file.suffix == ".txt" else tokenizers.Tokenizer.from_file(str(file))
+    except InputError:
+        raise
     except Exception as error:  # The library raises bare Exceptions.
         raise InputError("the tokenizer cannot be read", got=first_line(error), path=path) from error
     tokenizer.no_padding()

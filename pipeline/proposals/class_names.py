@@ -13,7 +13,8 @@ import xxhash
 
 from pipeline.language.naming import Synonyms, default_synonyms, match, same_or_kind
 from pipeline.proposals.base import Detector, unknown_class
-from pipeline.system.errors import InputError, require
+from pipeline.system.door import parse_json, read_text
+from pipeline.system.errors import as_input_error, require
 from pipeline.system.onnx_session import metadata
 
 ADVICE = 'all: `spatialviz models FILE`; another name for one: --synonyms FILE with {{"groups": [[{}, NAME]]}}'
@@ -84,12 +85,10 @@ def read_class_names(path: Path) -> tuple[str, ...]:
     InputError
         Where the file cannot be read, or holds something else.
     """
-    try:
+    with as_input_error("the class names cannot be read", OSError, ValueError, got=str, path=path):
         # Some editors put a mark before the first name. Lines end as files have it: other breaks may be in a name.
-        text = path.read_text(encoding="utf-8-sig")
-        names: Any = json.loads(text) if path.suffix.lower() == ".json" else text.split("\n")
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("the class names cannot be read", got=str(error), path=path) from error
+        text = read_text(path, "utf-8-sig")
+        names: Any = parse_json(text, path) if path.suffix.lower() == ".json" else text.split("\n")
     if isinstance(names, dict):
         names = _of_categories(names.get("categories"))
     elif path.suffix.lower() != ".json":

@@ -18,7 +18,6 @@ thing of its own.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,7 +33,8 @@ from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
-from pipeline.system.errors import FrameUnusable, InputError, needed, require
+from pipeline.system.door import opened_arrays, read_json, read_picture
+from pipeline.system.errors import FrameUnusable, InputError, as_input_error, needed, require
 from pipeline.system.reading import checked
 from pipeline.system.recent import Recent
 
@@ -252,7 +252,6 @@ class RecordedDetector:
 
 
 def _mask_file(path: Path, name: str, where: str) -> np.ndarray:
-    import cv2
 
     try:
         file = (path.parent / name).resolve()
@@ -264,7 +263,7 @@ def _mask_file(path: Path, name: str, where: str) -> np.ndarray:
         got=name,
         path=path,
     )
-    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) if file.is_file() else None
+    image = read_picture(file) if file.exists() else None
     if image is None or image.ndim != 2:
         raise InputError(f"{where}: the mask is not a readable one-channel image", path=file)
     return image > 0
@@ -282,10 +281,8 @@ def _each_thing_once(index: np.ndarray, found: FrameDetections) -> np.ndarray:
 
 def _read_object(path: Path) -> dict[str, Any]:
     """A JSON object; any other JSON is as good as an empty one."""
-    try:
-        content: Any = json.loads(path.read_bytes())
-    except (OSError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError("the recording is not JSON", got=str(error), path=path) from error
+    with as_input_error("the recording is not JSON", OSError, ValueError, got=str, path=path):
+        content: Any = read_json(path)
     return content if isinstance(content, dict) else {}
 
 
@@ -329,7 +326,7 @@ def as_arrays(entries: Sequence[RecordedDetection], shared: dict[str, str]) -> F
 def _read_labels(file: Path) -> list[str]:
     """The class names of one file, without its masks, which are far larger."""
     try:
-        with np.load(file, allow_pickle=False) as data:
+        with opened_arrays(file) as data:
             return np.asarray(data["labels"]).astype(np.str_).ravel().tolist()
     except Exception:  # Whatever is wrong with the file is said in full where its detections are read.
         return []
@@ -337,7 +334,7 @@ def _read_labels(file: Path) -> list[str]:
 
 def _read_npz(file: Path) -> FrameDetections:
     try:
-        with np.load(file, allow_pickle=False) as data:
+        with opened_arrays(file) as data:
             boxes = np.asarray(data["boxes"], np.float32)
             scores = np.asarray(data["scores"], np.float32)
             labels = np.asarray(data["labels"]).astype(np.str_)
@@ -345,6 +342,8 @@ def _read_npz(file: Path) -> FrameDetections:
             masks = np.asarray(data["masks"]).astype(np.bool_) if "masks" in data else None
             counts = np.asarray(data["mask_counts"]).astype(np.str_) if "mask_counts" in data else None
             size = np.zeros(2, np.int64) if counts is None else np.asarray(data["mask_size"], np.int64)
+    except InputError:
+        raise
     except Exception as error:  # Damaged bytes fail in zipfile, zlib or NumPy, each with its own class.
         raise InputError(
             "not a recording of detections",

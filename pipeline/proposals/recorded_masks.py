@@ -8,12 +8,10 @@ COCO: `images` [{id, file_name}] and `annotations` [{image_id, segmentation, bbo
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat
 
@@ -22,7 +20,8 @@ from pipeline.geometry.masks import RunLength, fill_polygons, mask_box
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter, Segments, segment_from
-from pipeline.system.errors import FrameUnusable, InputError, needed, require
+from pipeline.system.door import read_json, read_picture
+from pipeline.system.errors import FrameUnusable, InputError, as_input_error, needed, require
 from pipeline.system.reading import checked
 
 
@@ -79,10 +78,8 @@ def open_recorded_masks(path: str | Path, synonyms: Synonyms | None = None) -> S
             path=path,
         )
         return PngMasks(path)
-    try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError("the recorded masks are not JSON", got=str(error), path=path) from error
+    with as_input_error("the recorded masks are not JSON", OSError, ValueError, got=str, path=path):
+        content: Any = read_json(path)
     if isinstance(content, dict) and "frames" in content:
         return DetectorSegmenter(RecordedDetector(path), synonyms)
     wrong = "the masks follow neither COCO nor the format of recordings at {}"
@@ -235,7 +232,10 @@ class PngMasks:
 
 def _read_png(file: Path, frame: Frame) -> np.ndarray:
     unreadable = f"frame {frame.id}: the mask file cannot be read"
-    image = needed(cv2.imread(str(file), cv2.IMREAD_UNCHANGED), unreadable, path=file, error=FrameUnusable)
+    try:
+        image = needed(read_picture(file), unreadable, path=file, error=FrameUnusable)
+    except (OSError, InputError) as error:
+        raise FrameUnusable(str(error)) from error
     require(
         image.ndim == 2 and image.dtype in (np.uint8, np.uint16),
         f"frame {frame.id}: a mask file must have one channel of 8 or 16 bits",

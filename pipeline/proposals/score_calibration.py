@@ -18,7 +18,8 @@ from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from pipeline.metrics.calibration_metrics import IDENTITY, Platt, fit_platt, sigmoid
 from pipeline.proposals.base import Detector
-from pipeline.system.errors import InputError, require
+from pipeline.system.door import read_json
+from pipeline.system.errors import as_input_error, require
 from pipeline.system.reading import checked
 from pipeline.system.whole_files import write_whole
 
@@ -138,11 +139,11 @@ def load_calibration(path: str | Path) -> ScoreCalibration:
         The file cannot be read, or is no score calibration.
     """
     path = Path(path)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise InputError("the score calibration cannot be read", got=reason, path=path) from error
+    with (
+        as_input_error("the score calibration cannot be read", ValueError, got=str, path=path),
+        as_input_error("the score calibration cannot be read", OSError, got=lambda e: e.strerror, path=path),
+    ):
+        content = read_json(path)
     wrong = "this is no score calibration, by its {}"
     checked(_File.model_validate, content, wrong, path)
     return checked(_CALIBRATION.validate_python, content, wrong, path)

@@ -14,7 +14,6 @@ on other frames, names or processes, and with another recall, say, the same obje
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -33,7 +32,8 @@ from pipeline.geometry.masks import MaskCrop
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
-from pipeline.system.errors import InputError
+from pipeline.system.door import read_json, read_text
+from pipeline.system.errors import as_input_error
 from pipeline.system.reading import checked, parse_toml
 
 REGIONS = 16
@@ -120,11 +120,9 @@ def read_options(path: str | Path) -> SimulationOptions:
         The file cannot be read, or an option is unknown or out of range.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        table: Any = json.loads(text) if path.suffix.lower() == ".json" else parse_toml(text)
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("the options of the simulated detector cannot be read", got=str(error), path=path) from error
+    unreadable = "the options of the simulated detector cannot be read"
+    with as_input_error(unreadable, OSError, ValueError, got=str, path=path):
+        table: Any = read_json(path) if path.suffix.lower() == ".json" else parse_toml(read_text(path))
     wrong = "the options of the simulated detector are wrong at {}"
     return checked(SimulationOptions.model_validate, table, wrong, path, keys=SimulationOptions.model_fields)
 

@@ -20,7 +20,8 @@ import xxhash
 
 from pipeline.language.naming import normal_form
 from pipeline.language.vectors import LanguageContract, TextVectors, open_vectors
-from pipeline.system.errors import InputError, require
+from pipeline.system.door import opened_arrays
+from pipeline.system.errors import InputError, as_input_error, require
 
 _NAMED = 8
 
@@ -57,14 +58,13 @@ class ClassVectors:
     @classmethod
     def read(cls, path: Path) -> ClassVectors:
         """Read such a file; InputError where it is not one."""
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                names, vectors = archive["names"], archive["vectors"]
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError("the network's class vectors cannot be read", got=error, path=path) from error
+        unreadable = "the network's class vectors cannot be read"
+        failures = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+        with as_input_error(unreadable, *failures, got=str, path=path), opened_arrays(path) as archive:
+            names, vectors = archive["names"], archive["vectors"]
         require(
             names.ndim == 1 and names.dtype.kind == "U" and vectors.shape[:1] == names.shape and vectors.ndim == 2,
-            "the network's class vectors cannot be read",
+            unreadable,
             got=f"{names.shape}, {vectors.shape}",
             path=path,
         )

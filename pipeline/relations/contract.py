@@ -14,6 +14,7 @@ from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.language.vectors.contract import LanguageContract
 from pipeline.metrics.calibration_metrics import Platt
 from pipeline.relations.features import FEATURES, FeatureSet, feature_set, geometry_of
+from pipeline.system.door import parse_json
 from pipeline.system.errors import InputError, require
 
 CONTRACT = "spatialviz-srm-1"
@@ -118,7 +119,7 @@ class Contract:
         try:
             values = {key: metadata[PREFIX + key] for key in ("features", "data", "seed")}
             loaded = {
-                key: json.loads(metadata[PREFIX + key])
+                key: parse_json(metadata[PREFIX + key], path)
                 for key in ("columns", "mean", "std", "vocabulary", "calibration")
             }
             output: Any = metadata.get(PREFIX + "output", "sigmoid")
@@ -132,7 +133,7 @@ class Contract:
                 seed=int(values["seed"]),
                 data=values["data"],
                 output=output,
-                prior=tuple(float(p) for p in json.loads(metadata.get(PREFIX + "prior", "[]"))),
+                prior=tuple(float(p) for p in parse_json(metadata.get(PREFIX + "prior", "[]"), path)),
                 language=language,
                 classes=metadata.get(PREFIX + "classes", ""),
                 trained_on=TrainedOn.from_json(learnt) if (learnt := metadata.get(PREFIX + "trained_on")) else None,

@@ -36,8 +36,7 @@ class _Root(NamedTuple):
 
 
 _ROOTS: dict[str, _Root] = {}
-_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_CLOEXEC", 0)
-_FLAGS |= getattr(os, "O_BINARY", 0)
+_FLAGS = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _OPENED = Path("/proc/self/fd")
 _HAS_OPENED = _OPENED.is_dir()
 _KINDS = {stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
@@ -112,7 +111,7 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
     """
     _check(path, os.stat(path), limit)
     # What was a file a moment ago may be a FIFO now: opening must not wait.
-    with os.fdopen(os.open(path, _FLAGS), "rb") as file:
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | _FLAGS)) as file:
         _check(path, os.fstat(file.fileno()), limit)
         _check_place(path, file.fileno())
         yield file
@@ -217,6 +216,18 @@ def check_pixels(data: bytes, path: Any) -> None:
         within(size[0] * size[1], "pixels", f"a picture of {size[0]}x{size[1]}", path, limits_of(path))
 
 
+def read_picture(path: Path) -> np.ndarray | None:
+    """A picture as it is stored, (H, W) or (H, W, C) in OpenCV's order; None where it cannot be decoded.
+
+    Raises as `opened` and `check_pixels`.
+    """
+    import cv2
+
+    data = read_bytes(path)
+    check_pixels(data, path)
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
 def load_arrays(source: bytes | IO[bytes], path: Any) -> Any:
     """The array of an NPY, or those of an NPZ by name, each read when it is asked for; nothing is unpickled.
 
@@ -290,7 +301,9 @@ def open_parquet(source: Any, path: Any = None, **options: Any) -> Any:
     return file
 
 
-def read_parquet(path: Path, columns: Any = None, filters: Any = None) -> Any:
-    """A whole `pyarrow.Table`; raises as `open_parquet`."""
-    open_parquet(path).close()
-    return pq.read_table(path, columns=columns, filters=filters)
+def read_parquet(path: Path, columns: list[str] | None = None, filters: Any = None) -> Any:
+    """A `pyarrow.Table`, whole or of the rows that `filters` of pyarrow leave; raises as `open_parquet`."""
+    if filters is not None:
+        return pq.read_table(checked_path(path, "unpacked"), columns=columns, filters=filters)
+    with open_parquet(path) as file:
+        return file.read(columns=columns)

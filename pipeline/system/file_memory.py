@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import xxhash
 
+from pipeline.system.door import opened
 from pipeline.system.errors import InputError
 from pipeline.system.paths import cache_folder
 from pipeline.system.whole_files import keep_whole
@@ -46,7 +47,7 @@ def memory_path(path: Path, cache: Path | None) -> Path:
     try:
         state = path.stat()
         digest = xxhash.xxh3_128(f"{_VERSION} {state.st_size} {state.st_mtime_ns}".encode())
-        with open(path, "rb") as file:
+        with opened(path, "model") as file:
             for start in (0, state.st_size // 2, max(state.st_size - _SAMPLE, 0)):
                 file.seek(start)
                 digest.update(file.read(_SAMPLE))

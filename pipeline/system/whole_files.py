@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any, TextIO
 from uuid import uuid4
 
+from pipeline.system.door import opened
 from pipeline.system.errors import InputError, require
 
 _TEMPORARY = re.compile(r"\..*\.(?P<host>[^.]*)\.(?P<pid>\d+)\.[0-9a-f]{8}\.tmp")
@@ -101,7 +102,7 @@ def temporary_folder(path: Path) -> Iterator[Path]:
 def sha256_of(source: Path | IO[bytes]) -> str:
     """Of a file's content, by its path or open for reading, in hexadecimal."""
     digest = hashlib.sha256()
-    with source.open("rb") if isinstance(source, Path) else nullcontext(source) as file:
+    with opened(source, "unpacked") if isinstance(source, Path) else nullcontext(source) as file:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()

@@ -5,7 +5,6 @@ Pixels are run-length codes, polygons, rectangles, strokes, or seeds of a surfac
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, Kind, box_
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.side_views import drag_box
 from pipeline.relations.relations import F, T, U
+from pipeline.system.door import read_json
 from pipeline.system.errors import InputError, require
 
 _STATES = {"T": T, "U": U, "F": F}
@@ -253,7 +253,7 @@ def read_actions(path: Path) -> list[Any]:
         It cannot be read, or an entry is no action: which, and why.
     """
     try:
-        return actions_of(json.loads(Path(path).read_text(encoding="utf-8")), path)
+        return actions_of(read_json(Path(path)), path)
     except InputError:
         raise
     except (OSError, ValueError, RecursionError) as error:

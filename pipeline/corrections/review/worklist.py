@@ -27,7 +27,8 @@ from pipeline.corrections.review.items import (
     key_stands,
 )
 from pipeline.labels.reading import write_table
-from pipeline.system.arrow import pa, pq
+from pipeline.system.arrow import pa
+from pipeline.system.door import read_parquet
 from pipeline.system.errors import as_input_error, first_line, needed, require
 
 VERSION_KEY = b"labels_version"
@@ -251,7 +252,7 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
     """
     path = Path(path)
     with as_input_error("the queue cannot be read", pa.ArrowException, OSError, ValueError, got=first_line, path=path):
-        queue = pq.ParquetFile(path).read()
+        queue = read_parquet(path)
     metadata = queue.schema.metadata or {}
     require(
         VERSION_KEY in metadata, "not a review queue", cause="was it written by `spatialviz review --out`?", path=path

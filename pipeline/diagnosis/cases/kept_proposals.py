@@ -23,7 +23,8 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import RunLength
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.recorded import Playback, RecordedDetection, as_arrays
-from pipeline.system.errors import InputError, UnknownClass, require
+from pipeline.system.door import parse_json, read_bytes
+from pipeline.system.errors import InputError, UnknownClass, as_input_error, require
 
 
 class KeptDetection(RecordedDetection, extra="forbid"):
@@ -145,11 +146,10 @@ def read_proposals(path: Path) -> tuple[KeptProposals, str]:
     InputError
         It is damaged; the message names the field.
     """
-    data = path.read_bytes()
-    try:
-        content = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise InputError("the detections of the case are not JSON", got=str(error)[:120], path=path) from error
+    data = read_bytes(path, "text")
+    unreadable = "the detections of the case are not JSON"
+    with as_input_error(unreadable, ValueError, got=lambda e: str(e)[:120], path=path):
+        content = parse_json(data, path)
     kept = validated(KeptProposals, content, path)
     (rows,) = kept.frames.values()
     named = [i for a in kept.asked.values() for i in (*a.given, *a.unfiltered)]

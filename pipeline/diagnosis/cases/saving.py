@@ -48,6 +48,7 @@ from pipeline.language.tree import Query
 from pipeline.proposals.registry import open_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
 from pipeline.system.detector_setup import DetectorSetup
+from pipeline.system.door import read_bytes
 from pipeline.system.errors import InputError, require
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import sha256_of, temporary_sibling, write_synced, write_whole
@@ -210,7 +211,7 @@ def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, by
     path = getattr(scorer, "path", None)
     if not isinstance(path, Path):
         raise InputError("the relation scorer has no file to be known by", got=scorer.name)
-    data = path.read_bytes()
+    data = read_bytes(path, "model")
     record = ScorerRecord(
         kind="trained" if path.resolve() == shipped_network().resolve() else "file",
         name=scorer.name, file=path.name, sha256=hashlib.sha256(data).hexdigest(), in_case=copy,

@@ -29,6 +29,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.masks import RunLength
 from pipeline.relations.relations import Profile
+from pipeline.system.door import parse_json, read_bytes
 from pipeline.system.errors import InputError, require
 
 Record = dict[str, Any]
@@ -374,7 +375,7 @@ def load_edits(path: str | Path) -> Edits:
             expected=f"at most {LARGEST_FILE} bytes",
             path=path,
         )
-        text = path.read_bytes()
+        text = read_bytes(path)
     except OSError as error:
         raise InputError("the edits cannot be read", got=error.strerror, path=path) from error
     try:
@@ -386,7 +387,7 @@ def load_edits(path: str | Path) -> Edits:
 def validated(kind: type[_T], record: Record | str | bytes, what: str) -> _T:
     """A JSON object, or the text of one, as a dataclass; InputError in one line if it is none."""
     try:
-        value = json.loads(record) if isinstance(record, str | bytes) else record
+        value = parse_json(record) if isinstance(record, str | bytes) else record
         # Once more through JSON: infinities (1e999) and what is not JSON end here.
         text = json.dumps(value, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:

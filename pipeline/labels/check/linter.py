@@ -31,7 +31,8 @@ from pipeline.labels.reading import Corrections, Labels, RowHash, read_correctio
 from pipeline.labels.schema import KEYS, TABLES, Manifest
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.arrow import pa, pq
+from pipeline.system.arrow import pa
+from pipeline.system.door import open_parquet
 from pipeline.system.whole_files import sha256_of
 
 OF_ANSWERS = ("expression/empty", "expression/sets", "expression/ambiguous", "expression/unreadable",
@@ -229,7 +230,7 @@ def _changed(labels: Labels, name: str, stream: TableStream) -> Iterator[Finding
 
 def _content(stream: TableStream, name: str) -> tuple[int, str | None]:
     """Rows of a table and the hash of their content; None where its columns are not the schema's."""
-    file = pq.ParquetFile(stream.path, pre_buffer=False)
+    file = open_parquet(stream.path, pre_buffer=False)
     if stream.lacking or stream.other_types:
         return file.metadata.num_rows, None
     digest = RowHash(name)

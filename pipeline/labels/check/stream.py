@@ -23,7 +23,8 @@ from pydantic import ValidationError
 from pipeline.labels.reading import arrow_schema, check_version
 from pipeline.labels.schema import ADDED_COLUMNS, TABLES
 from pipeline.relations.pair_measures import NOT_JUDGED
-from pipeline.system.arrow import pa, pq
+from pipeline.system.arrow import pa
+from pipeline.system.door import open_parquet
 from pipeline.system.errors import InputError, require
 
 BATCH_ROWS = 8_192
@@ -93,7 +94,7 @@ class TableStream:
         self._index, self._at = np.zeros(0, np.int64), 0
         try:
             # Read ahead, a file would stay in memory until it is closed.
-            file = pq.ParquetFile(path, pre_buffer=False)
+            file = open_parquet(path, pre_buffer=False)
             check_version(file.schema_arrow.metadata or {}, table, path)
             self._compare(file.schema_arrow)
             require("frame_index" not in self.lacking, "it has no column frame_index")

@@ -15,7 +15,8 @@ from pipeline.datasets import Dataset
 from pipeline.labels.exports.provenance import Provenance
 from pipeline.labels.reading import Labels, arrow_schema, check_version, with_added
 from pipeline.labels.schema import ADDED_COLUMNS
-from pipeline.system.arrow import pa, pq
+from pipeline.system.arrow import pa
+from pipeline.system.door import open_parquet
 from pipeline.system.errors import InputError, as_input_error, first_line, require
 
 Progress = Callable[[int, int], None]
@@ -181,7 +182,7 @@ def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = Non
             "not a readable Parquet file", pa.ArrowInvalid, pa.ArrowTypeError, OSError, got=first_line, path=path
         ),
         # Pre-buffering keeps what was read of every row group until the last is done.
-        pq.ParquetFile(path, pre_buffer=False) as file,
+        open_parquet(path, pre_buffer=False) as file,
     ):
         check_version(file.schema_arrow.metadata or {}, name, path)
         absent = ADDED_COLUMNS.keys() - set(file.schema_arrow.names)

@@ -17,7 +17,6 @@ copied, are in `images/` by frame_index.
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -55,6 +54,7 @@ from pipeline.labels.reading import (
 )
 from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.system.arrow import pa, pj, pq
+from pipeline.system.door import read_json
 from pipeline.system.errors import as_input_error, first_line, needed, require
 from pipeline.system.plugins import load_plugins
 from pipeline.system.version import __version__
@@ -205,7 +205,7 @@ def _check_hashes(root: Path, tables: Mapping[str, pa.Table]) -> None:
 def _read_mark(folder: Path) -> dict[str, object] | None:
     """The record that an export left of itself, or None."""
     try:
-        found = json.loads((folder / MARK).read_text(encoding="utf-8"))
+        found = read_json(folder / MARK)
     except (OSError, ValueError):
         return None
     return found if isinstance(found, dict) else None

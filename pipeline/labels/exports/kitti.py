@@ -70,6 +70,7 @@ from pipeline.labels.exports.base import (
 from pipeline.labels.exports.provenance import json_line, load_json
 from pipeline.labels.reading import arrow_schema
 from pipeline.system.arrow import pa
+from pipeline.system.door import read_text
 from pipeline.system.errors import InputError, Shown, as_input_error, require
 from pipeline.system.whole_files import text_file, write_json
 
@@ -215,7 +216,7 @@ def _lines(path: Path) -> list[str]:
     with as_input_error(
         "a file of the export is missing or damaged", OSError, UnicodeDecodeError, got=lambda e: str(e)[:120], path=path
     ):
-        return [line for line in path.read_text(encoding="utf-8").split("\n") if line]
+        return [line for line in read_text(path).split("\n") if line]
 
 
 def _read_calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -24,7 +24,8 @@ from typing import Any, TextIO
 
 from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels, arrow_schema
 from pipeline.labels.schema import Manifest, labels_version
-from pipeline.system.arrow import pa, pc, pq
+from pipeline.system.arrow import pa, pc
+from pipeline.system.door import read_json, read_parquet
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, require
 
 ENTRY = ("column", "source", "author", "time", "event", "reason", "was")
@@ -193,7 +194,7 @@ def _provenance_rows(path: Path) -> list[dict[str, Any]]:
     with as_input_error(
         "the provenance of the labels is damaged", pa.ArrowException, OSError, ValueError, got=first_line, path=path
     ):
-        return pq.read_table(path, columns=columns).to_pylist()
+        return read_parquet(path, columns).to_pylist()
 
 
 def _fields(table: str) -> list[pa.Field]:
@@ -216,7 +217,7 @@ def extended_json_schemas(folder: Path) -> None:
     status = {"type": "object", "properties": {"relation": text, "status": text}, "additionalProperties": False}
     for table, names in REVIEWED.items():
         path = folder / f"{table}.json"
-        schema = json.loads(path.read_text(encoding="utf-8"))
+        schema = read_json(path)
         reviewed = {n: {"type": "array", "items": status} if n == "statuses" else text for n in names}
         schema["properties"] |= {
             "base": text, "made_by": text, **reviewed, "provenance": {"type": "array", "items": entry},
@@ -312,4 +313,4 @@ def load_json(path: Path) -> Any:
         ),
         as_input_error("a file of the export is missing", FileNotFoundError, path=path),
     ):
-        return json.loads(path.read_text(encoding="utf-8"))
+        return read_json(path)

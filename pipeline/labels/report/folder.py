@@ -37,6 +37,7 @@ from pipeline.labels.report.style import (
 )
 from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import open_database
+from pipeline.system.door import read_bytes
 from pipeline.system.errors import MissingExtra, require
 from pipeline.system.whole_files import staged_folder, write_json
 
@@ -132,7 +133,7 @@ def check_report_folder(out: Path) -> None:
     require(
         not (
             there
-            and not (PAGE in there and GENERATOR in (out / PAGE).read_text(encoding="utf-8", errors="replace")[:500])
+            and not (PAGE in there and GENERATOR in read_bytes(out / PAGE)[:2000].decode("utf-8", "replace")[:500])
         ),
         f"the {PAGE} there is not of a report",
         expected="a new or empty folder",

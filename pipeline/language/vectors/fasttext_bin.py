@@ -16,6 +16,7 @@ import numpy as np
 import xxhash
 
 from pipeline.language.vectors.phrases import utf8
+from pipeline.system.door import opened
 from pipeline.system.errors import InputError
 from pipeline.system.file_memory import remembered_fingerprint
 
@@ -108,8 +109,10 @@ class FastTextBinary:
             The file is no model of FastText, is quantised, cut short, or contradicts itself.
         """
         try:
-            with open(path, "rb") as file:
+            with opened(path, "model") as file:
                 data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        except InputError:
+            raise
         except (OSError, ValueError) as error:
             raise InputError("the FastText model cannot be read", got=error, path=path) from error
         return _parsed(path, data, cache)
@@ -124,7 +127,7 @@ class FastTextBinary:
 
     def _digest(self) -> str:
         digest = xxhash.xxh3_128()
-        with open(self.path, "rb") as file:
+        with opened(self.path, "model") as file:
             left = self.end
             while block := file.read(min(_BLOCK, left)):
                 digest.update(block)

@@ -16,7 +16,8 @@ import xxhash
 
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
-from pipeline.system.errors import InputError, require
+from pipeline.system.door import opened, parse_json, read_text
+from pipeline.system.errors import InputError, as_input_error, require
 
 NAME_KEYS = {"words": "word", "phrases": "phrase", "names": "phrase"}
 """The array of names, and what its entries are where the file has no `kind`."""
@@ -108,7 +109,7 @@ def read_npz(path: Path, kind: str | None = None) -> VectorTable:
         The file is damaged, lacks an array, holds Python objects, or its arrays do not fit each other.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
+        with opened(path, "model") as content, zipfile.ZipFile(content) as archive:
             keys = [m.filename.removesuffix(".npy") for m in archive.infolist()]
             present = [k for k in NAME_KEYS if k in keys]
             if len(present) != 1 or "vectors" not in keys:
@@ -178,10 +179,8 @@ def read_json(path: Path, kind: str | None = None) -> VectorTable:
     InputError
         The file is no JSON or of another shape.
     """
-    try:
-        loaded = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_no_repeats)
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("the file of text vectors cannot be read", got=error, path=path) from error
+    with as_input_error("the file of text vectors cannot be read", OSError, ValueError, got=str, path=path):
+        loaded = parse_json(read_text(path), path, object_pairs_hook=_no_repeats)
     entries = loaded.get("vectors") if isinstance(loaded, dict) else None
     if not isinstance(entries, dict) or not entries:
         raise InputError(

@@ -6,16 +6,17 @@ import gzip
 import re
 import zlib
 from collections.abc import Iterable, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import xxhash
 
 from pipeline.language.vectors.phrases import utf8
+from pipeline.system.door import opened
 from pipeline.system.errors import InputError, require
 from pipeline.system.file_memory import FileMemory, keep, memory_path, recall
 
@@ -175,8 +176,8 @@ class VecFile:
 @contextmanager
 def _opened(path: Path) -> Any:
     try:
-        file: IO[bytes] = gzip.open(path) if path.suffix.lower() == ".gz" else open(path, "rb", 1 << 20)  # type: ignore[assignment] # noqa: SIM115
-        with file:
-            yield file
+        packed = path.suffix.lower() == ".gz"
+        with opened(path, "model") as file, gzip.open(file) if packed else nullcontext(file) as content:
+            yield content
     except (OSError, EOFError, zlib.error) as error:
         raise InputError("the text vectors cannot be read", got=error, path=path) from error

@@ -12,7 +12,7 @@ beside them, and say of which object each is.
 
 from __future__ import annotations
 
-import json
+import io
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -34,6 +34,7 @@ from pipeline.labels.exports.exporting import BLOCK
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.system.door import opened, parse_json
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
 
 StateOf = Callable[[Any], ExportedFrom]
@@ -88,7 +89,8 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
 def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
     with (
         as_input_error("the file cannot be read", OSError, UnicodeDecodeError, got=lambda e: str(e)[:100], path=path),
-        open(path, encoding="utf-8", newline="\n") as file,
+        opened(path, "unpacked") as content,
+        io.TextIOWrapper(content, encoding="utf-8", newline="\n") as file,
     ):
         number = 0
         while line := file.readline(BLOCK):
@@ -96,8 +98,8 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
             where = f"{path.name} line {number}"
             require(len(line) != BLOCK, f"line {number} is too long", expected=f"at most {BLOCK} characters", path=path)
             try:
-                row = json.loads(line, parse_constant=no_number) if line.strip() else None
-            except (ValueError, RecursionError) as error:
+                row = parse_json(line, path, parse_constant=no_number) if line.strip() else None
+            except ValueError as error:
                 claims.problem(where, f"not JSON: {str(error)[:80]}")
                 continue
             if isinstance(row, dict):
