@@ -23,6 +23,7 @@ from tyro.conf import subcommand
 
 from pipeline import __version__
 from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.limits import LIMITS_OPTION, set_limits
 from spatialviz.cli_ask import (
     Ask,
     Context,
@@ -141,6 +142,7 @@ def listing() -> str:
     width = shutil.get_terminal_size().columns
     lines = ["usage: spatialviz [-h] [--version] COMMAND ...", "", *textwrap.wrap(ABOUT, width)]
     lines += ["Without COMMAND: view. `spatialviz COMMAND --help` lists its arguments and options."]
+    lines += [f"Every command takes {LIMITS_OPTION} NAME=VALUE,... for what is large on purpose: docs/limits.md."]
     for group, commands in GROUPS.items():
         lines += ["", f"{group}:"]
         for name, (options, _) in commands.items():
@@ -165,6 +167,18 @@ def run(arguments: Sequence[str]) -> int:
     return work(command) or FINE
 
 
+def _with_limits(arguments: list[str]) -> list[str]:
+    """The arguments without `--limits`, which every command takes; the limits are set."""
+    left: list[str] = []
+    words = iter(arguments)
+    for word in words:
+        if word.partition("=")[0] != LIMITS_OPTION:
+            left.append(word)
+        else:
+            set_limits(word.partition("=")[2] or next(words, ""))
+    return left
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0 fine, 1 the answer is no, 2 bad usage or input."""
     for stream in (sys.stdout, sys.stderr):
@@ -176,11 +190,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments in (["--version"], ["-V"], ["--help"], ["-h"]):
         print(listing() if "h" in arguments[0] else f"spatialviz {__version__}")
         return FINE
-    if not arguments or arguments[0].startswith("-"):
-        arguments = ["view", *arguments]
-    if arguments[0] == "bench" and arguments[1:2] and f"bench-{arguments[1]}" in COMMANDS:
-        arguments = [f"bench-{arguments[1]}", *arguments[2:]]
     try:
+        arguments = _with_limits(arguments)
+        if not arguments or arguments[0].startswith("-"):
+            arguments = ["view", *arguments]
+        if arguments[0] == "bench" and arguments[1:2] and f"bench-{arguments[1]}" in COMMANDS:
+            arguments = [f"bench-{arguments[1]}", *arguments[2:]]
         return run(arguments)
     except (InputError, MissingExtra) as error:
         warn(f"error: {error}")

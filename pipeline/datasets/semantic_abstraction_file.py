@@ -270,7 +270,6 @@ SUFFIXES = {RANDOMIZED_ROOMS: RANDOMIZED, SYNONYM_ROOMS: RENAMED}
 """By split, what stands behind the ids of its frames."""
 SUBSETS = ("Visual", "Synonyms", "Class")
 """The subsets that the relation method is reported on, in the order of its tables."""
-LARGEST_SPLIT_FILE = 100_000_000
 SYNONYMS: dict[str, str] = {
     "television": "tv",
     "sofa": "couch",
@@ -377,12 +376,7 @@ class _PlainUnpickler(pickle._Unpickler):
 
 def _unpickled(path: Path) -> Any:
     try:
-        size = path.stat().st_size
-    except OSError as error:
-        raise InputError("a file cannot be read", got=error.strerror, path=path) from error
-    require(size <= LARGEST_SPLIT_FILE, "a split file is too large", got=f"{size} bytes", path=path)
-    try:
-        return _PlainUnpickler(io.BytesIO(read_bytes(path))).load()
+        return _PlainUnpickler(io.BytesIO(read_bytes(path, "text"))).load()
     except InputError as error:
         raise error if error.path is not None else InputError(str(error), path=path) from error
     except Exception as error:  # A damaged pickle may raise nearly anything.

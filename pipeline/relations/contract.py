@@ -287,7 +287,7 @@ class TrainedOn:
     @classmethod
     def from_json(cls, text: str) -> TrainedOn:
         """The reverse; KeyError, TypeError or ValueError where it is something else."""
-        stored = json.loads(text)
+        stored = parse_json(text)
         texts: dict[str, Any] = {k: str(stored[k]) for k in ("dataset", "input_hash", "content_hash", "split")}
         if not all(isinstance(stored[k], list) for k in ("train", "validation", "scenes")):
             raise ValueError("what was learnt from must be lists of names")

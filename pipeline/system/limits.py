@@ -32,7 +32,7 @@ class Limits:
 
     pixels: int = _limit(64 * 10**6, "pixels of a picture, mask or depth map, by its header", True)
     bytes: int = _limit(256 * 10**6, "bytes of a file, archive member or message that is read whole", True)
-    text: int = _limit(128 * 10**6, "bytes of a JSON, TOML, CSV or other text file", True)
+    text: int = _limit(256 * 10**6, "bytes of a JSON, TOML, CSV or other text file", True)
     depth: int = _limit(100, "brackets inside brackets in JSON")
     names: int = _limit(2 * 10**6, "names in a folder", True)
     rows: int = _limit(200 * 10**6, "rows of a table", True)

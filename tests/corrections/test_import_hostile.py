@@ -215,14 +215,14 @@ def test_files_that_cannot_be_read(
         with pytest.raises(InputError):
             take(path)
     binary.write_text(json.dumps(lines("objects")[0]) + "\n", encoding="utf-8")
-    from pipeline.corrections.journal.incoming import coco_file, jsonl_file
+    from pipeline.corrections.journal.incoming import jsonl_file
 
     monkeypatch.setattr(jsonl_file, "BLOCK", 64)
     with pytest.raises(InputError, match="too long"):
         take(binary)
     large = tmp_path / "instances.json"
     large.write_text('{"annotations": []}', encoding="utf-8")
-    monkeypatch.setattr(coco_file, "LARGEST", 3)
+    monkeypatch.setenv("SPATIALVIZ_LIMITS", "text=3")
     with pytest.raises(InputError, match="too large"):
         take(large)
 

@@ -38,7 +38,6 @@ _T = TypeVar("_T")
 FORMAT = "spatialviz-edits-1"
 MOST_EDITS = 2000
 """Of one kind; a page cannot make more by hand."""
-LARGEST_FILE = 32 * 2**20
 FAR = 1000.0
 LARGEST_SIDE = 16384
 
@@ -369,13 +368,7 @@ def load_edits(path: str | Path) -> Edits:
     """Edits from a file; InputError where it cannot be read or holds none."""
     path = Path(path)
     try:
-        require(
-            path.stat().st_size <= LARGEST_FILE,
-            "the file of edits is too large",
-            expected=f"at most {LARGEST_FILE} bytes",
-            path=path,
-        )
-        text = read_bytes(path)
+        text = read_bytes(path, "text")
     except OSError as error:
         raise InputError("the edits cannot be read", got=error.strerror, path=path) from error
     try:

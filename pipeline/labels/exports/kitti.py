@@ -70,7 +70,7 @@ from pipeline.labels.exports.base import (
 from pipeline.labels.exports.provenance import json_line, load_json
 from pipeline.labels.reading import arrow_schema
 from pipeline.system.arrow import pa
-from pipeline.system.door import read_text
+from pipeline.system.door import parse_json, read_text
 from pipeline.system.errors import InputError, Shown, as_input_error, require
 from pipeline.system.whole_files import text_file, write_json
 
@@ -200,7 +200,7 @@ def read_kitti(root: Path) -> dict[str, pa.Table]:
         with as_input_error("not a line of index.txt", ValueError, got=Shown(line, 80), path=root / "index.txt"):
             number, width, height, written = line.split(" ", 3)
             frame = {
-                "frame": json.loads(written) if written.startswith('"') else written,
+                "frame": parse_json(written) if written.startswith('"') else written,
                 "frame_index": int(number), "ok": number in usable, "width": int(width), "height": int(height),
                 "K": None, "up": None,
             }  # fmt: skip

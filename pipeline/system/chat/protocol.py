@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter
 
 from pipeline.system.chat.transport import Failure, Reply, wait_asked
+from pipeline.system.door import parse_json, read_json
 from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import keep_whole
 
@@ -205,8 +206,8 @@ def first_line(body: bytes, limit: int = 200) -> str:
     """What a body says: the message of its error, else its first line that is not blank; at most `limit` characters."""
     text = body[: 1 << 16].decode("utf-8", "replace")
     try:
-        table = json.loads(text)
-    except (ValueError, RecursionError):
+        table = parse_json(text)
+    except ValueError:
         table = None
     for holder in (table.get("error"), table) if isinstance(table, dict) else ():
         message = holder.get("message") if isinstance(holder, dict) else holder
@@ -237,8 +238,8 @@ def _refusal(status: int, reply: Reply) -> Failure:
 
 def _json_of(reply: Reply) -> dict[str, Any]:
     try:
-        table = json.loads(reply.body.decode("utf-8-sig"))
-    except (ValueError, RecursionError):
+        table = parse_json(reply.body)
+    except ValueError:
         # A broken object may be whole the next time; a page of HTML will be the same.
         broken = reply.body.lstrip()[:1] == b"{"
         raise Failure(
@@ -351,10 +352,10 @@ class AnswerCache:
     def load(self, key: str) -> tuple[Completion, float] | None:
         """The answer, and the seconds that it took; None where it is not known."""
         try:
-            table = json.loads(self._path(key).read_text(encoding="utf-8"))
+            table = read_json(self._path(key))
             answer = _COMPLETION.validate_python(table["answer"])
             return (answer, float(table["seconds"])) if table["key"] == key else None
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        except (OSError, ValueError, KeyError, TypeError):
             return None
 
     def store(self, key: str, prompt: str, parameters: Parameters, answer: Completion, seconds: float) -> None:

@@ -11,7 +11,6 @@ run-length codes are read without trust.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -30,10 +29,9 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.masks import decode_run_length, encode_run_length, fill_polygons, mask_box
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.proposals.segmenter import share_inside
+from pipeline.system.door import read_json
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
 
-LARGEST = 1 << 31
-"""Bytes of a file that is read as a whole."""
 SAME_BOX = 0.5
 WITHIN = 0.9
 ROUNDED = 0.02
@@ -52,17 +50,9 @@ def load_coco(path: Path) -> Any:
         Missing, too large, or no JSON.
     """
     with as_input_error(
-        "not a readable JSON file",
-        OSError,
-        ValueError,
-        RecursionError,
-        MemoryError,
-        got=lambda e: str(e)[:100],
-        path=path,
+        "not a readable JSON file", OSError, ValueError, MemoryError, got=lambda e: str(e)[:100], path=path
     ):
-        size = path.stat().st_size
-        require(size <= LARGEST, "the file is too large", got=f"{size} bytes", expected=LARGEST, path=path)
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=no_number)
+        return read_json(path, parse_constant=no_number)
 
 
 def no_number(word: str) -> float:

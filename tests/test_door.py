@@ -1,0 +1,98 @@
+"""What others made is opened by `pipeline/system/door.py` alone, and the table of its limits is the documented one."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+
+from pipeline.system.limits import Limits, shown
+
+ROOT = Path(__file__).resolve().parent.parent
+DOOR = "system/door.py"
+OPENERS = {
+    "open", "os.open", "io.open", "gzip.open", "bz2.open", "lzma.open", "tarfile.open", "mmap.mmap",
+    "np.load", "np.fromfile", "np.memmap", "np.loadtxt", "np.genfromtxt", "pickle.load", "json.load", "json.loads",
+    "cv2.imread", "cv2.VideoCapture", "cv2.FileStorage", "Image.open", "OpenEXR.File", "h5py.File", "trimesh.load",
+    "pq.read_table", "pq.ParquetFile", "ParquetFile", "ZipFile", "zipfile.ZipFile", "tomllib.load", "tomllib.loads",
+    "ort.InferenceSession", "onnx.load",
+}  # fmt: skip
+METHODS = {"read_bytes", "read_text"}
+"""Of paths; a file of an archive or a table has them too, and functions of the same names are fine."""
+HANDED = {
+    "datasets/files.py .read_bytes": "a member of an archive or a table hands its own bytes over",
+    "datasets/semantic_abstraction_file.py h5py.File": "a checked path",
+    "datasets/images.py Image.open": "an opened file",
+    "datasets/images.py OpenEXR.File": "checked bytes stand there",
+    "language/vectors/fasttext_bin.py mmap.mmap": "an opened file",
+    "language/vectors/tables.py zipfile.ZipFile": "an opened file, whose arrays are measured there",
+    "language/vectors/vec_text.py gzip.open": "an opened file, unpacked line by line",
+    "system/onnx_contents.py mmap.mmap": "an opened file",
+    "system/onnx_session.py ort.InferenceSession": "a checked path",
+    "system/reading.py tomllib.loads": "text that was read",
+}
+"""What gets its content from the door, and why it has a name of `OPENERS`."""
+OWN = {
+    "answering/bench.py": "/proc",
+    "corrections/journal/": "the journal, which has checks of its own",
+    "corrections/journal_location.py .open": "tries whether a folder can be written",
+    "corrections/review/": "keys of items that were made here",
+    "datasets/scene_mesh.py": "the cache",
+    "diagnosis/whatif/changes.py": "keys that were made here",
+    "evaluation/job.py json.loads": "options that were made here",
+    "labels/by_hand.py open": "a lock",
+    "labels/merge.py open": "a table that was just written",
+    "labels/reading.py open": "a table that was just written",
+    "language/class_sizes.py": "comes with the program",
+    "language/glossary.py": "comes with the program",
+    "proposals/cache.py": "the cache",
+    "system/file_memory.py": "the cache",
+    "system/model_files.py": "the cache, and a table that comes with the program",
+    "system/peak_memory.py": "/proc",
+    "system/whole_files.py": "writes",
+}
+"""What opens what was written here."""
+
+
+def called(node: ast.Call) -> str:
+    """ "np.load" of np.load(...), "open" of open(...), ".read_bytes" of anything.read_bytes()."""
+    name = ast.unparse(node.func)
+    if name in OPENERS:
+        return name
+    if isinstance(node.func, ast.Attribute) and node.func.attr in METHODS:
+        return "" if name.split(".")[0] in ("door", "self", "store") else f".{node.func.attr}"
+    if isinstance(node.func, ast.Attribute) and node.func.attr == "open" and name.split(".")[0] in ("path", "file"):
+        return ".open"
+    return ""
+
+
+def opening(folder: Path) -> Iterator[tuple[str, str]]:
+    """Calls that open something: "datasets/x.py np.load", and the line."""
+    for path in sorted(folder.rglob("*.py")):
+        where, tree = path.relative_to(folder).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+        own = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and (name := called(node)) and name not in own and where != DOOR:
+                yield f"{where} {name}", f"{where}:{node.lineno} {name}"
+
+
+def test_no_other_module_opens_what_others_made() -> None:
+    excused = (*HANDED, *OWN)
+    found = list(opening(ROOT / "pipeline"))
+    assert not [line for where, line in found if not where.startswith(excused)]
+    assert not [e for e in excused if not any(where.startswith(e) for where, _ in found)], "excused for nothing"
+
+
+def test_the_walk_sees_openings(tmp_path: Path) -> None:
+    (tmp_path / "x.py").write_text("a = path.read_bytes()\nnp.load(a)\nwith open(a) as f: pass\nread_bytes(a)\n")
+    assert [line for _, line in opening(tmp_path)] == ["x.py:1 .read_bytes", "x.py:2 np.load", "x.py:3 open"]
+
+
+def test_the_documented_limits_are_those_in_force() -> None:
+    text = (ROOT / "docs" / "limits.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (\S+) \| (.*?) \| (yes|) ?\|$", text, re.MULTILINE)
+    assert rows == [
+        (f.name, shown(f.default), f.metadata["meaning"], "yes" if f.metadata["own"] else "") for f in fields(Limits)
+    ]
