@@ -19,6 +19,8 @@ OPENERS = {
     "pq.read_table", "pq.ParquetFile", "ParquetFile", "ZipFile", "zipfile.ZipFile", "tomllib.load", "tomllib.loads",
     "ort.InferenceSession", "onnx.load",
 }  # fmt: skip
+LAST = {name.rpartition(".")[2] for name in OPENERS} | {"read_bytes", "read_text"}
+MAYBE = re.compile(rf"\b({'|'.join(LAST)})\(")
 METHODS = {"read_bytes", "read_text"}
 """Of paths; a file of an archive or a table has them too, and functions of the same names are fine."""
 HANDED = {
@@ -58,6 +60,9 @@ OWN = {
 
 def called(node: ast.Call) -> str:
     """ "np.load" of np.load(...), "open" of open(...), ".read_bytes" of anything.read_bytes()."""
+    last = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+    if last not in LAST:
+        return ""
     name = ast.unparse(node.func)
     if name in OPENERS:
         return name
@@ -71,7 +76,10 @@ def called(node: ast.Call) -> str:
 def opening(folder: Path) -> Iterator[tuple[str, str]]:
     """Calls that open something: "datasets/x.py np.load", and the line."""
     for path in sorted(folder.rglob("*.py")):
-        where, tree = path.relative_to(folder).as_posix(), ast.parse(path.read_text(encoding="utf-8"))
+        where, text = path.relative_to(folder).as_posix(), path.read_text(encoding="utf-8")
+        if not MAYBE.search(text):
+            continue
+        tree = ast.parse(text)
         own = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and (name := called(node)) and name not in own and where != DOOR:

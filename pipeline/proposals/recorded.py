@@ -263,7 +263,7 @@ def _mask_file(path: Path, name: str, where: str) -> np.ndarray:
         got=name,
         path=path,
     )
-    image = read_picture(file) if file.exists() else None
+    image = read_picture(file) if file.is_file() else None
     if image is None or image.ndim != 2:
         raise InputError(f"{where}: the mask is not a readable one-channel image", path=file)
     return image > 0

@@ -224,6 +224,8 @@ def read_picture(path: Path) -> np.ndarray | None:
     import cv2
 
     data = read_bytes(path)
+    if header_size(data) is None:
+        return None
     check_pixels(data, path)
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
 
