@@ -124,10 +124,10 @@ def draw_draft(ctx: Context, frame: Frame, mask: np.ndarray, box: Box3D | None) 
         if len(v):
             points = lift_pixels(frame.depth[v, u] * np.float32(0.995), frame.camera, v, u)
             shown = (points @ ctx.scene.to_show.T.astype(np.float32)).astype(np.float32)
-            ctx.client.scene.add_point_cloud(
-                    f"{DRAFT}points", shown, color, point_size=POINT, precision="float32", point_shading="flat",
-                    point_shape="square",
-                )  # fmt: skip
+            ctx.client.put(
+                "point_cloud", f"{DRAFT}points", points=shown, colors=np.array(color, np.uint8), point_size=POINT,
+                precision="float32", point_shading="flat", point_shape="square",
+            )  # fmt: skip
         if box is not None:
             lines = ctx.scene.shown_box(box).corners[EDGES].astype(np.float32)
             ctx.client.lines(f"{DRAFT}box", lines, color, 2.6)
