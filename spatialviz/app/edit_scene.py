@@ -289,11 +289,7 @@ class BoxGizmo:
                 name = f"{self._root}/{'gizmo' if face is None else f'face-{face[0]}{face[1]:+}'}"
                 wanted = self._box is not None and (face is None) == (self._mode != "resize")
                 client.change(name, visible=wanted)
-                if (
-                    wanted
-                    and self._box is not None
-                    and (self._held is None or self._held[0] is not client.nodes.get(name))
-                ):
+                if wanted and self._box is not None and name != held:
                     self._place(name, face, self._box)
 
     def _place(self, name: str, face: Face | None, box: Box3D) -> None:
