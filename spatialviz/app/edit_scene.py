@@ -224,10 +224,8 @@ def asked_pair(state: State) -> AskedPair | None:
     )
 
 
-def map_legend(state: State, found: DecisionMap | None) -> Element | None:
+def map_legend(state: State, found: DecisionMap) -> Element:
     """Who wins where, with the share of the floor."""
-    if found is None:
-        return None
     colors = winner_colors(found, state)
     winners, counts = np.unique(found.winner, return_counts=True)
     rows = (

@@ -16,8 +16,7 @@ from pipeline.geometry.measure import surface_point
 from pipeline.geometry.palette import DROPPED, Role, depth_colors, instance_colors, palette
 from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app.context import Context, Part
-from spatialviz.app.frames import LoadedFrame
-from spatialviz.app.frames import Part as CloudPart
+from spatialviz.app.frames import CloudPart, LoadedFrame
 from spatialviz.app.scene import Tag
 from spatialviz.app.scene_client import triple
 from spatialviz.app.state import State

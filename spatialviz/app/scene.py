@@ -230,8 +230,8 @@ def edges(boxes: Sequence[Box3D], growth: float = 0.0) -> np.ndarray:
     return np.concatenate([np.zeros((0, 2, 3)), *grown]).astype(np.float32)
 
 
-SAMPLE = 20_000
-"""Points of a cloud that say where it lies."""
+SAMPLE, FLIGHT = 20_000, 12
+"""Points of a cloud that say where it lies; steps in which the camera moves smoothly."""
 AROUND, NEAREST = 1.12, 0.9
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
 
@@ -273,19 +273,22 @@ class Viewpoint:
         before, self._about = self._about, corners
         return before is not corners if before is None or corners is None else not np.array_equal(before, corners)
 
-    def fly(self, kind: str) -> None:
-        """Move the camera to "pair", "sensor", "orbit" or "top", smoothly."""
+    def place(self, kind: str, steps: int = 1) -> None:
+        """Move the camera to "pair", "sensor", "orbit" or "top", at once, or smoothly in so many steps.
+
+        Repeated when the shape of the page changes before anybody has turned the view.
+        """
         eye, look, fov = self._pose(kind)
-        self._placed = None
-        camera = self._client.camera
-        camera.up_direction = self._up(kind)
+        camera, self._placed = self._client.camera, None
         p0, l0, f0 = np.array(camera.position), np.array(camera.look_at), float(camera.fov)
-        for k in range(1, 13):
-            t = k / 12
+        for k in range(1, steps + 1):
+            t = k / steps
             t = t * t * (3 - 2 * t)
-            self._turn(position=p0 * (1 - t) + eye * t, look_at=l0 * (1 - t) + look * t, fov=f0 * (1 - t) + fov * t)
-            self._client.flush()
-            time.sleep(1 / 40)
+            position, look_at = p0 * (1 - t) + eye * t, l0 * (1 - t) + look * t
+            self._turn(up_direction=self._up(kind), position=position, look_at=look_at, fov=f0 * (1 - t) + fov * t)
+            if k < steps:
+                self._client.flush()
+                time.sleep(1 / 40)
         self._placed, self._reached, self.untouched = (kind, self._aspect, eye), False, True
 
     def _turn(self, **pose: Any) -> None:
@@ -296,12 +299,6 @@ class Viewpoint:
     @property
     def _aspect(self) -> float:
         return float(np.clip(self._client.camera.aspect or 1.3, 0.4, 3.0))
-
-    def place(self, kind: str) -> None:
-        """The same at once; repeated when the shape of the page changes before anybody has turned the view."""
-        eye, look, fov = self._pose(kind)
-        self._placed, self._reached, self.untouched = (kind, self._aspect, eye), False, True
-        self._turn(up_direction=self._up(kind), position=eye, look_at=look, fov=fov)
 
     def turned_to(self) -> tuple[CameraView, float] | None:
         """Where the camera was turned to, in the frame's camera frame, and its field of view; None where it was not."""

@@ -17,6 +17,7 @@ from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.frames import LoadedFrame, ToldUp
 from spatialviz.app.label_view import paired
 from spatialviz.app.picture import smallest_at
+from spatialviz.app.scene import FLIGHT
 from spatialviz.app.state import CameraMode, ColorMode, Tool
 from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 
@@ -194,7 +195,7 @@ class ViewSettings(Part):
         """Fly to one of the places to look from."""
         if mode in get_args(CameraMode) and self.state.loaded is not None:
             self.ctx.show(camera=mode)
-            self.ctx.scene.viewpoint.fly(mode)
+            self.ctx.scene.viewpoint.place(mode, FLIGHT)
 
     @command("flag")
     def toggle(self, flag: str) -> None:

@@ -356,7 +356,7 @@ class Session(Context):
             self.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)
-            self.note(answer_in_words(self.state))
+            self.note(answer_in_words(self.state, trace))
         if draw:
             self.draw()
 
