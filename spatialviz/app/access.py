@@ -17,6 +17,14 @@ from pipeline.system.errors import as_input_error, require
 LOCAL_NAMES = ("127.0.0.1", "localhost", "[::1]")
 COOKIE = "spatialviz"
 EVERYWHERE = ("", "0.0.0.0", "::")
+KINDS = {".html": "text/html", ".mjs": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml",
+         ".jpg": "image/jpeg", ".png": "image/png"}  # fmt: skip
+SAFE = {
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+}
 
 
 class Access:
@@ -66,17 +74,17 @@ class Access:
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         host = hosts[0] if len(hosts) == 1 else ""
         if not self._names(host):
-            return _refused(http.HTTPStatus.MISDIRECTED_REQUEST, "This server does not go by that name.\n")
+            return response(http.HTTPStatus.MISDIRECTED_REQUEST, b"This server does not go by that name.\n")
         if len(origins) > 1 or (origins and urlsplit(origins[0]).netloc != host):
-            return _refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.\n")
+            return response(http.HTTPStatus.FORBIDDEN, b"This page belongs to another site.\n")
         if request.headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none") and not (
             request.headers.get("Sec-Fetch-Mode") == "navigate" and request.headers.get("Sec-Fetch-Dest") == "document"
         ):
-            return _refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.\n")
+            return response(http.HTTPStatus.FORBIDDEN, b"This page belongs to another site.\n")
         asked = _token(urlsplit(request.path).query)
         if self._tokens and self.name(request) is None and asked not in self._tokens:
-            return _refused(
-                http.HTTPStatus.UNAUTHORIZED, "A token is needed: open the address that the server has printed.\n"
+            return response(
+                http.HTTPStatus.UNAUTHORIZED, b"A token is needed: open the address that the server has printed.\n"
             )
         return None
 
@@ -142,8 +150,9 @@ def _token(query: str) -> str:
     return dict(parse_qsl(query)).get("token", "")
 
 
-def _refused(status: http.HTTPStatus, text: str) -> Response:
-    body = text.encode()
-    return Response(
-        status, status.phrase, Headers({"Content-Type": "text/plain", "Content-Length": str(len(body))}), body
-    )
+def response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: Mapping[str, str] | None = None) -> Response:
+    """An answer with what every one says; `suffix` is that of the file, `more` are headers of its own."""
+    kind = KINDS.get(suffix, "application/octet-stream" if status == http.HTTPStatus.OK else "text/plain")
+    headers = {"Content-Type": f"{kind}; charset=utf-8" if kind.startswith("text") else kind, **SAFE}
+    headers |= {"Cache-Control": "no-cache", "Content-Length": str(len(body)), **(more or {})}
+    return Response(status, status.phrase, Headers(headers), body)

@@ -176,21 +176,7 @@ def verdict_evidence(state: State, trace: Trace) -> list[Child]:
 
 def _oracles(d: Diagnosis) -> list[Child]:
     """Each oracle alone: is the answer right with it, and by what margin."""
-    rows = []
-    for k, name in enumerate(("", *d.oracles)):
-        subset = 0 if k == 0 else 1 << (k - 1)
-        right, margin = bool(d.right_with >> subset & 1), float(d.margins[subset])
-        words, hint = ("nothing: as it is", "the pipeline's own answer") if k == 0 else ORACLE_WORDS[name]
-        rows.append(
-            h.tr(
-                h.th(name, scope="row"),
-                h.td(words),
-                h.td("✓ right" if right else "✗ wrong", cls="right" if right else "wrong"),
-                h.td(f"{margin:+.2f}" if np.isfinite(margin) else "–", cls="n"),
-                cls="on" if name in (d.mends or d.repair) else "",
-                title=hint,
-            )
-        )
+    rows = [_oracle(d, "", 0), *(_oracle(d, name, 1 << k) for k, name in enumerate(d.oracles))]
     repair = f"smallest repair: {' + '.join(d.repair)}" if d.repair else ""
     if len(d.mends) > 1:
         repair = f"each alone would do: {', '.join(d.mends)}"
@@ -200,6 +186,19 @@ def _oracles(d: Diagnosis) -> list[Child]:
         h.h3("With the truth in place of", h.span(repair)),
         h.table(h.thead(head), h.tbody(rows), cls="oracles"),
     ]
+
+
+def _oracle(d: Diagnosis, name: str, subset: int) -> Element:
+    right, margin = bool(d.right_with >> subset & 1), float(d.margins[subset])
+    words, hint = ORACLE_WORDS.get(name, ("nothing: as it is", "the pipeline's own answer"))
+    return h.tr(
+        h.th(name, scope="row"),
+        h.td(words),
+        h.td("✓ right" if right else "✗ wrong", cls="right" if right else "wrong"),
+        h.td(f"{margin:+.2f}" if np.isfinite(margin) else "–", cls="n"),
+        cls="on" if name in (d.mends or d.repair) else "",
+        title=hint,
+    )
 
 
 def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:

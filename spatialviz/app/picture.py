@@ -86,7 +86,7 @@ def overlay_marks(state: State) -> list[Element]:
         entry = state.shown.objects[i]
         drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
         marks.append(_path(drawn, hex_color(colors[roles[i]]) if i in roles else "#ffffff", 1.3 * unit))
-    marks += second_overlay(state, unit)
+    marks += () if state.beside is None else second_overlay(state, state.beside, unit)
     for i in order:
         x0, y0 = _name_place(state, i)
         color = hex_color(colors[roles.get(i, "other")])
