@@ -12,7 +12,7 @@ from playwright.sync_api import Locator
 
 FRAME, MUG, LAPTOP = "000001/000000", 3, 2
 FIELD = "document.activeElement.tagName"
-ITEM = "document.querySelector('#review-item .item .big b')?.textContent"
+ITEM = "document.querySelector('#review-item .claim')?.textContent"
 
 
 def state(tab: Tab, relation: str) -> str:
@@ -48,7 +48,7 @@ def check_review(tab: Tab) -> None:
     tab.see("#review-list .queue .q")
     tab.click("queue-kind:relation")
     tab.press("j")
-    first = tab.see("#review-item .item .big b").inner_text()
+    first = tab.see("#review-item .claim").inner_text()
     show_pair(tab)
     tab.poll(f"!{ITEM}")
     tab.press("k")
@@ -58,7 +58,7 @@ def check_review(tab: Tab) -> None:
     tab.click(f"object:{LAPTOP}")
     tab.see("#review-pair", "Only looked at")
     tab.press("u")
-    saved(tab, first.rpartition(":")[0])
+    saved(tab, first)
     tab.press("Control+z")
     saved(tab, "taken back")
     # The left of the laptop is its left by decimetres: the opposite is asked about, and Escape saves nothing.

@@ -268,7 +268,7 @@ def check_item(browser: Browser, tab: Tab) -> None:
     tab.click("task:label")
     tab.see("#review-list .queue .q")
     tab.press("j")
-    tab.see("#review-item .item")
+    tab.see("#review-item .task-item")
     tab.poll("location.search.includes('item=') && location.search.includes('mode=label')")
     wanted = looked_at(tab)
     second = new_tab(browser).open(tab.page.url)

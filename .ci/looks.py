@@ -58,7 +58,7 @@ def others(tab: Tab) -> Iterator[str]:
     tab.click("task:label")
     tab.see("#review-list .queue .q")
     tab.press("j")
-    tab.see("#review-item .item")
+    tab.see("#review-item .task-item")
     yield "label"
 
 

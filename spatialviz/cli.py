@@ -43,6 +43,7 @@ from spatialviz.cli_ask import (
 )
 from spatialviz.cli_labels import (
     Check,
+    Confirm,
     Correct,
     Effective,
     Export,
@@ -90,6 +91,7 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "show": (Show, "run_corrections"),
         "review": (Review, "run_review"),
         "correct": (Correct, "run_corrections"),
+        "confirm": (Confirm, "run_corrections"),
         "undo": (Undo, "run_corrections"),
         "redo": (Redo, "run_corrections"),
         "journal": (ShowJournal, "run_corrections"),

@@ -12,6 +12,7 @@ from spatialviz.options import (
     CPUS,
     Box,
     DatasetArg,
+    ExpressionArg,
     Flag,
     JournalOptions,
     LabelledOptions,
@@ -25,6 +26,7 @@ from spatialviz.options import (
     Overwrite,
     PairFeatures,
     SecondDetectorOptions,
+    SourceOptions,
     Workers,
 )
 
@@ -82,6 +84,9 @@ class Label(Output):
     """Only the first so many frames."""
     frames_of: tuple[str, ...] = ()
     """Only the frames of these splits of the dataset's own, such as vool/train."""
+    empty: Flag = False
+    """Find nothing: begin labels by hand. `correct`, `confirm` and the page add what people outline, and frames with
+    it; --limit takes in the first frames at once. Relations are all that there are."""
 
 
 @dataclass(frozen=True)
@@ -210,14 +215,37 @@ class Correct(OnPictures):
 
     edits: Path
     """JSON: a list such as [{"edit": "relation", "frame": "000001/000000", "a": 2, "b": 5, "relation": "left",
-    "to": "T", "reason": "..."}]; edits are class, status, judge, settle, mask, bbox, box, new, merge, split, relation,
-    text, answers, ambiguous, mark, note, and value: any one field as the journal keeps it (kind, key, field, to).
+    "to": "T", "reason": "..."}]; edits are class, status, judge, settle, mask, bbox, box, drag (faces of a box: "moves"
+    such as [["face", AXIS 0-2, SIDE 1 or -1, METRES]]), new, merge, split, relation, true (a sentence with its pair:
+    text, target, relation, reference, a, b), text, answers, ambiguous, mark, note, and value: any one field as the
+    journal keeps it (kind, key, field, to).
     Pixels of mask and new are a run-length code, or "polygon": [[x, y], ...], "rectangle": [x0, y0, x1, y1], "strokes":
     [{"points", "radius"}], "seeds": [[x, y], ...]; with "mode": add, remove, replace."""
     author: str
     """Who says so."""
     again: str | None = None
     """The group that a try named which could not be saved: what was saved after all is not saved twice."""
+
+
+@dataclass(frozen=True)
+class Confirm(Output):
+    """Ask, and say that a pair of the answer is right: from then on the answer is judged by it.
+
+    What the labels lack of its two objects is added with the pixels of the answer's. Exit status 1 where somebody else
+    has been there.
+    """
+
+    dataset: DatasetArg
+    frame: OneFrameArg
+    expression: ExpressionArg
+    labels: Path
+    """Labels folder; one that is new is begun by hand, as by `label --empty`."""
+    author: str
+    """Who says so."""
+    pair: int = 1
+    """Which of the ranked pairs, from 1."""
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
 
 
 @dataclass(frozen=True)
@@ -274,6 +302,12 @@ class Review(OnPictures):
     judged the same item."""
     progress: Flag = False
     """Print how far the review has come."""
+    kind: Literal["relation", "object", "expression"] | None = None
+    """Only items of this kind."""
+    find: str = ""
+    """Only items whose label, reasons or frame hold each of these words."""
+    accept: Flag = False
+    """With --author: accept all items that are shown, as one action that one `undo` takes back."""
     other: Path | None = None
     """Labels of the same dataset by another detector or run: what they say otherwise counts too."""
     second: OmitArgPrefixes[SecondDetectorOptions] = SecondDetectorOptions()

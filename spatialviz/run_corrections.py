@@ -21,12 +21,13 @@ from pipeline.corrections.object_card import ObjectCard, object_card
 from pipeline.corrections.scene import PairCard, pair_card
 from pipeline.corrections.support import Support, support_name, support_of
 from pipeline.corrections.wording import event_text
+from pipeline.labels.by_hand import begun_labels, grows, with_frames
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_labels import Correct, Effective, OfPerson, Show, ShowJournal
+from spatialviz.cli_labels import Confirm, Correct, Effective, OfPerson, Show, ShowJournal
 from spatialviz.options import FINE, NO, Output, numbers, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
 
@@ -101,11 +102,39 @@ def _as_a_whole(command: ShowJournal) -> int:
 def run_correct(command: Correct) -> int:
     labels = open_labels(command.labels)
     actions = read_actions(command.edits)
-    dataset = command.source.open(labels) if needs_pictures(actions) else None
+    dataset = command.source.open(labels) if needs_pictures(actions) or grows(labels) else None
+    if grows(labels) and dataset is not None:
+        labels = with_frames(labels, dataset, dict.fromkeys(a.frame for a in actions))
     with command.journal.open(labels) as journal, _told_how_to_try_again():
         corrector = Corrector(labels, dataset)
         done = apply_actions(corrector, journal, actions, command.author, again=command.again)
         return _told(command, done, "saved", frames_of(corrector, journal))
+
+
+def run_confirm(command: Confirm) -> int:
+    from pipeline.corrections.confirming import right_pair  # These bring models and the review of labels in.
+    from pipeline.corrections.journal_location import JournalLocation
+    from pipeline.corrections.label_editor import LabelEditor
+    from pipeline.corrections.scene import effective_truth
+    from pipeline.diagnosis.asking import judged
+
+    source = command.source.open(command.dataset, command.frame)
+    name = one_frame(source.dataset.frame_ids, command.frame, source.dataset.root)
+    labels = begun_labels(source.dataset, command.labels, command.source.camera(command.frame))
+    location = JournalLocation(labels, command.journal.journal, command.journal.project)
+    editor, context = LabelEditor(labels, location, command.author, source.dataset), source.prepare(name)
+    trace = source.ask(context, command.expression)
+    pairs = () if trace.ranking is None or trace.ranking.degenerate else trace.ranking.pairs
+    require(1 <= command.pair <= len(pairs), "the answer has no such pair", got=command.pair, expected=len(pairs))
+    editor.take_in(name)
+    edits = right_pair(editor, trace, pairs[command.pair - 1])
+    editor.keep_frames([name])
+    done = location.to_write().append(edits, command.author)
+    found = judged(trace, source, context, effective_truth(editor.frame(name)))
+    record = {**outcome_record(done), "verdict": found.verdict}
+    command.write(record, lambda _: (print_outcome(done, "saved", editor.frame), say(f"verdict: {found.verdict}")))
+    location.close()
+    return FINE if record["saved"] else NO
 
 
 def _undo_or_redo(command: OfPerson, way: Callable[..., Saved | Conflict | None], verb: str) -> int:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 
 from rich.text import Text
 
 from pipeline.geometry.lifting import LiftConfig
+from pipeline.labels.by_hand import begun_labels, with_frames
 from pipeline.labels.check import check_labels, finding_record
 from pipeline.labels.check.view import Finding
 from pipeline.labels.job import LabelReport, label_dataset
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import SelectConfig, merge_labels
-from pipeline.labels.plan import SENTENCE_KINDS, LabelConfig
+from pipeline.labels.plan import CAMERA, SENTENCE_KINDS, LabelConfig
 from pipeline.labels.reading import SENTENCES_FILE, open_labels
 from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
 from pipeline.labels.schema import Manifest
@@ -39,6 +41,8 @@ def run_label(command: Label) -> int:
         sentences=SENTENCE_KINDS if command.sentences == () else command.sentences or (),
         sentences_a_kind=command.sentences_a_kind,
     )
+    if command.empty:
+        return _begin(command, config)
     part, spec, selection = task_of(command.shard), command.source.spec(command.dataset), _selection(command.selection)
     try:
         with rate_bar("labelling", "frames") as advance:
@@ -77,6 +81,18 @@ def run_label(command: Label) -> int:
     command.write(record, print_labelled, report, command.out)
     # A task of more than there are shards has nothing to do, and that is fine.
     return FINE if report.frames > report.broken or not report.frames else NO
+
+
+def _begin(command: Label, config: LabelConfig) -> int:
+    """Labels that people fill by hand."""
+    spec = command.source.spec(command.dataset).absolute()
+    camera = {name: spec.options.get(name) for name in CAMERA}
+    dataset = spec.open(config).dataset
+    new = begun_labels(dataset, command.out, camera, replace(config, vocabulary="all"))
+    labels = with_frames(new, dataset, dataset.frame_ids[: command.limit] if command.limit else ())
+    frames = labels.frames.num_rows
+    command.write({"frames": frames}, lambda _: say(f"-> {command.out}: labels by hand, {counted(frames, 'frame')}"))
+    return FINE
 
 
 def run_merge(command: Merge) -> None:

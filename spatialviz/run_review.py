@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import setting_of
+from pipeline.corrections.journal.events import outcome_record
 from pipeline.corrections.journal.journal import JOURNAL_FILE
+from pipeline.corrections.review.bulk import accept_all, found_items, pace_of
 from pipeline.corrections.review.detector_evidence import detector_evidence
 from pipeline.corrections.review.evidence import ItemEvidence, read_relation_labels
-from pipeline.corrections.review.items import STATES, ItemKey, State, left_to_review, with_states
+from pipeline.corrections.review.items import STATES, ItemKey, State, item_keys, left_to_review, with_states
 from pipeline.corrections.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.reviewed import (
@@ -26,7 +30,7 @@ from pipeline.corrections.review.reviewed import (
     states_on_labels,
     without_gone,
 )
-from pipeline.corrections.review.worklist import read_queue, write_queue
+from pipeline.corrections.review.worklist import read_queue, worklist, write_queue
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.language.naming import Synonyms
@@ -34,7 +38,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.proposals.registry import open_detector
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.errors import InputError, MissingExtra, needed, require
 from pipeline.system.onnx_session import use_execution
 from pipeline.training.train import TrainConfig, need_torch
 from spatialviz.cli_labels import Review
@@ -58,12 +62,39 @@ def run_review(command: Review) -> int:
     if command.out is not None:
         write_queue(queue, command.out)
     if command.progress:
-        command.write(review_progress(queue, reviewed.judgements, states), print_progress)
+        command.write({**review_progress(queue, reviewed.judgements, states), **_pace(command, labels)}, print_progress)
         return FINE
     shown = _shown(command, queue, reviewed, states)
+    if command.kind is not None or command.find:
+        shown = shown.take(found_items(worklist(shown, {}), _label, command.kind, command.find))
+    if command.accept:
+        return _accept(command, labels, shown)
     rows = shown.slice(0, command.limit).to_pylist()
     command.write(iter(rows), print_queue, shown, rows, command.out, queue.num_rows - shown.num_rows)
     return FINE if shown.num_rows else NO
+
+
+def _accept(command: Review, labels: Labels, shown: pa.Table) -> int:
+    """Accept what is shown, as one action."""
+    author = needed(command.author, "--accept needs --author", cause="who accepts them?")
+    corrector = Corrector(labels, command.source.open(labels))
+    with command.journal.open(labels) as journal:
+        edits = accept_all(
+            item_keys(shown.slice(0, command.limit)), lambda frame: corrector.frame(frame, journal), author
+        )
+        done = journal.append(edits, author)
+    record = outcome_record(done)
+    command.write(record, lambda _: say(f"accepted {counted(min(shown.num_rows, command.limit), 'item')}; "
+                                      f"`spatialviz undo` takes all of them back"))  # fmt: skip
+    return FINE if record["saved"] else NO
+
+
+def _pace(command: Review, labels: Labels) -> dict[str, Any]:
+    """How fast the author worked today; nothing without one, or where nothing was saved."""
+    if command.author is None or (command.journal.journal is None and not (labels.root / JOURNAL_FILE).exists()):
+        return {}
+    with command.journal.open(labels, must_exist=True) as journal:
+        return {"pace": pace_of(journal.events(), command.author, datetime.now().astimezone()).record()}
 
 
 def _check(command: Review) -> None:
@@ -198,6 +229,9 @@ def print_progress(record: dict[str, Any]) -> None:
         ((name, *(str(counts.get(state, "")) for state in STATES)) for name, counts in parts),
     )
     say(f"{record['settled']} of {record['items']} settled ({figure(record['share'], '.1%')})")
+    if (pace := record.get("pace")) is not None:
+        rate = "" if pace["per_hour"] is None else f", {pace['per_hour']:.0f} an hour"
+        say(f"today: {counted(pace['items'], 'item')} in {pace['minutes']:.0f} minutes{rate}")
     for day, count in record["days"].items():
         say(f"{day}: {counted(count, 'item')}")
     if record["disagreements"]:

@@ -13,6 +13,7 @@ from pipeline.corrections.journal_location import JournalLocation, journal_words
 from pipeline.datasets.demo import DEMO_NAME, demo_run
 from pipeline.diagnosis.whatif.state import ViewState, decode
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run
+from pipeline.labels.by_hand import begun_labels, default_folder, grows
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.system.errors import InputError, require
 from spatialviz.app.access import Access
@@ -35,6 +36,7 @@ def run_view(command: View) -> None:
         expected="--run RUN --compare OTHER_RUN",
         path=command.compare,
     )
+    sources: dict[str, Pipeline] = {}
     if folder is not None:
         own = None if command.labels is None else str(command.labels)
         run = open_run(folder, dataset=None if dataset == DEMO_NAME else dataset, labels=own)
@@ -45,7 +47,8 @@ def run_view(command: View) -> None:
         if command.compare is not None:
             others = {name: open_run(command.compare, dataset=run.spec.dataset)}
     else:
-        found = None if command.labels is None else open_labels(command.labels)
+        begun = command.labels is not None and _is_new(command.labels)
+        found = None if command.labels is None or begun else open_labels(command.labels)
         options = command.source.arguments()
         options = options if found is None else labelled_up(found.manifest, options)
         sources, left_out = open_sources(dataset, **options, also=command.also)
@@ -57,7 +60,9 @@ def run_view(command: View) -> None:
             )
             _check_labels(found, next(iter(sources.values())))
             labels = dict.fromkeys(sources, found)
-    corrected = dict(labels)
+        if command.labels is not None and begun:
+            require(len(sources) <= 1, "--labels are of one dataset", got=f"{len(sources)} datasets")
+    corrected = {**_by_hand(command, sources), **labels}
     for name, run in runs.items():
         try:
             corrected[name] = run.labels
@@ -81,6 +86,29 @@ def run_view(command: View) -> None:
     )
 
 
+def _is_new(folder: Path) -> bool:
+    """Whether labels are to be begun in a folder: it is missing, or empty."""
+    folder = folder.expanduser()
+    return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+
+
+def _by_hand(command: View, sources: Mapping[str, Pipeline]) -> dict[str, Labels]:
+    """Labels that people may begin: in the folder that was named, or beside recordings that have no annotations."""
+    if command.run_folder is not None or (command.labels is not None and not _is_new(command.labels)):
+        return {}
+    found: dict[str, Labels] = {}
+    for name, source in sources.items():
+        folder = command.labels
+        if folder is None and not source.dataset.class_names:
+            folder = default_folder(source.dataset, user_data_path("spatialviz") / "labels")
+        try:
+            if folder is not None:
+                found[name] = begun_labels(source.dataset, folder, command.source.camera())
+        except InputError as error:
+            warn(f"no labels can be begun: {error}")
+    return found
+
+
 def _with_second(command: View, run: Run) -> Pipeline:
     """The run's source, with the second detector beside its own."""
     if command.also is None:
@@ -92,6 +120,8 @@ def _with_second(command: View, run: Run) -> Pipeline:
 def _journal(command: View, labels: Labels) -> JournalLocation:
     """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""
     where: str | Path | None = command.journal.journal
+    if grows(labels):
+        warn(f"what is labelled by hand is kept in {labels.root}")
     if where is None and labels.root.resolve().is_relative_to(demo_run().parent.resolve()):
         where = user_data_path("spatialviz", ensure_exists=True) / "demo-journal.sqlite"
     location = JournalLocation(labels, where, command.journal.project)

@@ -11,9 +11,11 @@ VECTOR = st.tuples(NUMBER, NUMBER, NUMBER)
 TEXT = st.text(st.characters(blacklist_categories=("Cs",)), max_size=60)
 
 
-@given(TEXT, TEXT, st.sampled_from(["explain", "evaluate", "label"]), VECTOR, VECTOR, VECTOR)
-def test_what_is_written_is_read(frame, text, task, position, look_at, up) -> None:
-    place = Place("demo", frame, text, task, "SRM", None, (3, 4), (CameraView(position, look_at, up), 0.75))
+@given(TEXT, TEXT, st.sampled_from(["explain", "evaluate", "label"]), VECTOR, VECTOR, VECTOR,
+       st.sampled_from([None, 2, 17]), st.sampled_from([None, "top", "sensor", "orbit"]))  # fmt: skip
+def test_what_is_written_is_read(frame, text, task, position, look_at, up, pair, look) -> None:
+    view = CameraView(position, look_at, up)
+    place = Place("demo", frame, text, task, "SRM", None, (3, 4), (view, 0.75), pair, look)
     assert Place.read(place.query(), ["demo"]) == place
 
 
@@ -24,4 +26,5 @@ def test_any_address_can_be_read(query: str) -> None:
 
 def test_a_dataset_that_is_not_open_says_nothing() -> None:
     assert Place.read("data=/etc&frame=1&ask=mug", ["demo"]) == Place()
-    assert Place.read("data=demo&camera=1,2,nan,4,5,6,7,8,9&item=-1,2&mode=root&stage=x", ["demo"]) == Place("demo")
+    query = "data=demo&camera=1,2,nan,4,5,6,7,8,9&item=-1,2&mode=root&stage=x&pair=-1&look=root"
+    assert Place.read(query, ["demo"]) == Place("demo")

@@ -16,10 +16,11 @@ from pipeline.corrections.journal.replay import history, redo, undo
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.unsaved import Waiting, decided
 from pipeline.datasets import Dataset
+from pipeline.labels.by_hand import NewLabels, grows, seen_with, with_frames
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError, require
 
-_NOT_IN_THE_JOURNAL = 2**62
+NOT_IN_THE_JOURNAL = 2**62
 """Edits that wait to be saved come after every event of the journal."""
 Outcome = Saved | Conflict | Waiting
 """What comes of saving."""
@@ -52,7 +53,26 @@ class LabelEditor:
         return Corrector(self.labels, self._dataset)
 
     def __contains__(self, frame: str) -> bool:
-        return frame in self.corrector.index.of_frame
+        """Whether the labels have a frame, or take it in: see `take_in`."""
+        known, dataset = frame in self.corrector.index.of_frame, self._dataset
+        return known or (dataset is not None and grows(self.labels) and frame in dataset.frame_ids)
+
+    def take_in(self, frame: str) -> None:
+        """Have a frame of the dataset among labels that were begun by hand; it is kept from the first edit on.
+
+        Raises
+        ------
+        InputError
+            The dataset cannot load it.
+        """
+        if frame not in self.corrector.index.of_frame and frame in self and self._dataset is not None:
+            self.labels = seen_with(self.labels, self._dataset, frame)
+            self.__dict__.pop("corrector", None)
+
+    def keep_frames(self, frames: Iterable[str]) -> None:
+        """Write frames that came in, where they are not written yet; InputError where they cannot be."""
+        if isinstance(self.labels, NewLabels) and self._dataset is not None:
+            with_frames(self.labels, self._dataset, dict.fromkeys(frames))
 
     @property
     def waiting(self) -> tuple[Waiting, ...]:
@@ -103,6 +123,7 @@ class LabelEditor:
         InputError
             The labels have no such frame, or the journal or the dataset cannot be read.
         """
+        self.take_in(frame)
         # An event that waits is named by its group, so that one that was saved is another.
         return self.corrector.frame(frame, self.events(frame))
 
@@ -129,7 +150,7 @@ class LabelEditor:
         return [*found, *(e for e in self._unsaved(frame) if e.group not in groups)]
 
     def _unsaved(self, frame: str) -> list[Event]:
-        return [e for w in self.waiting for e in w.events(_NOT_IN_THE_JOURNAL, "") if e.ref.frame == frame]
+        return [e for w in self.waiting for e in w.events(NOT_IN_THE_JOURNAL, "") if e.ref.frame == frame]
 
     def news(self, frame: str) -> tuple[Event, ...]:
         """What is saved in a frame that was not there when it was last looked at. Any thread may ask.
@@ -216,9 +237,10 @@ class LabelEditor:
         Raises
         ------
         InputError
-            It is no action: see `Journal.append`.
+            It is no action: see `Journal.append`; or its frame cannot be taken in.
         """
         edits, self._again = tuple(edits), None
+        self.keep_frames(e.ref.frame for e in edits)
         # Read once: another thread may save what waits at this moment.
         if waiting := self.waiting:
             # What is made on an edit that waits is saved after it.

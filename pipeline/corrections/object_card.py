@@ -303,14 +303,14 @@ def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[E
     """All expressions of a frame: those of a pair of objects first, those that were left out last."""
     withdrawn = {w.id: w.reason for w in frame.withdrawn}
     statuses = statuses_of_items(frame.statuses)
-    cards = [_card(frame, name, withdrawn.get(name, ""), statuses) for name in frame.auto.expressions]
+    cards = [_card(frame, name, withdrawn.get(name, ""), statuses) for name in frame.sentences]
     chosen = tuple(pair)
     return tuple(sorted(cards, key=lambda c: (not c.is_of(chosen), bool(c.withdrawn))))
 
 
 def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
     """One expression, by its id; InputError where the frame has no such expression."""
-    require(name in frame.auto.expressions, f"frame {frame.frame} has no such expression", got=repr(name)[:60])
+    require(name in frame.sentences, f"frame {frame.frame} has no such expression", got=repr(name)[:60])
     withdrawn = next((w.reason for w in frame.withdrawn if w.id == name), "")
     return _card(frame, name, withdrawn, statuses_of_items(frame.statuses))
 

@@ -13,8 +13,8 @@ from datetime import datetime
 from threading import Lock
 from typing import Any
 
+from pipeline.corrections.journal.effective_expressions import SETS
 from pipeline.corrections.journal.effective_frame import EffectiveFrame, Setting
-from pipeline.corrections.journal.effective_objects import SETS
 from pipeline.corrections.journal.events import Conflict, Edit, Event, Rival, Saved, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, shown_value
 from pipeline.corrections.journal.journal import Journal

@@ -73,6 +73,11 @@ class Vocabulary:
         """Whether a class is called exactly so."""
         return name in self.counts
 
+    @property
+    def names(self) -> list[str]:
+        """Every name that can be completed, those of classes first."""
+        return list(dict.fromkeys([*self.counts, *sorted(name for _, name, _ in self._spoken)]))
+
     @cached_property
     def _spoken(self) -> tuple[tuple[str, str, str], ...]:
         """(what may be typed, its class name, "" or what it is an alias of that): all of it, in normal form."""

@@ -28,7 +28,7 @@ MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
 SHARDS_WANTED = 32
 """Small datasets get small shards, so that workers share them and progress shows."""
-_CAMERA = ("intrinsics", "depth_scale", "up", "level_at")
+CAMERA = ("intrinsics", "depth_scale", "up", "level_at")
 """The options that say what the camera is and how it stands."""
 
 
@@ -207,7 +207,7 @@ def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
 def input_changed(plan: Plan, out: str | Path) -> bool:
     """Whether the dataset's files are other ones now than when the plan was made; no model is loaded."""
     return (
-        _input_hash(SourceSpec(plan.spec.path, {n: plan.spec.options.get(n) for n in _CAMERA}).open(plan.config), out)
+        _input_hash(SourceSpec(plan.spec.path, {n: plan.spec.options.get(n) for n in CAMERA}).open(plan.config), out)
         != plan.input_hash
     )
 
@@ -218,7 +218,7 @@ def _input_hash(source: Pipeline, out: str | Path | None) -> str:
 
 def _declared(options: dict[str, Any]) -> dict[str, str]:
     """What a person declared of the camera and of names, by content: the rows depend on it."""
-    found = {n: json.dumps(options[n]) for n in _CAMERA if options.get(n) is not None}
+    found = {n: json.dumps(options[n]) for n in CAMERA if options.get(n) is not None}
     if options.get("synonyms") is not None:
         found["synonyms"] = hashlib.sha256(Path(options["synonyms"]).read_bytes()).hexdigest()
     return found

@@ -34,7 +34,10 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     if trace is None:
         # Why a question could not be asked stands in its stage, PARSE.
         hint = "No answer." if state.error else HINT if can_ask else NOTHING_TO_ASK
-        return panel(level_html(state), h.p(hint, cls="lead dim"), under, cls="answer")
+        # An expression of the run that is not read has its verdict, too.
+        known = state.error and state.expression_id(state.text) is not None
+        chip = h.div(verdict_chip("PARSE", state.unread), cls="verdict") if known else None
+        return panel(level_html(state), h.p(hint, cls="lead dim"), chip, under, cls="answer")
     reason = why_no_answer(trace)
     told_: Child = [note(_capital(reason), BAD), _alone(state, trace)] if reason is not None else _pair(state, trace)
     before = None if state.edited is None else before_html(state, state.edited)

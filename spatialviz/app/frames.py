@@ -139,6 +139,11 @@ class FrameStore:
         """
         return self._load((source, frame_id), wanted=True)
 
+    def kept(self, source: str, frame_id: str) -> LoadedFrame | None:
+        """The frame where it is in memory; None where it would have to be loaded."""
+        with self._lock:
+            return self._loaded.get((source, frame_id)) or self._shown.get((source, frame_id))
+
     def prepare(
         self, source: str, frame_ids: Iterable[str], then: Callable[[LoadedFrame], object] | None = None
     ) -> None:

@@ -76,12 +76,16 @@ LABEL_KEYS: Mapping[str, Rows] = {
         ("I", "Next relation of the pair", "next-row:1"),
         ("X", "The pair the other way round", "swap"),
         ("Y", "Accept the item, or the selected object", "accept-item"),
+        ("N", "Reject it", "reject-item"),
         ("Shift+Y", "Reject it", "reject-item"),
         ("Shift+U", "Unsure of it", "unsure-item"),
         ("J", "Next item of the queue", "next-item:1"),
         ("K", "Previous item of the queue", "next-item:-1"),
     ),
     "Objects": (
+        (".", "Next object (Tab in the side views)", "next-object:1"),
+        (",", "Previous object (Shift+Tab in the side views)", "next-object:-1"),
+        *((str(k), f"Class {k} of the row of classes", f"digit:{k}") for k in range(1, 10)),
         ("Shift+F", "Look at the selected object", "focus"),
         ("Shift+O", "Name the class of the object", "class-focus"),
         ("Shift+J", "Fit the box to its points", "box-fit"),
@@ -105,6 +109,11 @@ LABEL_KEYS: Mapping[str, Rows] = {
         ("Alt+Y", "Accept the expression", "expression-status:accepted"),
         ("Alt+N", "Reject the expression", "expression-status:rejected"),
     ),
+    "Frames": (
+        ("]", "Next frame", "next-frame:1"),
+        ("[", "Previous frame", "next-frame:-1"),
+        ("P", "Previous frame", "next-frame:-1"),
+    ),
     "History": (
         ("Ctrl+Z", "Undo", "take-back"),
         ("Ctrl+Y", "Redo", "bring-back"),
@@ -113,7 +122,7 @@ LABEL_KEYS: Mapping[str, Rows] = {
 }
 """What keys mean while labels are shown; all others mean the same as ever."""
 
-KEYS_OF_ONE = "Of one object, or a sentence: Y accepts, Shift+Y rejects, Shift+U is unsure"
+KEYS_OF_ONE = "Of one object, or a sentence: Y accepts, N rejects, Shift+U is unsure"
 
 LAYER_KEYS: Rows = (
     ("Shift+B", "Boxes of both detectors, of the own, of the second", "layer:next"),

@@ -22,6 +22,7 @@ from spatialviz.app.context import Context, command
 from spatialviz.app.edit_messages import box_with, number_of
 from spatialviz.app.edit_panel import STATUS_WORDS, numbers_said, object_html, rejected_html, saved_html
 from spatialviz.app.edit_scene import BoxGizmo
+from spatialviz.app.label_item import digits_row
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import h, panel
 from spatialviz.app.review_html import pair_html
@@ -91,6 +92,18 @@ class LabelObject(LabelPart):
             self.ctx.page.call("offer", {"offers": offers, "note": said})
         elif self._edit(lambda f, n, c: set_class(f, n, name)):
             self._words[self.state.source] = words.with_names([name])
+
+    @command("digit")
+    def choose_class(self, digit: int) -> None:
+        """Name the object by a digit, from 1, of the classes that are most frequent."""
+        names = self.digits
+        if self.number is not None and 1 <= digit <= len(names):
+            self.name_class(names[digit - 1])
+
+    @property
+    def digits(self) -> list[str]:
+        """The classes that digits choose."""
+        return [c.name for c in completions("", self._vocabulary(), 9)]
 
     # ---- status -----------------------------------------------------------------------
 
@@ -195,6 +208,9 @@ class LabelObject(LabelPart):
             if view.moved is not None and view.moved.card is not None:
                 page.show("review-pair", pair_html(replace(state, labels=replace(view, card=view.moved.card))))
             return
+        named = number is not None and (view.item is None or view.item.kind == "object")
+        label = view.frame.objects[number]["label"] if named and number is not None else ""
+        page.show("digits", panel(digits_row(self.digits, label)) if named else None)
         shown = panel(h.div(SELECT, cls="dim"))
         if number is not None and state.selected is not None:
             color = palette(state.dark)[state.roles.get(state.selected, "other")]

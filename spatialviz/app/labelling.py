@@ -23,7 +23,9 @@ from spatialviz.app.pixels import Pixels
 from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.review_queue import ReviewQueue
+from spatialviz.app.right_pair import RightPair
 from spatialviz.app.sentences import Conflicts, Sentences
+from spatialviz.app.side_panel import SidePanel
 
 
 class Labelling(LabelPart):
@@ -40,10 +42,8 @@ class Labelling(LabelPart):
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
         self.pixels, self.object = Pixels(ctx), LabelObject(ctx)
-        self._queue, self._retrain = ReviewQueue(ctx), RetrainPanel(ctx)
-        self.parts = (
-            self, self.pixels, self.object, self._queue, self._retrain, Sentences(ctx), Conflicts(ctx),
-        )  # fmt: skip
+        self._following = ReviewQueue(ctx), RetrainPanel(ctx), self.pixels, SidePanel(ctx), RightPair(ctx)
+        self.parts = self, self.object, *self._following, Sentences(ctx), Conflicts(ctx)
         if ctx.shared.journals:
             threading.Thread(target=_watch, args=(ctx, self), daemon=True, name="labels-watch").start()
 
@@ -92,7 +92,7 @@ class Labelling(LabelPart):
             head = review_head_html(state, state.source in journals, self.ctx.editors.opened(state.source))
             self.ctx.page.show("review-head", head)
             self.ctx.page.show("review-pair", pair_html(state))
-        for part in (self._queue, self._retrain, self.pixels):
+        for part in self._following:
             part.follow()
 
     def refresh(self) -> None:

@@ -19,13 +19,15 @@ from pipeline.corrections.draft import (
 )
 from pipeline.corrections.drawing.depth_region import TOLERANCE
 from pipeline.corrections.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
-from pipeline.corrections.journal.edits import merge_objects
+from pipeline.corrections.journal.edits import merge_objects, set_class
 from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
+from pipeline.corrections.vocabulary import vocabulary_of
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError, as_input_error, needed, require
 from spatialviz.app.context import Context, command
 from spatialviz.app.frames import jpeg_url
+from spatialviz.app.label_item import UNNAMED
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.pixels_html import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlines, told_of
@@ -51,6 +53,8 @@ class Pixels(LabelPart):
         self._seen = 0
         self._said, self._bad, self._label = "", False, ""
         self._saving = False
+        self._outlined: int | None = None
+        """A new object that is saved already, stroke by stroke, and has no name yet."""
         self._disputed: tuple[tuple[str, str], Conflict] | None = None
         ctx.editors.on_saved.append(self._decided)
 
@@ -81,14 +85,15 @@ class Pixels(LabelPart):
 
     @command("px-new")
     def new(self, where: str) -> None:
-        """Begin a new object: drawn, by clicks in the scene ("scene"), or in a rectangle of the picture (fractions)."""
+        """Begin a new object: with a tool, by clicks in the scene ("scene"), or in a rectangle of the picture."""
         view = self.view
         if self._unapplied(self._drafts.get(self._key)):
             return
-        self._tool, self._view = ("depth", "scene") if where == "scene" else ("rectangle", "picture")
+        self._tool = {"scene": "depth", "depth": "depth", "brush": "brush"}.get(where, "rectangle")
+        self._view, self._outlined = "scene" if where == "scene" else "picture", None
         self._tell()
         self._begin(view, None)
-        if where not in ("", "scene"):
+        if "," in where:
             self._changed(lambda d, c: with_gesture(d, _rectangle(where.split(","), d), c))
         self.follow()
 
@@ -168,9 +173,30 @@ class Pixels(LabelPart):
             try:
                 self._drafts[self._key] = change(draft, self._canvas_now())
                 self._tell()
+                self._keep()
             except InputError as error:
                 self._tell(str(error), True)
             self.follow()
+
+    @property
+    def _fresh(self) -> bool:
+        """Whether the object that is drawn is new, and has no name yet."""
+        return self._draft is not None and self._draft.number in (None, self._outlined)
+
+    def _keep(self) -> None:
+        """Save a stroke of a new object at once: it has a name later."""
+        draft = self._draft
+        if draft is None or not self._fresh or not draft.changed or not draft.mask.any():
+            return
+        made, self._saving = edits_of_draft(draft, self.view.frame, UNNAMED), True
+        try:
+            self.save(lambda _: made, draw=False)
+        finally:
+            self._saving = False
+        self._outlined = made[0].ref.numbers[0]
+        self.state = replace(self.state, selected=self.view.place(self._outlined))
+        self._begin(self.view, self._outlined)
+        self.ctx.draw()
 
     def _canvas_now(self) -> Canvas:
         if self._canvas is None or self._canvas[0] != self._key:
@@ -205,7 +231,11 @@ class Pixels(LabelPart):
             stay, label = bool(message["stay"]), str(message["label"])
         outcome, number, self._label, self._saving = None, -1, label, True
         try:
-            made = edits_of_draft(draft, view.frame, label)
+            if draft.number is not None and draft.number == self._outlined:
+                require(label.strip(), "what is it called?")
+                made = set_class(view.frame, draft.number, label.strip())
+            else:
+                made = edits_of_draft(draft, view.frame, label)
             number = made[0].ref.numbers[0]
             if not stay:
                 # Closed at once: drawing the whole page takes longer than saving.
@@ -225,8 +255,9 @@ class Pixels(LabelPart):
         self._label, self._disputed, self._open = "", None, None
         self._drafts.pop(self._key, None)
         self.state = replace(self.state, selected=self.view.place(number))
+        new, self._outlined = draft.number in (None, self._outlined), None
         if stay:
-            self._begin(self.view, None if draft.number is None else number)
+            self._begin(self.view, None if new else number)
         self.ctx.draw()
 
     def _decided(self, events: tuple[Event, ...]) -> None:
@@ -277,9 +308,15 @@ class Pixels(LabelPart):
             self._open = None
         draft = self._draft
         if draft is not None and view is not None and draft.number not in (None, *view.frame.objects):
-            self.ctx.note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
             self._drafts.pop(self._key)
-            self._open = draft = None
+            self._open = None if draft.number != self._outlined else self._key
+            if self._open is None:
+                self.ctx.note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
+            else:
+                # Its first stroke was taken back.
+                self._outlined = None
+                self._begin(view, None)
+            draft = self._draft
         if draft is None or view is None or state.loaded is None:
             self.ctx.client.clear(DRAFT)
             self.ctx.page.call("pixels", {"on": False})
@@ -303,12 +340,12 @@ class Pixels(LabelPart):
             self.ctx.client.clear(DRAFT)
             picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
             self.ctx.page.call("pixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
-        fresh = draft.number is None
-        row = None if draft.number is None else view.frame.objects[draft.number]
+        fresh, known = self._fresh, draft.number is not None
+        row = None if draft.number is None or fresh else view.frame.objects[draft.number]
         data: dict[str, Any] = {
             "on": True,
             "near": around(draft),
-            "key": f"{draft.frame}:{draft.number}:{draft.version}",
+            "key": f"{draft.frame}:new" if fresh else f"{draft.frame}:{draft.number}:{draft.version}",
             "view": self._view,
             "tool": self._tool,
             "w": draft.width,
@@ -317,13 +354,14 @@ class Pixels(LabelPart):
             "fresh": fresh,
             "label": self._label,
             "cuttable": not fresh,
-            "names": list(view.frame.setting.class_names) if fresh else None,
+            "names": vocabulary_of(self.editor.labels, self.ctx.source.dataset).names if fresh else None,
             "color": hex_color(PART_COLORS[0]),
             "mask": mask_url(parts),
             "others": list(outlines(state.shown.objects, state.shown.names, draft.number)),
             "edges": [] if box is None else (box_edges_2d(box, frame.camera) + 0.5).reshape(-1, 4).round(1).tolist(),
-            "steps": draft.at if draft.changed else 0,
-            "back": draft.at > 0,
+            "steps": draft.at if draft.changed else int(fresh and known),
+            "kept": fresh and known,
+            "back": draft.at > 0 or (fresh and known),
             "forth": draft.at < len(draft.steps) - 1,
             "parts": len(parts),
             "seen": self._seen,

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 from urllib.parse import parse_qs, urlencode
 
 import numpy as np
 
 from pipeline.diagnosis.whatif.state import CameraView
 
+CameraMode = Literal["pair", "sensor", "orbit", "top"]
+"""Places from which the scene may be looked at."""
 Task = Literal["explain", "evaluate", "label"]
 """What the page is for: to explain an answer, to evaluate a run, or to label."""
 STAGES = ("PARSE", "OPM", "LIFT", "SRM", "ATTRIBUTE", "PRM", "LABEL", "-")
@@ -33,6 +35,10 @@ class Place:
         What the run is searched for.
     item : tuple of int or None
         Numbers of the labelled pair that is looked at.
+    pair : int or None
+        The place of the pair that is looked at among the ranked ones, from 1; None for the best.
+    look : CameraMode or None
+        From where, where that is not the pair.
     camera : tuple of CameraView and float, or None
         Where the view was turned to, in the frame's camera frame (metres), and its field of view (radians).
     """
@@ -45,6 +51,8 @@ class Place:
     find: str | None = None
     item: tuple[int, int] | None = None
     camera: tuple[CameraView, float | None] | None = None
+    pair: int | None = None
+    look: CameraMode | None = None
 
     @classmethod
     def read(cls, query: str, sources: Collection[str]) -> Place:
@@ -59,11 +67,13 @@ class Place:
         if source is not None and source not in sources:
             return cls()
         task = next((t for t in get_args(Task) if t == fields.get("mode")), None)
-        stage = fields.get("stage")
+        stage, pair = fields.get("stage"), fields.get("pair", "")
+        look = next((m for m in get_args(CameraMode) if m == fields.get("look")), None)
         item = [int(n) for n in fields.get("item", "").split(",") if n.isdecimal()]
         return cls(
             source, fields.get("frame"), fields.get("ask"), task, stage if stage in STAGES else None,
             fields.get("find"), (item[0], item[1]) if len(item) == 2 else None, _camera(fields.get("camera", "")),
+            int(pair) if pair.isdecimal() and len(pair) < 6 else None, look,
         )  # fmt: skip
 
     def query(self) -> str:
@@ -76,15 +86,14 @@ class Place:
             camera = ",".join(f"{n:.3f}".rstrip("0").rstrip(".") for n in numbers)
         said = {
             "data": self.source, "frame": self.frame, "ask": self.text, "mode": self.task, "stage": self.stage or None,
-            "find": self.find or None, "item": item, "camera": camera,
+            "find": self.find or None, "item": item, "camera": camera, "pair": self.pair, "look": self.look,
         }  # fmt: skip
         return urlencode({key: value for key, value in said.items() if value is not None}, safe="/,:")
 
     def same_view(self, other: Place) -> bool:
         """Whether Back need not tell two places apart: one frame, question and task."""
-        return replace(self, stage=None, find=None, item=None, camera=None) == replace(
-            other, stage=None, find=None, item=None, camera=None
-        )
+        any_other: dict[str, Any] = dict.fromkeys(("stage", "find", "item", "camera", "pair", "look"))
+        return replace(self, **any_other) == replace(other, **any_other)
 
 
 def _camera(text: str) -> tuple[CameraView, float | None] | None:

@@ -56,7 +56,9 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
     said = note(view.said, BAD if view.bad else GOOD) if view and view.said and not (waiting and view.bad) else None
     kept = f"{counted(len(waiting), 'action')} not saved yet, kept here and tried again every few seconds: "
     decide = "Somebody was faster than you: nothing of yours is saved until you decide."
+    title = h.h2("Labelling", h.span("every action is saved at once", cls="dim"), cls="mode-title")
     return panel(
+        None if view is None else title,
         h.div(show, None if desk is None else _reviewer(desk.author), cls="nav"),
         said,
         (note(kept + waiting[-1].problem, BAD), button("try again", "save-again", cls="go")) if waiting else None,
@@ -168,32 +170,16 @@ class Asked:
     named: str = ""
 
 
-def item_html(work: Worklist, names: Names, item: ItemKey) -> Element:
-    """The item that is looked at: what the label says, how probably it is wrong, and every reason; and the progress."""
-    row, counts = work.row(item), work.counts
-    network = "" if row["probability"] is None else f" · networks: {row['probability']:.2f} that it holds"
-    ways = "T U F settle it, Y accepts" if item.kind == "relation" else "Y accepts, Shift+Y rejects"
-    return h.div(
-        h.div(
-            h.b(said(row, names)),
-            h.span(f"{row['score']:.0%}", cls="p", title="how probably the label is wrong"),
-            button("×", "leave-item", "leave the item: the keys act on what is selected again", aria_label="leave"),
-            cls="big",
-        ),
-        h.div((h.div(reason) for reason in row["reasons"]), cls="why"),
-        h.div(
-            h.span(f"{ways}, Shift+U unsure{network}"),
-            h.span(f"{counts['settled']:,} of {counts['items']:,}", title=_settled(counts)),
-            cls="ways dim",
-        ),
-        cls="item",
-    )
-
-
 def queue_html(
-    work: Worklist | None, making: QueueProgress, asked: Asked, kind: str, item: ItemKey | None, names: Names
+    work: Worklist | None,
+    making: QueueProgress,
+    asked: Asked,
+    kind: str,
+    item: ItemKey | None,
+    names: Names,
+    bulk: Element | None = None,
 ) -> Element:
-    """What the queue is made of, how far that is, and the list from the current item on."""
+    """What the queue is made of, how far that is, what filters it, and the list from the current item on."""
     again = "make again" if work is not None else "make"
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
     make = button(again, "make-queue", "ranks the labels by what is switched on here")
@@ -209,6 +195,7 @@ def queue_html(
         _known(making.made),
         h.div(_settled(counts), tally, id="queue-settled", cls="dim"),
         segments("queue-kind", KINDS, kind, "Items of one kind"),
+        bulk,
         h.div(rows or "nothing of this kind", id="queue-rows", cls="queue"),
     )
 

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from functools import cached_property
 
+import numpy as np
+
 from pipeline.answering.opening import Pipeline
-from pipeline.corrections.journal.edits import (
-    Edits,
-    judge_both_ways,
-    judge_missing,
-    judge_relation,
-    set_relation,
-    set_status,
-    settle,
-)
+from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, set_status, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
+from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.review.bulk import MOST, Pace, accept_all, found_items, pace_of, say_of_item
 from pipeline.corrections.review.detector_evidence import second_setup
 from pipeline.corrections.review.items import BLOCK, ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
@@ -26,15 +23,28 @@ from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, refres
 from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_card
 from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError, needed, require
+from pipeline.system.errors import InputError, needed
 from spatialviz.app.context import Context, command
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.keys import KEYS_OF_ONE
+from spatialviz.app.label_item import (
+    Upcoming,
+    begin_card,
+    bulk_html,
+    idle_card,
+    item_card,
+    pace_html,
+    plain_reason,
+    upcoming_html,
+)
 from spatialviz.app.label_part import NO_LABELS, LabelPart
 from spatialviz.app.label_view import Target
-from spatialviz.app.markup import h, panel
-from spatialviz.app.review_html import KINDS, Asked, doubt_html, item_html, queue_html
+from spatialviz.app.markup import Element, h, panel
+from spatialviz.app.review_html import KINDS, Asked, doubt_html, queue_html, said
 
+SHOWN_NEXT = 5
+NEWEST = 3000
+"""Of a person's events so many are looked at for the pace of the day."""
 LETTERS = {"T": T, "U": U, "F": F}
 DOUBT_TITLE = "Against geometry"
 
@@ -85,7 +95,8 @@ class ReviewQueue(LabelPart):
             name: SourceQueue(ctx.shared.store.sources[name], location)
             for name, location in ctx.shared.journals.items()
         }
-        self._kind = "all"
+        self._kind, self._find = "all", ""
+        self._pace: tuple[int, list[Event]] = 0, []
         self._ahead: tuple[str, str] | None = None
         self._doubted: tuple[str, str] | None = None
         ctx.editors.on_saved.append(lambda _: self._caught_up())
@@ -188,7 +199,31 @@ class ReviewQueue(LabelPart):
             self.open(found)
 
     def _next(self, work: Worklist, after: ItemKey | None) -> ItemKey | None:
-        return work.next_item(after, kind=None if self._kind == "all" else self._kind)
+        if not self._find:
+            return work.next_item(after, kind=None if self._kind == "all" else self._kind)
+        places, at = self._found(work), -1 if after is None else work.indices.get(after.plain, -1)
+        return None if not places else work.keys[next((k for k in places if k > at), places[0])]
+
+    def _found(self, work: Worklist) -> list[int]:
+        """The places of what the filter finds of the open items."""
+        names, kind = self._queue.names, None if self._kind == "all" else self._kind
+        return found_items(work, lambda row: said(row, names), kind, self._find)
+
+    @command("queue-find")
+    def narrow(self, text: str) -> None:
+        """Walk only through items that hold each word of a text."""
+        self._find = text.strip()
+        self.follow()
+
+    @command("accept-found")
+    def accept_found(self) -> None:
+        """Accept all that the filter finds, as one step."""
+        work = self._caught_up()
+        places = [] if work is None or not self._find else self._found(work)
+        if work is None or not places:
+            return
+        self.save(lambda _: accept_all([work.keys[k] for k in places[:MOST]], self.editor.frame, self.editor.author))
+        self.ctx.page.toast("Accepted", f"{counted(min(len(places), MOST), 'item')}: one undo takes all of them back")
 
     @command("item")
     def open_row(self, place: int) -> None:
@@ -321,13 +356,9 @@ class ReviewQueue(LabelPart):
             return
 
         def made(frame: EffectiveFrame) -> Edits:
-            if item is not None and item.kind == "object" and item.a < 0:
-                return judge_missing(frame, item.what, status, author)
-            cell = object_ref(frame.frame, number or 0, "status") if item is None else status_cell(item)
-            if cell.kind != "relation":
-                return set_status(frame, cell, status, author=author)
-            require(status != "rejected", "a relation is not rejected", expected="T, U or F")
-            return judge_both_ways(frame, cell, status, author)
+            if item is not None:
+                return say_of_item(frame, item, status, author)
+            return set_status(frame, object_ref(frame.frame, number or 0, "status"), status, author=author)
 
         self.save(made, draw=False)
         if item is None or not self._go_on(item):
@@ -357,20 +388,61 @@ class ReviewQueue(LabelPart):
                 self.make()
                 self._take(queue)
             queue.names.update({(view.frame.frame, n): row["label"] for n, row in view.frame.objects.items()})
-        work, shown = queue.work, None
-        if work is not None and item is not None and item.plain in work.indices and not work.is_gone(item):
-            shown = panel(item_html(work, queue.names, item))
+        work = queue.work
         if work is not None and self.ctx.reviewed is not work.frame_counts:
             self.ctx.reviewed = work.frame_counts
             self.ctx.post(lambda: self.ctx.handle("strip"))
-        page.show("review-item", shown)
-        page.show("review-list", queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names))
+        page.show("review-item", None if view is None else self._card(queue, item))
+        bulk = None if work is None else bulk_html(self._find, len(self._found(work)), len(work))
+        rows = queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names, bulk)
+        page.show("review-list", rows)
 
+    def _card(self, queue: SourceQueue, item: ItemKey | None) -> Element:
+        """The item with its answers, the pace, and what comes next."""
+        work, view = queue.work, self.view
+        known = work is not None and item is not None and item.plain in work.indices and not work.is_gone(item)
+        row = work.row(item) if work is not None and item is not None and known else None
+        card = item_card(view, item if known else None, row, self.number)
+        if card is None:
+            card = begin_card(view, self.editor) if not view.frame.objects else idle_card(work is not None)
+        counts = {} if work is None else work.counts
+        pace = pace_html(self._paced(), counts.get("settled", 0), counts.get("items", 0))
+        return h.div(panel(card), panel(pace), upcoming_html(self._upcoming(queue, item)))
 
-def status_cell(item: ItemKey) -> FieldRef:
-    """The status of an item."""
-    if item.kind == "relation":
-        return FieldRef("relation", item.frame, f"{item.a},{item.b}", f"{item.what}.status")
-    if item.kind == "object":
-        return object_ref(item.frame, item.a, "status")
-    return FieldRef("expression", item.frame, item.what, "status")
+    def _upcoming(self, queue: SourceQueue, item: ItemKey | None) -> list[Upcoming]:
+        work, found, after = queue.work, list[Upcoming](), item
+        for _ in range(SHOWN_NEXT if work is not None else 0):
+            assert work is not None
+            after = self._next(work, after)
+            place = None if after is None else work.indices[after.plain]
+            if after is None or place is None or after == item or any(u.place == place for u in found):
+                break
+            row = work.row(after)
+            shot = self._shot(queue, after) if after.a >= 0 else ""
+            reason = plain_reason(row["reasons"][0]) if row["reasons"] else ""
+            found.append(Upcoming(place, said(row, queue.names), reason, after.frame, shot))
+        return found
+
+    def _shot(self, queue: SourceQueue, key: ItemKey) -> str:
+        """A small picture of an item's object, where its frame is loaded."""
+        loaded = self.ctx.shared.store.kept(self.state.source, key.frame)
+        with suppress(InputError):
+            row = None if loaded is None else self.editor.corrector.index.rows(key.frame).objects.get(key.a)
+            if loaded is not None and row is not None:
+                return loaded.thumb(np.array(row["bbox"], np.float32))
+        return ""
+
+    def _paced(self) -> Pace | None:
+        """How fast this person worked today; None while the journal is away."""
+        author = self.editor.author
+        with suppress(InputError):
+            journal, (last, events) = self.location.to_read(), self._pace
+            if journal is None:
+                return None
+            fresh = journal.events(author=author, after=last, last=None if last else NEWEST)
+            if events and events[0].author != author:
+                fresh, events = journal.events(author=author, last=NEWEST), []
+            events = [*events, *fresh]
+            self._pace = (events[-1].id if events else 0), events
+            return pace_of(events, author, datetime.now().astimezone())
+        return None

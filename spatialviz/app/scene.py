@@ -232,7 +232,7 @@ def edges(boxes: Sequence[Box3D], growth: float = 0.0) -> np.ndarray:
 
 SAMPLE, FLIGHT = 20_000, 12
 """Points of a cloud that say where it lies; steps in which the camera moves smoothly."""
-AROUND, NEAREST = 1.12, 0.9
+AROUND, NEAREST = 1.12, 0.55
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
 
 

@@ -17,8 +17,9 @@ from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.frames import LoadedFrame, ToldUp
 from spatialviz.app.label_view import paired
 from spatialviz.app.picture import smallest_at
+from spatialviz.app.place import CameraMode
 from spatialviz.app.scene import FLIGHT
-from spatialviz.app.state import CameraMode, ColorMode, Tool
+from spatialviz.app.state import ColorMode, Tool
 from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 
 

@@ -67,7 +67,7 @@ class Sentences(LabelPart):
             view, case = self.view, judged.case
             target, reference = (int(judged.truth.numbers[k]) for k in (case.target_object, case.reference_object))
             pair = None if target == reference else view.places(target, reference)
-            name = case.id if case.id in view.frame.auto.expressions else None
+            name = case.id if case.id in view.frame.sentences else None
             view = replace(view, expression=name, relation=case.relation)
             self.state = replace(self.state, labels=view, pair=pair, selected=view.place(target))
         self.ctx.draw()

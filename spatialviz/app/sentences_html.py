@@ -145,7 +145,7 @@ def expressions_html(state: State, view: LabelView) -> Element | None:
     own = [card for card in view.expressions if view.about and card.is_of(view.about)]
     out = [card for card in view.expressions if card.withdrawn and card not in own]
     # All stay where they are, hidden while they stand above or below: another pair, and an edit, send few rows.
-    at = {name: k for k, name in enumerate(view.frame.auto.expressions)}
+    at = {name: k for k, name in enumerate(view.frame.sentences)}
     rows = sorted(view.expressions, key=lambda card: at[card.id])[:SHOWN]
     others = h.div("others of the frame", cls="dim others", hidden=not 0 < len(own) < len(view.expressions))
     return panel(

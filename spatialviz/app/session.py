@@ -15,6 +15,7 @@ from pipeline.datasets.base import dataset_notes
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
+from pipeline.language.unreadable import why_unread
 from pipeline.system.errors import InputError, UnknownClass
 from spatialviz.app import (
     beside,
@@ -207,6 +208,7 @@ class Session(Context):
         if restoring:
             self._runs.follow()
             self._runs.search(place.find)
+            self.state = replace(self.state, camera=place.look or "pair")
         here = self.state
         labelling = restoring and place.task == "label" and here.correctable
         if labelling:
@@ -221,7 +223,10 @@ class Session(Context):
             self.open_frame(frame, first=True, asking=text)
         if restoring:
             self.state = replace(self.state, stage=place.stage or "")
+            self.handle(f"pair:{(place.pair or 1) - 1}")
             self.draw()
+            if same and self.state.loaded is not None:
+                self.scene.viewpoint.place(self.state.camera)
         if place.camera is not None:
             self.scene.viewpoint.turn_to(*place.camera)
 
@@ -352,7 +357,7 @@ class Session(Context):
             shown = shown_objects(loaded, None, self._exact)
             # Which names a frame has is said beside the field; the detector knows many more.
             said = error.what if isinstance(error, UnknownClass) else str(error)
-            self.state = replace(self.state, error=said, shown=shown, selected=None)
+            self.state = replace(self.state, error=said, unread=why_unread(error), shown=shown, selected=None)
             self.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)

@@ -20,13 +20,12 @@ from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.palette import Role
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.place import Place, Task
+from spatialviz.app.place import CameraMode, Place, Task
 from spatialviz.app.run_browser import Listing
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
 EditMode = Literal["off", "move", "turn", "resize"]
 Layers = Literal["both", "a", "b"]
-CameraMode = Literal["pair", "sensor", "orbit", "top"]
 Tool = Literal["", "level", "measure"]
 
 
@@ -131,6 +130,8 @@ class State:
     trace : Trace or None
     error : str
         Why the expression could not be asked.
+    unread : str
+        Of which kind that is, as the detail of the verdict PARSE says it.
     shown : Shown
     pair : tuple of int or None
         The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank.
@@ -177,6 +178,7 @@ class State:
     text: str = ""
     trace: Trace | None = None
     error: str = ""
+    unread: str = ""
     shown: Shown = NOTHING
     pair: tuple[int, ...] | None = None
     selected: int | None = None
@@ -217,8 +219,8 @@ class State:
     def unasked(self) -> State:
         """The same without any answer."""
         return replace(
-            self, trace=None, pair=None, selected=None, hovered=None, error="", judged=None, other=None, edited=None,
-            labels=None, second=None, stage="",
+            self, trace=None, pair=None, selected=None, hovered=None, error="", unread="", judged=None, other=None,
+            edited=None, labels=None, second=None, stage="",
         )  # fmt: skip
 
     @property
@@ -352,7 +354,11 @@ class State:
     @property
     def at_place(self) -> Place:
         """What a reload brings back; while labels are shown no question is."""
-        place = Place(self.source, self.frame_id, self.text, self.task, self.stage)
+        look = None if self.camera == "pair" else self.camera
+        pair = next((n for n, p in enumerate(self.ranked, 1) if self.at(p) == self.pair), 1)
+        place = Place(
+            self.source, self.frame_id, self.text, self.task, self.stage, pair=None if pair == 1 else pair, look=look
+        )
         if self.labels is None:
             return place
         card = self.labels.card

@@ -23,6 +23,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
 from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, Kind, box_of, judged_item
 from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.side_views import drag_box
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, require
 
@@ -202,6 +203,7 @@ KINDS: dict[str, tuple[type[Action], dict[str, Any], Callable[[Any, EffectiveFra
     "bbox": (OfObject, {"to": list[float]}, lambda a, frame, *_: actions.set_bbox(frame, a.object, a.to, a.reason)),
     "box": (OfObject, {"to": dict[str, list[float]] | None}, lambda a, frame, *_: actions.set_box(
         frame, a.object, None if a.to is None else box_of(a.to), a.reason)),
+    "drag": (OfObject, {"moves": list[list[Any]]}, lambda a, frame, *_: drag_box(frame, a.object, a.moves, a.reason)),
     "status": (OfItem, {"to": str | None}, lambda a, frame, *_: actions.set_status(frame, a.ref, a.to, a.reason)),
     "judge": (OfItem, {"to": str | None}, _judge),
     "settle": (OfItem, {"to": str}, _settle),
@@ -211,6 +213,8 @@ KINDS: dict[str, tuple[type[Action], dict[str, Any], Callable[[Any, EffectiveFra
         frame, a.object, a.masks, a.reason)),
     "relation": (Action, {"a": int, "b": int, "relation": str, "to": Literal["T", "U", "F"]}, lambda a, frame, *_:
         actions.set_relation(frame, a.a, a.b, a.relation, _STATES[a.to], a.reason)),
+    "true": (Action, {"text": str, "target": str, "relation": str, "reference": str, "a": int, "b": int}, lambda a,
+        frame, *_: actions.add_sentence(frame, a.text, (a.target, a.relation, a.reference), a.a, a.b, a.reason)),
     "text": (Action, {"expression": str, "to": str}, lambda a, frame, *_: actions.set_text(
         frame, a.expression, a.to, a.reason)),
     "answers": (Action, {"expression": str, "targets": list[int], "acceptable": (list[int] | None, None)},

@@ -27,7 +27,11 @@ from pipeline.corrections.journal.field_refs import (
 from pipeline.corrections.journal.replay import judgement_ref
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import decode_run_length, encode_run_length
+from pipeline.labels.labelling import row_hash
+from pipeline.language.noun_phrase import same_names
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.annotations import box_mask
+from pipeline.relations.pair_measures import NOT_JUDGED, T, U
 from pipeline.system.errors import InputError, needed, require
 
 Edits = tuple[Edit, ...]
@@ -240,6 +244,54 @@ def _judgement(
     return _edit(frame, own, None if status is None else {"status": status, "value": state}, reason)
 
 
+def add_sentence(
+    frame: EffectiveFrame,
+    text: str,
+    words: tuple[str, str, str],
+    a: int,
+    b: int,
+    reason: str = "",
+) -> Edits:
+    """An expression that is true: "a RELATION b" as a person says it, with what else the labels say it is true of.
+
+    Where the labels hold of the pair that it is not so, or not clearly, they are corrected with it.
+
+    Parameters
+    ----------
+    text : str
+    words : (str, str, str)
+        Target, relation and reference, as the text names them.
+    a, b : int
+        The objects that are meant.
+
+    Raises
+    ------
+    InputError
+        No such pair or relation, or the expression says that already.
+    """
+    target, relation, reference = words
+    now = frame.value(relation_ref(frame.frame, a, b, relation))
+    made = () if now == T else set_relation(frame, a, b, relation, T, reason or f"“{text}” is true")
+    pairs, k = frame.pairs, PAIRWISE.index(relation)
+    same = same_names([frame.objects[int(n)]["label"] for n in pairs.numbers])
+    i, j = needed(pairs.index_of(a), "no such pair"), needed(pairs.index_of(b), "no such pair")
+    states = np.where(pairs.present, pairs.states[..., k], NOT_JUDGED)[:, same[j]]
+    sure, likely = ([a, *pairs.numbers[same[i] & (states >= least).any(axis=1)].tolist()] for least in (T, U))
+    seed = {
+        "text": text, "target": target, "relation": relation, "reference": reference, "target_object": a,
+        "reference_object": b, "targets": sure, "acceptable": likely,
+    }  # fmt: skip
+    spoken = " ".join(text.casefold().split())
+    name = f"{row_hash(frame.setting.config.seed, frame.frame, 'by hand', spoken):016x}"
+    ref = FieldRef("expression", frame.frame, name, "exists")
+    known = [r["id"] for r in frame.expressions.values() if " ".join(r["text"].casefold().split()) == spoken]
+    if known and known[0] != ref.key:
+        row = frame.expressions[known[0]]
+        return (*made, *set_answers(frame, known[0], {*row["targets"], a}, {*row["acceptable"], a}, reason))
+    require(frame.value(ref) != checked(ref, seed) or made, "the labels say so already", got=text)
+    return (*made, _edit(frame, ref, seed, reason))
+
+
 def set_text(frame: EffectiveFrame, expression: str, text: str, reason: str = "") -> Edits:
     """Another sentence for the same question."""
     return (_expression_edit(frame, expression, "text", text, reason),)
@@ -316,7 +368,7 @@ def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
     if ref.kind == "object" and ref.field != "exists":
         _row(frame, ref.numbers[0])
     require(
-        ref.kind != "expression" or ref.key in frame.auto.expressions,
+        ref.kind != "expression" or ref.field == "exists" or ref.key in frame.sentences,
         f"frame {frame.frame} has no such expression",
         got=repr(ref.key),
     )

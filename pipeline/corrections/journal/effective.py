@@ -16,6 +16,7 @@ import numpy as np
 import xxhash
 
 from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside, prepare_frame
+from pipeline.corrections.journal.effective_expressions import correct_expressions
 from pipeline.corrections.journal.effective_frame import (
     BOX_COLUMNS,
     EffectiveFrame,
@@ -27,13 +28,7 @@ from pipeline.corrections.journal.effective_frame import (
     Withdrawn,
     setting_of,
 )
-from pipeline.corrections.journal.effective_objects import (
-    DERIVED,
-    OF_BOX,
-    correct_expressions,
-    correct_objects,
-    correct_pairs,
-)
+from pipeline.corrections.journal.effective_objects import DERIVED, OF_BOX, correct_objects, correct_pairs
 from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item
 from pipeline.corrections.journal.journal import Journal
@@ -379,7 +374,7 @@ def effective_frame(
     for ref, members in refs.items():
         if ref.kind == "review":
             # A judgement is of labels, and never one itself: nothing follows from it.
-            after = replayed_judgement(ref, members, known, {*frame.objects, *frame.left_out}, auto.expressions)
+            after = replayed_judgement(ref, members, known, {*frame.objects, *frame.left_out}, frame.sentences)
         elif ref.kind == "frame":
             after = replay(None, members)
         else:

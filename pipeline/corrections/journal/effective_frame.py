@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -152,7 +152,8 @@ class EffectiveFrame:
         """What a cell says now; None where there is no such entity."""
         if ref.field not in FIELDS[ref.kind]:
             return None
-        if ref.kind in ("frame", "review") or ref.field.endswith("status"):
+        sentence = (ref.kind, ref.field) == ("expression", "exists")
+        if sentence or ref.kind in ("frame", "review") or ref.field.endswith("status"):
             return self.statuses.get(ref)
         if ref.kind == "object":
             row = self.object(ref.numbers[0])
@@ -178,6 +179,11 @@ class EffectiveFrame:
             or self.auto.expressions.get(name)
         )
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The ids of all expressions, also of those that people added and of those that were left out."""
+        return tuple(dict.fromkeys((*self.auto.expressions, *self.expressions, *(w.id for w in self.withdrawn))))
+
     def version(self, ref: FieldRef) -> int:
         """How many events a cell has: what an edit of it is based on."""
         return self.versions.get(ref, 0)
@@ -189,7 +195,11 @@ class EffectiveFrame:
 
     def tables(self) -> dict[str, pa.Table]:
         """The frame's rows in each of the four tables, in canonical order."""
-        chosen = {"frames": [self.row], "objects": self.objects.values(), "expressions": self.expressions.values()}
+        chosen: dict[str, Collection[Row]] = {"frames": [self.row], "objects": self.objects.values()}
+        chosen["expressions"] = sorted(
+            self.expressions.values(),
+            key=lambda r: (PAIRWISE.index(r["relation"]), r["target_object"], r["reference_object"]),
+        )
         found = {name: table_of_rows(name, rows) for name, rows in chosen.items()}
         return {**found, "relations": self.pairs.table(self.frame, self.auto.index, self.setting.relations)}
 

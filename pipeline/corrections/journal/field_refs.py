@@ -197,7 +197,7 @@ def shown_value(ref: FieldRef, value: Any) -> str:
         state = value.get("value")
         return value["status"] if state is None else f"{value['status']}: {letter(state)}"
     if ref.field == "exists":
-        return f"a new {value['label']}"
+        return f"a new {value['label']}" if ref.kind == "object" else f"“{value['text']}” is true"
     if ref.field == "box":
         middle, size = (" ".join(f"{x:.3f}" for x in value[n]) for n in ("center", "size"))
         # Seen from the camera: what is up is not known here.
@@ -281,6 +281,10 @@ def _numbers(value: Any) -> list[int]:
     return sorted({int(n) for n in value})
 
 
+def _number(value: Any) -> int:
+    return _numbers([value])[0]
+
+
 def _rectangle(value: Any) -> list[float]:
     with as_input_error("a 2D box must be four numbers", TypeError, ValueError, got=Shown(value)):
         box = [float(x) for x in value]
@@ -316,6 +320,22 @@ def _new_object(value: Any) -> dict[str, Any]:
     return found
 
 
+_SENTENCE = {
+    "text": _sentence, "target": _name, "relation": _one_of("relation", PAIRWISE), "reference": _name,
+    "target_object": _number, "reference_object": _number, "targets": _numbers, "acceptable": _numbers,
+}  # fmt: skip
+
+
+def _new_sentence(value: Any) -> dict[str, Any]:
+    require(
+        isinstance(value, dict) and value.keys() == _SENTENCE.keys(),
+        "a new expression has what labels say of one",
+        got=Shown(value),
+        expected=", ".join(_SENTENCE),
+    )
+    return {name: check(value[name]) for name, check in _SENTENCE.items()}
+
+
 FIELDS: dict[Kind, dict[str, Callable[[Any], Any]]] = {
     "object": {
         "label": _name, "status": _status, "mask": _mask, "bbox": _rectangle, "box": _box, "exists": _new_object,
@@ -323,7 +343,7 @@ FIELDS: dict[Kind, dict[str, Callable[[Any], Any]]] = {
     "relation": {**dict.fromkeys(PAIRWISE, _state), **{f"{r}.status": _status for r in PAIRWISE}},
     "expression": {
         "text": _sentence, "targets": _numbers, "acceptable": _numbers, "ambiguous": _flag, "mark": _mark,
-        "status": _status,
+        "status": _status, "exists": _new_sentence,
     },
     "frame": {"status": _status, "note": _sentence},
     "review": {"said": _judgement, "settled": _judgement},
@@ -332,7 +352,7 @@ FIELDS: dict[Kind, dict[str, Callable[[Any], Any]]] = {
 _NULLABLE: dict[Kind, frozenset[str]] = {
     "object": frozenset({"status", "mask", "box", "exists"}),
     "relation": frozenset({*PAIRWISE, *(f"{r}.status" for r in PAIRWISE)}),
-    "expression": frozenset({"mark", "status"}),
+    "expression": frozenset({"mark", "status", "exists"}),
     "frame": frozenset({"status", "note"}),
     "review": frozenset({"said", "settled"}),
 }

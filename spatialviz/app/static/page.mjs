@@ -5,6 +5,7 @@ import './fields.mjs';
 import './pixels.mjs';
 import './scale.mjs';
 import './shot.mjs';
+import './sides.mjs';
 import './strip.mjs';
 import './tags.mjs';
 

@@ -36,6 +36,8 @@ function gesture(made) {
   S.sent += 1;
   S.pending.push({k: S.sent, gesture: made});
   send(`px-draw:${S.sent}:${JSON.stringify(made)}`);
+  // What is outlined at once is named next.
+  if (S.data.fresh && made.do !== 'stroke') q('.cls').focus();
   redraw();
 }
 
@@ -203,7 +205,7 @@ function apply(stay) {
 }
 
 function cancel() {
-  const undone = S.data.steps;
+  const undone = S.data.kept ? 0 : S.data.steps;
   if (S.hand || S.corners.length) {
     Object.assign(S, {hand: null, corners: [], armed: false});
     redraw();

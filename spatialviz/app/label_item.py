@@ -1,0 +1,235 @@
+"""The item that is judged, as one card: what the label says and why it is asked, large buttons, and what comes next."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pipeline.corrections.journal.field_refs import object_ref, relation_ref
+from pipeline.corrections.label_editor import LabelEditor
+from pipeline.corrections.review.bulk import Pace
+from pipeline.corrections.review.items import ItemKey
+from pipeline.labels.by_hand import grows
+from pipeline.language.counted import counted
+from pipeline.language.relation_names import PHRASE
+from pipeline.relations.relations import F, T, U, letter
+from spatialviz.app.label_view import LabelView
+from spatialviz.app.markup import Child, Element, button, h, heading, panel
+
+RULE = re.compile(r"^[a-z]+/[a-z-]+: ")
+UNNAMED = "unnamed"
+"""The class of what is outlined and has no name yet."""
+SAYS = {T: "true", U: "undecided", F: "false"}
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Upcoming:
+    """An item that comes next.
+
+    Attributes
+    ----------
+    place : int
+        In the queue.
+    text, reason, frame : str
+    shot : str
+        Where the page finds a small picture of it; "" while its frame is not loaded.
+    """
+
+    place: int
+    text: str
+    reason: str
+    frame: str
+    shot: str
+
+
+def plain_reason(reason: str) -> str:
+    """A reason without the name of the rule that gave it."""
+    return RULE.sub("", reason)
+
+
+def idle_card(queued: bool) -> Element:
+    """What to do while no item is open and nothing is selected."""
+    start = answer("Begin", "J", "next-item:1", "open the first item of the queue", "yes")
+    return h.div(
+        h.div("One label after the other" if queued else "The queue is being made", cls="claim"),
+        h.div("Each is asked with its reason; one key settles it and opens the next.", cls="dim"),
+        h.div(start, cls="answers") if queued else None,
+        cls="task-item",
+    )
+
+
+def answer(name: str, key: str, do: str, hint: str, cls: str = "", **more: object) -> Element:
+    """A large button with its key."""
+    keys = h.span(h.kbd(part) for part in key.split("+"))
+    return h.button(h.span(name), keys, cls=cls, do=do, title=f"{hint} ({key})", aria_keyshortcuts=key, **more)
+
+
+def small(name: str, key: str, do: str, hint: str) -> Element:
+    """A lesser one."""
+    return h.button(name, h.kbd(key), cls="try", do=do, title=hint, aria_keyshortcuts=key)
+
+
+def item_card(view: LabelView, item: ItemKey | None, row: Row | None, selected: int | None) -> Element | None:
+    """The item that is open, else the selected object; None without either."""
+    reasons = [] if row is None else list(row["reasons"])
+    if item is not None and item.kind == "relation" and item.b is not None:
+        return _relation(view, item, reasons)
+    if item is not None and item.kind == "expression":
+        text = (view.frame.expression(item.what) or {}).get("text", "")
+        return _card(view, "expression", f"“{text}”", "Is this sentence true of what is marked?", reasons)
+    if item is not None and item.a < 0:
+        label = "" if row is None else row["label"]
+        return _card(view, "object", f"No {label} is labelled here", "Is there none?", reasons)
+    if selected is None or (labelled := view.frame.objects.get(selected)) is None:
+        return None
+    name = labelled["label"]
+    if name == UNNAMED:
+        return _card(view, "object", "What is this?", "Type its name below, or press its digit.", reasons)
+    ask = "Are its name, its pixels and its box right?"
+    return _card(view, "object", f"{name}·{selected}", ask, reasons, _object_change(view, selected))
+
+
+def _relation(view: LabelView, item: ItemKey, reasons: Sequence[str]) -> Element:
+    assert item.b is not None
+    one, other = (f"{(view.frame.object(n) or {}).get('label', 'object')}·{n}" for n in (item.a, item.b))
+    state = view.frame.pairs.state(item.a, item.b, item.what)
+    claim = f"{one} {PHRASE[item.what]} {other}"
+    kinds = ((T, "It is so", "T"), (U, "Undecided", "U"), (F, "It is not so", "F"))
+    answers = h.div(
+        (answer(name, key, f"settle:{key}", f"label it {SAYS[s]}", aria_pressed=str(s == state).lower())
+         for s, name, key in kinds),
+        cls="answers",
+    )  # fmt: skip
+    labelled = "not labelled" if state is None else f"labelled {SAYS[state]}"
+    origin = view.frame.origin(relation_ref(view.frame.frame, item.a, item.b, item.what))
+    was = view.frame.auto.pairs.state(item.a, item.b, item.what)
+    change = None
+    if origin.source != "auto" and was != state:
+        change = "none" if was is None else letter(was), f"{'none' if state is None else letter(state)} ({origin})"
+    return _frame(view, claim, f"It is {labelled}. Is that right?", reasons, answers, "keep it as it is", change)
+
+
+def _object_change(view: LabelView, number: int) -> tuple[str, str] | None:
+    was, now = view.frame.auto.objects.get(number), view.frame.objects[number]
+    if was is None:
+        return None
+
+    def told(row: Row) -> str:
+        size = "no box" if row["size"] is None else " × ".join(f"{x:.2f}" for x in row["size"]) + " m"
+        return f"{row['label']}, {row['mask_pixels']:,} pixels, {size}"
+
+    before, after = told(was), told(now)
+    origin = view.frame.origin(object_ref(view.frame.frame, number, "box"))
+    return None if before == after else (before, after + (f" ({origin.author})" if origin.author else ""))
+
+
+def _card(
+    view: LabelView, kind: str, claim: str, ask: str, reasons: Sequence[str], change: tuple[str, str] | None = None
+) -> Element:
+    answers = h.div(
+        answer("Right", "Y", "accept-item", "accept it", "yes"),
+        answer("Wrong", "N", "reject-item", "leave it out" if kind == "object" else "it is not so", "no"),
+        answer("Unsure", "Shift+U", "unsure-item", "ask somebody else"),
+        cls="answers",
+    )
+    return _frame(view, claim, ask, reasons, answers, "", change)
+
+
+def _frame(
+    view: LabelView, claim: str, ask: str, reasons: Sequence[str], answers: Element, accept: str,
+    change: tuple[str, str] | None,
+) -> Element:  # fmt: skip
+    why = (
+        h.ul((h.li(plain_reason(reason)) for reason in reasons), cls="because", aria_label="why it is asked")
+        if reasons
+        else None
+    )
+    lesser = h.div(
+        small("Accept", "Y", "accept-item", accept) if accept else None,
+        small("Unsure", "⇧U", "unsure-item", "ask somebody else") if accept else None,
+        small("Undo", "^Z", "take-back", "take the last action back"),
+        small("Skip", "J", "next-item:1", "the next item"),
+        small("Zoom", "⇧F", "focus", "look at it in the scene"),
+        cls="lesser",
+    )
+    both = None if change is None else h.div(
+        h.div(h.b("as it was labelled"), change[0]), h.div(h.b("now"), change[1]), cls="beforeafter"
+    )  # fmt: skip
+    return h.div(h.div(claim, cls="claim"), h.div(ask, cls="dim"), why, answers, lesser, both, cls="task-item")
+
+
+def digits_row(names: Sequence[str], label: str) -> Element | None:
+    """Classes that digits choose."""
+    chips = (
+        h.button(h.kbd(str(k)), name, cls="try", do=f"digit:{k}", aria_pressed=str(name == label).lower(),
+                 title=f"it is a {name} ({k})")
+        for k, name in enumerate(names, 1)
+    )  # fmt: skip
+    return h.div(chips, cls="digits", role="group", aria_label="Class by its digit") if names else None
+
+
+def begin_card(view: LabelView, editor: LabelEditor) -> Element:
+    """What to do in a frame where nothing is labelled yet."""
+    where = f"Saved from the first stroke, in {editor.labels.root}" if grows(editor.labels) else None
+    tools = h.div(
+        answer("Rectangle", "R", "px-new", "drag a rectangle: the surface inside it"),
+        answer("Brush", "B", "px-new:brush", "paint it"),
+        answer("Depth", "D", "px-new:depth", "click it: the surface around the click"),
+        cls="answers",
+    )
+    return h.div(
+        h.div("Nothing is labelled in this frame", cls="claim"),
+        h.div("Outline a thing, then type its name: its 3D box and its relations follow.", cls="dim"),
+        tools,
+        None if where is None else h.div(where, cls="dim hint"),
+        cls="task-item begin",
+    )
+
+
+def pace_html(pace: Pace | None, settled: int, items: int) -> Element:
+    """How far, and how fast."""
+    share = settled / items if items else 0.0
+    parts: list[Child] = [h.span(h.b(f"{settled:,}"), f" of {items:,} settled")] if items else []
+    if pace is not None and pace.items:
+        parts.append(h.span(h.b(f"{pace.items:,}"), " today"))
+        if pace.per_hour is not None:
+            parts.append(h.span(h.b(f"{pace.per_hour:.0f}"), " an hour"))
+    bar = h.div(
+        h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
+        aria_label="settled of the queue",
+    )  # fmt: skip
+    return h.div(parts, bar if items else None, cls="pace", id="pace")
+
+
+def upcoming_html(items: Sequence[Upcoming]) -> Element | None:
+    """The items that come next, each with its picture and its reason."""
+    if not items:
+        return None
+    rows = (
+        h.button(
+            h.img(src=one.shot, alt="", cls="shot") if one.shot else h.i(cls="shot"),
+            h.span(one.text, h.small(one.reason or one.frame)),
+            do=f"item:{one.place}",
+            title=f"{one.text}\n{one.reason}\n{one.frame}",
+            id=f"next-{one.place}",
+        )
+        for one in items
+    )
+    return panel(heading("Next"), h.div(rows, cls="upcoming"))
+
+
+def bulk_html(find: str, found: int, all_items: int) -> Element:
+    """The filter of the queue, and acceptance of all that it finds."""
+    field = h.input(
+        cls="find", value=find, live="queue-find:", placeholder="filter: left, mug, 000002 …", spellcheck="false",
+        aria_label="Only items whose words or reasons hold this", id="queue-find",
+    )  # fmt: skip
+    accept = button(
+        f"Accept all {found:,}" if find or found < all_items else "Accept all …", "accept-found",
+        "as one step, which one undo takes back", disabled=not found or not find,
+    )  # fmt: skip
+    told = counted(found, "open item") if find else "Filter first: then all that is found can be accepted at once."
+    return h.div(field, accept, h.span(told, cls="dim"), cls="bulk", id="queue-bulk")

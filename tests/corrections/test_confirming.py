@@ -1,0 +1,72 @@
+"""This pair is right: objects, relation and sentence in one action, by which the answer is judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.answering.objects import all_objects
+from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.corrections.confirming import right_objects, right_pair
+from pipeline.corrections.journal.events import Saved
+from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.label_editor import LabelEditor
+from pipeline.corrections.scene import effective_truth
+from pipeline.datasets.demo import demo_path
+from pipeline.diagnosis.asking import judge_trace
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.labels.by_hand import begun_labels
+from pipeline.relations.relations import T
+from pipeline.system.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def source() -> Pipeline:
+    return open_pipeline(demo_path(), detector="simulated", srm="rule")
+
+
+def asked(source: Pipeline) -> tuple[str, str]:
+    """A frame and a plain question that has several ranked pairs."""
+    for name in source.dataset.frame_ids[:6]:
+        context = source.prepare(name)
+        labels = sorted({o.label for o in all_objects(context, source.needed_detector())})
+        for one in labels:
+            for other in labels:
+                trace = source.ask(context, f"{one} left of the {other}") if one != other else None
+                if trace is not None and trace.ranking is not None and len(trace.ranking.pairs) > 1:
+                    return name, trace.query.text
+    raise AssertionError("no such question")
+
+
+def test_a_pair_that_is_right_is_judged_by_itself(source: Pipeline, tmp_path: Path) -> None:
+    name, text = asked(source)
+    location = JournalLocation(begun_labels(source.dataset, tmp_path / "mine"))
+    ann = LabelEditor(location.labels, location, "ann", source.dataset)
+    ann.take_in(name)
+    context = source.prepare(name)
+    trace = source.ask(context, text)
+    assert trace.ranking is not None
+    best, second = trace.ranking.pairs[:2]
+    done = ann.save(right_pair(ann, trace, best))
+    assert isinstance(done, Saved)
+    frame = ann.frame(name)
+    assert len(frame.objects) == 2
+    (row,) = frame.expressions.values()
+    assert frame.pairs.state(row["target_object"], row["reference_object"], "left") == T
+    verdict = judge_trace(trace, source, context, effective_truth(frame))
+    assert isinstance(verdict, Diagnosis)
+    assert verdict.verdict == "CORRECT"
+    with pytest.raises(InputError, match="say so already"):
+        right_pair(ann, trace, best)
+    # Another pair is right after all: the answer is wrong then, and one undo brings the first back.
+    assert isinstance(ann.save(right_pair(ann, trace, second)), Saved)
+    other = judge_trace(trace, source, context, effective_truth(ann.frame(name)))
+    assert isinstance(other, Diagnosis)
+    targets = [trace.objects[p.target].id for p in (best, second)]
+    assert (other.verdict == "CORRECT") == (targets[0] == targets[1])
+    ann.undo()
+    assert ann.frame(name).expressions == frame.expressions
+    with pytest.raises(InputError, match="two names"):
+        right_objects(frame, source.ask(context, f"leftmost {row['target']}").query, *list(frame.objects)[:2])
+    location.close()
