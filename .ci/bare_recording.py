@@ -1,4 +1,4 @@
-"""A recording without labels, made of rendered frames, and what a detector found in it: for checks of labelling."""
+"""A recording without labels, made of rendered frames, and what a detector found in it: for labelling by hand."""
 
 import json
 from pathlib import Path

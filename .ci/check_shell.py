@@ -1,4 +1,4 @@
-"""The shell of the page: who gets in, what the address keeps, a server that is lost, keys alone, what is cut, axe."""
+"""The shell of the page: who gets in, what the address keeps, a server that is lost, keys alone, what is cut."""
 
 import http.server
 import json
@@ -167,8 +167,8 @@ def check_opened(tab: Tab) -> None:
     tab.page.keyboard.press("Escape")
     tab.poll("!document.getElementById('dialog-window')")
     assert tab.page.url == before
-    pasted(tab, replace(view, run="/nowhere/run"))
-    tab.poll("document.getElementById('log').textContent.includes('/nowhere/run, which is not open here')")
+    pasted(tab, replace(view, run="/nowhere/other"))
+    tab.poll("document.getElementById('log').textContent.includes('/nowhere/other, which is not open here')")
     network = "/nowhere/network.onnx"
     told = "name => ['log', 'toasts'].some(id => document.getElementById(id).textContent.includes(name))"
     for answer in ("Without it", "Load it"):

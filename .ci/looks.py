@@ -1,26 +1,14 @@
-"""What a script can see of how the page looks: what is cut or overlaps (looks.js), and what axe-core finds."""
+"""What a script can see of how the page looks: what is cut or overlaps (looks.js)."""
 
 import time
 from collections.abc import Iterator
-from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from browser import Tab, new_tab
 from playwright.sync_api import Browser
 
 LOOKS = (Path(__file__).parent / "looks.js").read_text("utf-8")
 SIZES = ((1440, 900), (1920, 1080), (1024, 768))
-AXE = """async rules => {
-  const options = {iframes: false, resultTypes: ['violations'], ...(rules.length ? {runOnly: rules} : {})};
-  return (await axe.run({exclude: [['#view']]}, options)).violations;
-}"""
-
-
-def axe(tab: Tab, *rules: str) -> list[str]:
-    """What axe-core finds, by all or some of its rules; the document of the scene's frame is viser's."""
-    found: Any = tab.page.evaluate(AXE, list(rules))
-    return [f"axe: {v['id']}: {v['help']}: {node['html'][:160]}" for v in found for node in v["nodes"][:4]]
 
 
 def explained(tab: Tab) -> Iterator[str]:
@@ -50,11 +38,12 @@ def explained(tab: Tab) -> Iterator[str]:
 def others(tab: Tab) -> Iterator[str]:
     """The same of the other tasks."""
     tab.click("task:evaluate")
-    tab.see("#listing tr")
+    tab.see("#figures .falls")
+    tab.poll("document.querySelectorAll('#rows .card').length > 3")
     yield "evaluate"
-    tab.drawer("Run")
-    tab.see("#run-summary .panel")
-    yield "run"
+    tab.click("rows-view:table")
+    tab.see("#rows [role=columnheader]", "verdict")
+    yield "evaluate, table"
     tab.click("task:label")
     tab.see("#review-list .queue .q")
     tab.press("j")
@@ -63,8 +52,7 @@ def others(tab: Tab) -> Iterator[str]:
 
 
 def check_looks(browser: Browser, address: str) -> None:
-    """Nothing is cut or overlaps at three sizes; axe finds nothing in Explain, in both themes."""
-    source = (resources.files("axe_playwright_python") / "axe.min.js").read_text("utf-8")
+    """Nothing is cut or overlaps at three sizes."""
     found = []
     for width, height in SIZES:
         started = time.monotonic()
@@ -75,15 +63,6 @@ def check_looks(browser: Browser, address: str) -> None:
             for state in states(tab):
                 tab.page.wait_for_timeout(200)
                 seen = tab.page.evaluate(LOOKS)
-                # Sizes do not depend on the theme; and what axe finds but for contrast depends on neither.
-                if (width, height) == SIZES[0] and states is explained:
-                    if not looked:
-                        tab.page.evaluate(f"() => {{ {source} }}")
-                    seen += axe(tab)
-                    tab.page.evaluate("document.documentElement.dataset.theme = 'light'")
-                    tab.page.wait_for_timeout(200)
-                    seen += [f"light: {one}" for one in axe(tab, "color-contrast")]
-                    tab.page.evaluate("document.documentElement.dataset.theme = 'dark'")
                 found += [f"{width} {state}: {one}" for one in seen]
                 looked += 1
         found += tab.problems

@@ -117,16 +117,43 @@ class Measure(Output):
 
 @dataclass(frozen=True)
 class Frames(Output):
-    """List the frames of a dataset: what is in each, and what is broken."""
+    """Say what is in a dataset, and what is broken: counts, and each note once with how many frames have it."""
 
-    dataset: DatasetArg
+    dataset: Positional[str]
+    """Dataset folder or capture; a folder of dataset folders, for all of them; or "demo"."""
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    all: Flag = False
+    """List every frame too. --json lists them without it."""
     plan: str | None = None
     """FRAME: print where the cameras of its scene stand, seen from above, instead."""
     summary: Flag = False
-    """Print only counts over all frames; with --json, as one JSON object."""
+    """With --json: one JSON object of the counts, in place of a line for each frame."""
     remember: Flag = False
     """Keep --intrinsics, --depth-scale, --up and --level-at in spatialviz.toml beside the data."""
+
+
+@dataclass(frozen=True)
+class ImportRecording(Output):
+    """Write a recording of any layout as color/, depth/, pose/, label/ and spatialviz.toml."""
+
+    dataset: Positional[str]
+    """Dataset folder or capture."""
+    out: Positional[NewFolder]
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+
+
+@dataclass(frozen=True)
+class Doctor(Output):
+    """Find a wrong depth scale, focal length, principal point, pose convention, registration or up of a recording.
+
+    It compares the depth of posed frames that overlap, outlines of depth with edges of colour, and level planes. Exit
+    status: 0 where nothing was found wrong, or what was is mended with --apply; 1 where something is wrong.
+    """
+
+    dataset: DatasetArg
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    apply: Flag = False
+    """Keep what mends it in spatialviz.toml beside the data, where readers find it."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +246,7 @@ class Eval(Output):
 @dataclass(frozen=True)
 class Failures(Output):
     """What a run got wrong: what a search finds, with the reasons, or, without a search, verdicts, what each module
-    costs, slices, and all that failed."""
+    costs, slices, and all that failed. With --json also its facets under the search, marks and kept searches."""
 
     run_folder: RunArg
     search: Positional[str] = ""
@@ -230,6 +257,9 @@ class Failures(Output):
     slices: str | None = None
     """By what the run is cut, with commas: relation, class, reference, distance, size, occlusion, same_class,
     label_margin, scene, frame. Default: relation; beside a search, tables of the run are shown where this is given."""
+    compare: Path | None = None
+    """A second run on the same labels: what it fixed and broke is counted, and can be searched for by change:broken,
+    change:fixed, change:other_reason, change:verdict, second_verdict:LIFT."""
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
+from typing import Any
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import taken_as, unused_words
 from pipeline.answering.json_records import frame_record, probability, relation_records, told, why_no_answer
-from pipeline.answering.opening import FrameRelations, open_pipeline, relate_frames
+from pipeline.answering.opening import FrameRelations, open_pipeline, open_sources, relate_frames
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.suggestions import MissedNames, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.camera_plan import CameraPlan, camera_plan
+from pipeline.datasets.importing import import_recording
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.synthetic import render_dataset
@@ -29,8 +31,8 @@ from pipeline.language.glossary import Term, find_term, glossary, glossary_markd
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
 from pipeline.system.errors import needed, require
-from spatialviz.cli_ask import Ask, Context, Frames, Glossary, Measure, Relations, Render
-from spatialviz.options import ALL_FRAMES, FINE, NO, numbers, one_frame, print_json, warn_skipped
+from spatialviz.cli_ask import Ask, Context, Frames, Glossary, ImportRecording, Measure, Relations, Render
+from spatialviz.options import ALL_FRAMES, FINE, NO, numbers, one_frame, print_json, warn, warn_skipped
 from spatialviz.printing import print_rows, print_summary, rate_bar, say
 from spatialviz.report.picture import save_picture
 
@@ -80,7 +82,19 @@ def run_measure(command: Measure) -> None:
 
 def run_frames(command: Frames) -> int:
     camera = command.camera.camera()
-    dataset = open_pipeline(command.dataset, **camera).dataset
+    sources, left_out = open_sources(command.dataset, **camera, srm="rule", browse=True)
+    for name, reason in left_out.items():
+        warn(f"left out {name}: {reason}")
+    usable = 0
+    for name, source in sources.items():
+        # One dataset alone needs no name in its records.
+        named = {"dataset": name} if len(sources) > 1 else {}
+        usable += _survey_frames(command, source.dataset, camera, named)
+    return FINE if usable else NO
+
+
+def _survey_frames(command: Frames, dataset: Dataset, camera: dict[str, Any], named: dict[str, str]) -> int:
+    """Tell what is in one dataset; returns how many of its frames can be used."""
     if command.remember:
         write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset))
     if command.plan is not None:
@@ -88,21 +102,40 @@ def run_frames(command: Frames) -> int:
         plan = needed(
             camera_plan(dataset, frame), f"fewer than two frames of the scene of {frame} have a pose", path=dataset.root
         )
-        command.write(plan.record(), print_plan, plan)
-        return FINE
-    counts = SurveyCounts()
-    reports = counts.watch(survey(dataset))
-    if command.summary:
-        deque(reports, maxlen=0)
-    elif command.json:
-        for report in reports:
-            print_json(frame_record(report))
-    else:
-        print_frames(dataset, reports)
+        command.write({**named, **plan.record()}, print_plan, plan)
+        return len(dataset.frame_ids)
+    counts, notes = SurveyCounts(), Counter[str]()
+    with rate_bar("looking at frames", "frames") as advance:
+        if not command.json:
+            say((str(dataset.root), "bold"), f"  {dataset.format}, {counted(len(dataset.frame_ids), 'frame')}")
+        for report in counts.watch(survey(dataset)):
+            advance(report.index + 1, len(dataset.frame_ids))
+            notes.update(report.notes)
+            if command.json and not command.summary:
+                print_json({**named, **frame_record(report)})
+            elif command.all and not command.json:
+                print_frame(report)
     record = counts.record()
-    if command.summary or not command.json:
-        command.write(record, print_summary)
-    return FINE if record["frames_usable"] else NO
+    if command.json and command.summary:
+        print_json({**named, **record})
+    elif not command.json:
+        for note, frames in notes.items():
+            say(f"note on {counted(frames, 'frame')}: {note}", style="yellow")
+        print_summary(record)
+    return record["frames_usable"]
+
+
+def run_import_recording(command: ImportRecording) -> int:
+    dataset = open_pipeline(command.dataset, **command.camera.camera(), srm="rule").dataset
+    with rate_bar("writing", "frames") as advance:
+        report = import_recording(dataset, command.out, advance)
+    for frame_id, reason in report.skipped.items():
+        warn_skipped(frame_id, reason)
+    for note in report.notes:
+        warn(note)
+    record = {"frames": report.frames, "skipped": report.skipped, "notes": report.notes, "out": str(command.out)}
+    command.write(record, say, f"{counted(report.frames, 'frame')} of {dataset.format} -> {command.out}")
+    return FINE
 
 
 def print_plan(plan: CameraPlan) -> None:
@@ -268,28 +301,20 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
                 say(a.name(i, found.exact), (" — ", "dim"), text, (" — ", "dim"), b.name(j, found.exact))
 
 
-def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> None:
-    """A line or two for each frame, then their notes, each once."""
-    say((str(dataset.root), "bold"), f"  {dataset.format}, {counted(len(dataset.frame_ids), 'frame')}")
-    notes: dict[str, list[str]] = {}
-    for report in reports:
-        if report.ok:
-            depth = f"{report.depth_valid or 0:.0%} depth, median {report.median_depth or 0:.2f} m"
-            pose = "pose" if report.has_pose else "no pose"
-            say(
-                f"{report.index:>5}  {report.id}  {report.width}x{report.height}  {depth}  {pose}"
-                f"  up {report.up_source}, {_off_image_up(report.up)} off image-up  "
-                f"{counted(report.annotations, 'object')}"
-            )
-            if report.labels:
-                say("       " + ", ".join(report.labels), style="dim")
-        else:
-            say(f"{report.index:>5}  {report.id}  broken: {report.problem}", style="red")
-        for note in report.notes:
-            notes.setdefault(note, []).append(report.id)
-    for note, frames in notes.items():
-        where = frames[0] if len(frames) == 1 else counted(len(frames), "frame")
-        say(f"note on {where}: {note}", style="yellow")
+def print_frame(report: FrameReport) -> None:
+    """A line or two for a frame."""
+    if not report.ok:
+        say(f"{report.index:>5}  {report.id}  broken: {report.problem}", style="red")
+        return
+    median = "of no known unit" if report.median_depth is None else f"median {report.median_depth:.2f} m"
+    pose = "pose" if report.has_pose else "no pose"
+    up = f"up {report.up_source}, {_off_image_up(report.up)} off image-up" if report.up_source else "up not asked"
+    say(
+        f"{report.index:>5}  {report.id}  {report.width}x{report.height}  {report.depth_valid:.0%} depth, {median}  "
+        f"{pose}  {up}  {counted(report.annotations, 'object')}"
+    )
+    if report.labels:
+        say("       " + ", ".join(report.labels), style="dim")
 
 
 def _off_image_up(up: Sequence[float] | None) -> str:

@@ -16,6 +16,8 @@ from rich.text import Text
 from pipeline.answering.opening import open_pipeline
 from pipeline.diagnosis.marks import read_marks
 from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.browsing import RunRows
+from pipeline.evaluation.comparing import CHANGES, Comparison, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
 from pipeline.evaluation.records import read_records
@@ -26,14 +28,7 @@ from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
-from pipeline.evaluation.summary import (
-    Comparison,
-    RunSummary,
-    need_verdicts,
-    oracle_table,
-    summarise_run,
-    verdict_table,
-)
+from pipeline.evaluation.summary import RunSummary, need_verdicts, oracle_table, summarise_run, verdict_table
 from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
 from pipeline.system.arrow import pa
@@ -47,7 +42,8 @@ MOST_SHOWN = 1000
 MOST_ROWS = 15
 """Of a slice on the terminal."""
 SHOWN = ("id", "frame", "text", "target", "relation", "reference", "verdict", "detail", "lucky", "said", "repair",
-         "margin", "p_target", "p_reference", "p_relation")  # fmt: skip
+         "margin", "p_target", "p_reference", "p_relation", "marks", "change", "second_verdict", "second_detail",
+         "second_said")  # fmt: skip
 """Columns of a failure in JSON."""
 
 
@@ -174,11 +170,14 @@ def run_failures(command: Failures) -> int:
     dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
     records = read_records(command.run_folder)
     need_verdicts(records)
-    found = find_failures(records, command.search)
+    second = None if command.compare is None else read_records(command.compare)
+    rows = RunRows(records, command.run_folder, second)
+    found = find_failures(rows.records, command.search)
     manifest = manifest_of(command.run_folder)
     name = str(manifest.get("name") or command.run_folder.name)
     shares, summary = shares_of_run(manifest, labels_of(command.run_folder)), summarise_run(records)
     cuts = [slice_by({name: records}, d, most=None if command.json else MOST_ROWS) for d in dimensions]
+    comparison = None if second is None else compare(records, second)
     shown = found.slice(0, command.limit).select([c for c in SHOWN if c in found.column_names])
     record = {
         "search": command.search,
@@ -188,8 +187,11 @@ def run_failures(command: Failures) -> int:
         "failures": [{key: plain(value) for key, value in row.items()} for row in shown.to_pylist()],
         "summary": summary.record(),
         "slices": {s.dimension.name: s.record() for s in cuts},
+        "facets": {f.name: f.record() for f in rows.facets(command.search)},
+        "filters": rows.notes.filters,
+        "comparison": None if comparison is None else comparison.record(),
     }
-    command.write(record, print_failures, command, name, shares, summary, cuts, found)
+    command.write(record, print_failures, command, name, shares, summary, cuts, found, comparison)
     return FINE if found.num_rows else NO
 
 
@@ -331,8 +333,11 @@ def print_failures(
     summary: RunSummary,
     cuts: Sequence[Slices],
     found: pa.Table,
+    comparison: Comparison | None,
 ) -> None:
     """What a search found before verdicts, costs and slices of the run; without a search all that failed after them."""
+    if comparison is not None:
+        print_comparison(comparison, 0)
     if command.search:
         _print_found(command, name, summary.expressions, found)
     if not command.search or command.slices is not None:
@@ -352,7 +357,11 @@ def _print_found(command: Failures, name: str, expressions: int, found: pa.Table
     say((f"{what}: {found.num_rows} of {of}", "bold"), (f"  in {name}", "dim"))
     for row in found.slice(0, command.limit).to_pylist():
         verdict = "CORRECT LUCKY" if row["lucky"] else " ".join(filter(None, (row["verdict"], row["detail"])))
-        say((row["frame"], "dim"), "  ", row["text"], (f"  {verdict}", "bold yellow"))
+        changed = ""
+        if row.get("change") not in (None, "same"):
+            changed = f"  {CHANGES[row['change']]}: {row['second_verdict']}"
+        marks = "".join(f"  #{name}" for name in row["marks"])
+        say((row["frame"], "dim"), "  ", row["text"], (f"  {verdict}", "bold yellow"), changed, (marks, "cyan"))
         say(f"    {row['said'] or ''}  ({row['id']})", style="dim")
     if found.num_rows > command.limit:
         say(f"and {found.num_rows - command.limit} more (--limit)", style="dim")

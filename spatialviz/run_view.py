@@ -51,9 +51,12 @@ def run_view(command: View) -> None:
         found = None if command.labels is None or begun else open_labels(command.labels)
         options = command.source.arguments()
         options = options if found is None else labelled_up(found.manifest, options)
-        sources, left_out = open_sources(dataset, **options, also=command.also)
+        sources, left_out = open_sources(dataset, **options, also=command.also, browse=True)
         for name, reason in left_out.items():
             warn(f"left out {name}: {reason}")
+        for name, opened in sources.items():
+            if missing := getattr(opened.dataset, "untold", ()):
+                warn(f"{name} can only be looked at, nothing is measured without {' and '.join(missing)}")
         if found is not None:
             require(
                 len(sources) <= 1, "--labels are of one dataset", got=f"{len(sources)} datasets", path=command.labels
@@ -87,9 +90,13 @@ def run_view(command: View) -> None:
 
 
 def _is_new(folder: Path) -> bool:
-    """Whether labels are to be begun in a folder: it is missing, or empty."""
+    """Whether labels are to be begun in a folder: it is empty. One that is missing may be a slip of the hand."""
     folder = folder.expanduser()
-    return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+    require(
+        folder.exists(), "there are no labels here", path=folder,
+        expected="labels, or an empty folder in which labels are begun by hand (mkdir makes one)",
+    )  # fmt: skip
+    return folder.is_dir() and not any(folder.iterdir())
 
 
 def _by_hand(command: View, sources: Mapping[str, Pipeline]) -> dict[str, Labels]:

@@ -258,3 +258,21 @@ def write_votenet(root: Path, frames: list[str], seed: int = 0) -> dict[str, tup
         (root / "label" / f"{frame}.txt").write_text("chair 11 6 20 30 0.1 2.5 -0.4 0.3 0.5 0.4 0.6 -0.8\n")
         written[frame] = truth, Rtilt
     return written
+
+
+OPENGL = np.diag([1.0, -1, -1, 1])
+
+
+def write_nerfstudio(root: Path, depth: bool = True) -> list[Truth]:
+    """Three posed pictures with `transforms.json`, which names their depth files or leaves that to their names."""
+    rng = np.random.default_rng(7)
+    made, frames = [random_truth(rng) for _ in range(3)], []
+    for number, truth in enumerate(made, start=1):
+        write_png(root / f"images/frame_{number:05d}.png", truth.rgb)
+        write_png(root / f"depth/frame_{number:05d}.png", truth.millimetres)
+        pose = np.asarray(truth.T_world_camera) @ OPENGL
+        frame: dict[str, Any] = {"file_path": f"./images/frame_{number:05d}.png", "transform_matrix": pose.tolist()}
+        frames.append({**frame, "depth_file_path": f"depth/frame_{number:05d}.png"} if depth else frame)
+    table = {"w": WIDTH, "h": HEIGHT, "fl_x": 60.0, "fl_y": 61.0, "cx": 32.0, "cy": 24.0, "camera_model": "OPENCV"}
+    (root / "transforms.json").write_text(json.dumps({**table, "frames": frames}))
+    return made

@@ -167,12 +167,13 @@ def open_pipeline(
     reader: Literal["grammar", "llm"] | Reader = "grammar",
     reader_url: str | None = None,
     reader_model: str | None = None,
+    browse: bool = False,
 ) -> Pipeline:
     """Open a dataset and the models for it; the path "demo" is the built-in one, and a dataset may be open already.
 
-    `intrinsics`, `depth_scale`, `up` and `level_at` are those of `open_dataset`. `detector`, `segmenter` and `srm` are
-    names, as on the command line, or objects of one's own; a detector of one's own takes no `model`, `model_config`,
-    `min_score` and `fuse`.
+    `intrinsics`, `depth_scale`, `up`, `level_at` and `browse` are those of `open_dataset`. `detector`, `segmenter` and
+    `srm` are names, as on the command line, or objects of one's own; a detector of one's own takes no `model`,
+    `model_config`, `min_score` and `fuse`.
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
     by default there is none. `segmenter_model` is its file, or its encoder and decoder. A network's file may also be
     named by its id on the model hub. `model_config` says what the detector's file does not.
@@ -190,12 +191,14 @@ def open_pipeline(
         For a folder that cannot be read, an unknown model name, a model file of another contract, a score
         calibration of another detector.
     """
+    camera: dict[str, Any] = {
+        "intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, "level_at": level_at
+    }  # fmt: skip
     if isinstance(path, str | Path):
         if str(path) == DEMO_NAME and not Path(path).exists():
             path = demo_path()
-        dataset = open_dataset(path, intrinsics=intrinsics, depth_scale=depth_scale, up=up, level_at=level_at)
+        dataset = open_dataset(path, **camera, browse=browse)
     else:
-        camera = {"intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, "level_at": level_at}
         _refuse(camera, "a dataset that is open already")
         dataset = path
     table = Synonyms.load(synonyms)
@@ -288,6 +291,8 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline],
         return {Path(path).name or str(path): open_pipeline(path, **options)}, {}
     except UnknownFormat:
         folder = Path(path)
+        if not folder.is_dir():
+            raise
         sources: dict[str, Pipeline] = {}
         left_out: dict[str, str] = {}
         for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):

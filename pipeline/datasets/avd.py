@@ -28,8 +28,9 @@ from pipeline.datasets.avd_scan import (
     read_poses,
 )
 from pipeline.datasets.base import MOVES, DatasetFormat
-from pipeline.datasets.cameras import Recording, one_file, or_note, read_pair
+from pipeline.datasets.cameras import one_file, or_note, read_pair
 from pipeline.datasets.files import listing, readable
+from pipeline.datasets.recording import Recording
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError, require

@@ -18,9 +18,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import Recording, inverse, one_file, or_note, read_pair, rigid
-from pipeline.datasets.files import COLOR_SUFFIXES, as_floats, listing, read_bytes, read_json, readable
+from pipeline.datasets.cameras import inverse, one_file, or_note, read_pair, rigid
+from pipeline.datasets.files import as_floats, listing, read_bytes, read_json, readable
 from pipeline.datasets.images import read_mask
+from pipeline.datasets.pairing import COLOR_SUFFIXES
+from pipeline.datasets.recording import Recording
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation, Frame

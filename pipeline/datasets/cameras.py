@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.datasets.base import unknown_id
-from pipeline.datasets.files import Pair, read_matrix
+from pipeline.datasets.files import Blob, read_matrix
 from pipeline.datasets.images import read_color, read_depth
-from pipeline.datasets.settings import Settings
+from pipeline.datasets.settings import INTRINSICS, Settings
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.pose_convention import standard_poses
 from pipeline.system.errors import InputError, needed, require
 
 Value = TypeVar("Value")
@@ -117,9 +117,10 @@ def make_camera(
     size: Sequence[int],
     T_world_camera: np.ndarray | None,
     settings: Settings,
-    path: Path,
+    path: Blob,
+    untold: tuple[str, ...] = (),
 ) -> Camera:
-    """A checked camera; the settings' intrinsics win over `K`.
+    """A checked camera; the settings' intrinsics win over `K`, and they may say what a pose means.
 
     Parameters
     ----------
@@ -129,20 +130,27 @@ def make_camera(
         Or the shape of the image.
     T_world_camera : (4, 4) float64 or None
     settings : Settings
-    path : Path
+    path : Blob
         The file to blame.
+    untold : tuple of str
+        Options that would tell what else nothing tells; see `Camera.untold`.
 
     Raises
     ------
     InputError
-        No intrinsics at all, or ones that cannot belong to an image of this size.
+        No intrinsics at all where a frame is more than looked at, or ones that cannot belong to an image of this size.
     """
     height, width = size[:2]
     if settings.intrinsics is not None:
         K = intrinsics(*settings.intrinsics)
-    K = needed(K, "the camera is not known", expected="--intrinsics fx,fy,cx,cy", path=path)
+    if K is None and settings.browse:
+        # Any camera shows the picture; that it is none is kept with it.
+        K, untold = intrinsics(width, width, (width - 1) / 2, (height - 1) / 2), (INTRINSICS, *untold)
+    K = needed(K, "the camera is not known", expected=INTRINSICS, path=path)
+    if settings.poses is not None and T_world_camera is not None:
+        T_world_camera = standard_poses(T_world_camera, settings.poses)
     try:
-        camera = Camera(K, width, height, T_world_camera)
+        camera = Camera(K, width, height, T_world_camera, untold=untold)
     except InputError as error:
         raise InputError(str(error), path=path) from error
     require(
@@ -156,7 +164,7 @@ def make_camera(
 
 
 def read_pair(
-    color: Path, depth: Path, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0
+    color: Blob, depth: Blob, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """A colour file and its depth file, (H, W, 3) uint8 and (H, W) float32 metres; see `read_depth`.
 
@@ -172,7 +180,7 @@ def read_pair(
     return rgb, metres
 
 
-def differ_in_size(rgb: np.ndarray, metres: np.ndarray, color: Path, depth: Path) -> InputError:
+def differ_in_size(rgb: np.ndarray, metres: np.ndarray, color: Blob, depth: Blob) -> InputError:
     """The error for a colour image and a depth image that do not belong together."""
     return InputError(
         "colour and depth differ in size",
@@ -183,47 +191,11 @@ def differ_in_size(rgb: np.ndarray, metres: np.ndarray, color: Path, depth: Path
     )
 
 
-class Recording:
-    """What the readers of files share; a reader lists `frame_ids` and loads one."""
-
-    frame_ids: tuple[str, ...] = ()
-    class_names: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-
-    def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
-
-    def _found(self, table: Mapping[str, Value], frame_id: str) -> Value:
-        """What a table of all frames has of one; InputError where there is no such frame."""
-        if frame_id not in table:
-            raise unknown_id(self.frame_ids, frame_id, self.root)
-        return table[frame_id]
-
-    def _frame(
-        self,
-        frame_id: str,
-        pair: tuple[np.ndarray, np.ndarray],
-        K: np.ndarray | None,
-        pose: np.ndarray | None,
-        source: Path,
-        depth_path: Path,
-        annotations: tuple[Annotation, ...] = (),
-        notes: Sequence[str] = (),
-        up: np.ndarray | None = None,
-    ) -> Frame:
-        """A Frame; `source` is to blame for the intrinsics, `up` ((3,), camera frame) is what the dataset declares."""
-        camera = make_camera(K, pair[1].shape, pose, self._settings, source)
-        if up is not None:
-            camera = camera.with_up(up, "declared")
-        return make_frame(frame_id, pair, camera, depth_path, annotations, tuple(notes))
-
-
 def make_frame(
     frame_id: str,
     pair: tuple[np.ndarray, np.ndarray],
     camera: Camera,
-    depth_path: Path,
+    depth_path: Blob,
     annotations: tuple[Annotation, ...] = (),
     notes: tuple[str, ...] = (),
 ) -> Frame:
@@ -234,17 +206,8 @@ def make_frame(
         raise InputError(str(error), path=depth_path) from error
 
 
-def files_of(pair: Pair, root: Path, color: Path | None = None, depth: Path | None = None) -> tuple[Path, Path]:
-    """Both files of a frame; InputError where one is missing, which should be `color` or `depth`, if that is known."""
-    present = pair.color or pair.depth or root
-    return (
-        one_file([pair.color] if pair.color else [], "colour", color or present),
-        one_file([pair.depth] if pair.depth else [], "depth", depth or present),
-    )
-
-
 def known_intrinsics(
-    numbers: tuple[float, float, float, float], whose: str, size: Sequence[int], expected: str, path: Path
+    numbers: tuple[float, float, float, float], whose: str, size: Sequence[int], expected: str, path: Blob
 ) -> np.ndarray:
     """(3, 3) intrinsics that a format is known for, which are for 640x480; InputError for images of another size."""
     require(

@@ -1,4 +1,4 @@
-"""Reading the small text files of a dataset, and pairing its colour and depth files by their names."""
+"""Reading the small text files of a dataset, and listing its folders."""
 
 from __future__ import annotations
 
@@ -6,22 +6,35 @@ import io
 import json
 import os
 import re
-from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from pipeline.system.errors import InputError, require
 
 CUT_OFF = "was the copy or the download interrupted?"
-COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
 
 
-def read_bytes(path: Path) -> bytes:
-    """The whole file.
+class Blob(Protocol):
+    """A file where it stands: a path, or a member of an archive, a table or a stream.
+
+    One that holds an array and no encoded picture also has `pixels()`. `os.fspath` says what a message calls it.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    def read_bytes(self) -> bytes: ...
+
+    def __fspath__(self) -> str: ...
+
+
+def read_bytes(path: Blob) -> bytes:
+    """The whole file, wherever it stands.
 
     Raises
     ------
@@ -38,7 +51,7 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Blob) -> dict[str, Any]:
     """A JSON file whose top level is an object.
 
     Raises
@@ -59,7 +72,7 @@ def read_json(path: Path) -> dict[str, Any]:
     return table
 
 
-def numbered_lines(path: Path) -> list[tuple[int, str]]:
+def numbered_lines(path: Blob) -> list[tuple[int, str]]:
     """The lines of a text file that say something, each with its number in the file, from 1.
 
     Raises
@@ -95,13 +108,13 @@ def path_inside(root: Path, name: str, source: Path, line: int) -> Path:
     return root / name
 
 
-def read_matrix(path: Path, rows: int, columns: int) -> np.ndarray:
+def read_matrix(path: Blob, rows: int, columns: int) -> np.ndarray:
     """A text file of rows x columns numbers, as float64. inf and NaN may be among them."""
     words = " ".join(line for _, line in numbered_lines(path)).replace(",", " ").split()
     return as_floats(words, rows * columns, path).reshape(rows, columns)
 
 
-def as_floats(values: Any, count: int, path: Path, what: str = "numbers") -> np.ndarray:
+def as_floats(values: Any, count: int, path: Blob, what: str = "numbers") -> np.ndarray:
     """`values` as (count,) float64, whatever their nesting.
 
     Raises
@@ -117,7 +130,7 @@ def as_floats(values: Any, count: int, path: Path, what: str = "numbers") -> np.
     return array
 
 
-def read_mat(path: Path, *names: str) -> dict[str, Any]:
+def read_mat(path: Blob, *names: str) -> dict[str, Any]:
     """The named variables of a MATLAB file, as far as it has them.
 
     Raises
@@ -139,6 +152,9 @@ def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
 
     Without `links` a folder that is a link counts as a file.
     """
+    memo = _LISTED.get()
+    if memo is not None and (folder, links) in memo:
+        return memo[folder, links]
     folders: list[str] = []
     files: list[str] = []
     try:
@@ -148,7 +164,33 @@ def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
                     (folders if entry.is_dir(follow_symlinks=links) else files).append(entry.name)
     except OSError as error:
         raise InputError("a folder cannot be listed", got=error.strerror, path=folder) from error
-    return sorted(folders, key=natural), sorted(files, key=natural)
+    found = in_order(folders), in_order(files)
+    if memo is not None:
+        memo[folder, links] = found
+    return found
+
+
+_LISTED: ContextVar[dict[tuple[Path, bool], tuple[list[str], list[str]]] | None] = ContextVar("listed", default=None)
+
+
+@contextmanager
+def listed_once() -> Iterator[None]:
+    """In the block each folder is listed once: every format looks at a dataset before one opens it."""
+    token = _LISTED.set({})
+    try:
+        yield
+    finally:
+        _LISTED.reset(token)
+
+
+_DIGITS = str.maketrans("123456789", "0" * 9)
+
+
+def in_order(names: list[str]) -> list[str]:
+    """Names in natural order."""
+    # Where all digits stand in the same columns, the order of characters is the natural one, and soon found.
+    alike = len({name.translate(_DIGITS) for name in names}) <= 1
+    return sorted(names) if alike else sorted(names, key=natural)
 
 
 def readable(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
@@ -163,99 +205,3 @@ def natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
     """Sort key under which frame2 comes before frame10."""
     parts = re.findall(r"[0-9]+|[^0-9]+", name)
     return [(0, int(p), "") if p[0] in "0123456789" else (1, 0, p) for p in parts], name
-
-
-Key = tuple[str, ...]
-Naming = Callable[[Path], Key]
-"""What two files of one frame have in common: a part of their names."""
-
-
-@dataclass(frozen=True)
-class Pair:
-    """The files of one frame; either may be missing, and the frame is then broken."""
-
-    key: Key
-    color: Path | None
-    depth: Path | None
-
-    @property
-    def stem(self) -> str:
-        """The name of the colour file without its ending, or of the depth file where there is none."""
-        return next(path.stem for path in (self.color, self.depth) if path is not None)
-
-
-def image_files(root: Path, folders: tuple[str, ...], suffixes: tuple[str, ...], what: str) -> list[Path]:
-    """The image files of the only folder that is named as one of `folders`."""
-    found = {
-        name: [root / name / file for file in listing(root / name)[1] if Path(file).suffix.lower() in suffixes]
-        for name in listing(root)[0]
-        if name.lower() in folders
-    }
-    full = {name: paths for name, paths in found.items() if paths}
-    require(full, f"no {what} files", got=f"{'/, '.join(found)}/ without one", expected=", ".join(suffixes), path=root)
-    require(len(full) <= 1, f"more than one {what} folder", got=", ".join(full), expected="one", path=root)
-    return next(iter(full.values()))
-
-
-def numbers(path: Path) -> Key:
-    """Every number in a file's name; a time stamp with its decimals is one number."""
-    found = re.findall(r"[0-9]+(?:\.[0-9]+)?", path.stem)
-    return tuple(re.sub(r"^0+(?=[0-9])", "", number) for number in found)
-
-
-def choose_naming(colors: list[Path], depths: list[Path]) -> Naming:
-    """The way of naming a frame that pairs the most files, and under which no folder has a name twice.
-
-    Raises
-    ------
-    InputError
-        Under every way, some folder has a name twice.
-    """
-    numbered = all(numbers(path) for path in (*colors, *depths))
-    # Recordings may number their files and add a time that differs between colour and depth.
-    by_number: tuple[Naming, ...] = (lambda path: numbers(path)[-1:], numbers, lambda path: numbers(path)[:1])
-    namings = by_number if numbered else (lambda path: (path.stem,),)
-    same = [[twice(naming, colors), twice(naming, depths)] for naming in namings]
-    good = [naming for naming, texts in zip(namings, same, strict=True) if not any(texts)]
-    if good:
-        return max(good, key=lambda naming: len(set(map(naming, colors)) & set(map(naming, depths))))
-    raise InputError(
-        f"colour and depth cannot be paired: two files have the same {'number' if numbered else 'name'}",
-        got=next(filter(None, same[-1])),
-        path=(colors if same[-1][0] else depths)[0].parent,
-    )
-
-
-def twice(naming: Naming, paths: list[Path]) -> str:
-    """Two files that `naming` cannot tell apart, as text; empty where there are none."""
-    key, count = Counter(map(naming, paths)).most_common(1)[0]
-    return " and ".join(path.name for path in paths if naming(path) == key) if count > 1 else ""
-
-
-def pair_files(naming: Naming, colors: list[Path], depths: list[Path]) -> list[Pair]:
-    """Every frame that has colour or depth, in natural order.
-
-    Raises
-    ------
-    InputError
-        No colour file has a depth file.
-    """
-    color = {naming(path): path for path in colors}
-    depth = {naming(path): path for path in depths}
-    require(
-        color.keys() & depth.keys(),
-        "colour and depth do not pair: no number or name in common",
-        got=f"{colors[0].name} ... {colors[-1].name} and {depths[0].name} ... {depths[-1].name}",
-        path=colors[0].parent.parent,
-    )
-    keys = sorted(color.keys() | depth.keys(), key=lambda key: [natural(part) for part in key])
-    return [Pair(key, color.get(key), depth.get(key)) for key in keys]
-
-
-def paired_files(
-    root: Path, folders: tuple[str, ...], depth_suffixes: tuple[str, ...], depth_folders: tuple[str, ...] = ("depth",)
-) -> dict[str, Pair]:
-    """Every frame of a recording by the name of its colour file, or of its depth file; raises as above."""
-    colors = image_files(root, folders, COLOR_SUFFIXES, "colour")
-    depths = image_files(root, depth_folders, depth_suffixes, "depth")
-    return {pair.stem: pair for pair in pair_files(choose_naming(colors, depths), colors, depths)}

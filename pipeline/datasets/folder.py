@@ -1,41 +1,30 @@
-"""Any other recording: a folder of colour, a folder of depth, perhaps poses."""
+"""Any other recording: colour and depth that their names tell, perhaps poses, camera files and label pictures."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import (
-    Recording,
-    files_of,
-    or_note,
-    pose_from_matrix,
-    pose_from_quaternion,
-    read_pair,
-)
-from pipeline.datasets.files import (
-    COLOR_SUFFIXES,
-    Key,
-    Naming,
-    as_floats,
-    choose_naming,
-    image_files,
-    listing,
-    numbered_lines,
-    pair_files,
-    read_matrix,
-    twice,
-)
-from pipeline.datasets.images import DEPTH_SUFFIXES, INTEGER_DEPTH_SUFFIXES
-from pipeline.datasets.settings import FILE_NAME, Settings
+from pipeline.datasets.camera_files import NOTHING, Stated, read_stated, stated_beside
+from pipeline.datasets.cameras import or_note, pose_from_matrix, pose_from_quaternion
+from pipeline.datasets.files import as_floats, numbered_lines, read_matrix
+from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES
+from pipeline.datasets.label_pictures import LabelPicture, read_label_names
+from pipeline.datasets.pairing import Files, Key, Naming, Pair, choose_naming, files_by_role, pair_files, role_of, twice
+from pipeline.datasets.recording import Listed, Recording, files_of
+from pipeline.datasets.settings import DEPTH_SCALE, Settings
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError, require
+from pipeline.language.counted import counted
+from pipeline.system.errors import InputError, needed
 
-COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
-DEPTH_FOLDERS = ("depth",)
+MOST_CAMERA_FILES = 20
+"""So many files that may speak of the camera are read."""
 
 
 @dataclass(frozen=True)
@@ -52,63 +41,163 @@ class _PoseText:
         return pose_from_quaternion(values)
 
 
-class FolderDataset(Recording):
-    """Colour and depth files paired by the number in their names; the id is the colour file's stem.
+@dataclass(frozen=True)
+class Scene:
+    """One folder of frames, and what else is there of them by their keys.
 
+    Attributes
+    ----------
+    pairs : list of Pair
+    stated : Stated
+        What a file for all frames says of the camera.
+    cameras, labels : dict of key to str
+        Files of single frames, relative to the folder.
+    poses : dict of key to _PoseText
+    pose_problem : str or None
+        Why there are none although there is a file.
+    """
+
+    files: Files
+    pairs: list[Pair]
+    stated: Stated = NOTHING
+    cameras: Mapping[Key, str] = field(default_factory=dict)
+    labels: Mapping[Key, str] = field(default_factory=dict)
+    poses: Mapping[Key, _PoseText] = field(default_factory=dict)
+    pose_problem: str | None = None
+
+    @classmethod
+    def of(cls, files: Files, told: bool) -> Scene:
+        """The frames of a folder, listed; InputError where colour and depth do not pair, or its camera files differ.
+
+        `told` says that the intrinsics are known already.
+        """
+        root = files.root
+        colors, depths = files.of("color"), files.of("depth")
+        naming = choose_naming(colors, depths, files.flat)
+        pairs = pair_files(naming, colors, depths, root)
+        keys = {pair.key for pair in pairs}
+        each = {role: {naming(name): name for name in files.of(role)} for role in ("camera", "label")}
+        stated = NOTHING
+        if not keys & each["camera"].keys():
+            stated = stated_beside((root / name for name in files.of("camera")[:MOST_CAMERA_FILES]), told)
+        poses, problem = _poses(files, naming, [pair.key for pair in pairs])
+        return cls(files, pairs, stated, each["camera"], each["label"], poses, problem)
+
+    def camera(self, key: Key) -> Stated:
+        """What files say of the camera of one frame; raises as `read_stated`."""
+        if key not in self.cameras:
+            return self.stated
+        own = read_stated(self.files.root / self.cameras[key])
+        rest = self.stated
+        K, size, path = (own.K, own.size, own.path) if own.K is not None else (rest.K, rest.size, rest.path)
+        return Stated(K, size, own.units_per_metre or rest.units_per_metre, path)
+
+    def ids(self, prefix: str) -> list[str]:
+        """The frames' ids: the colour files' names, without the words of their role where they stand beside depth."""
+        stems = [pair.stem for pair in self.pairs]
+        if self.files.flat:
+            short = [role_of(stem)[1] or self.files.root.resolve().name for stem in stems]
+            stems = short if len(set(short)) == len(short) else stems
+        return [f"{prefix}/{stem}" if prefix else stem for stem in stems]
+
+
+class FolderDataset(Recording):
+    """Colour and depth files paired by the number or the rest of their names, in two folders or in one.
+
+    A camera file beside them, or one a frame, is read whatever it is called, as long as a word of its name tells it.
     Poses come from `pose/N.txt` (a 4x4 matrix) or `pose.txt` (a line
     tx ty tz qx qy qz qw a frame), both camera-to-world. Lines belong to the
     frames in order where there are as many, and otherwise line N to number N.
+    Label pictures hold a number a pixel, 0 for none; `labels.txt` names the numbers.
     """
 
     format = "folder"
+    names: ClassVar[Mapping[int, str]] = {}
+    """What numbers in label pictures mean, where no file says it."""
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        colors = image_files(root, COLOR_FOLDERS, COLOR_SUFFIXES, "colour")
-        depths = image_files(root, DEPTH_FOLDERS, DEPTH_SUFFIXES, "depth")
-        _ask_for_the_missing(root, depths, settings)
-        naming = choose_naming(colors, depths)
-        self._pairs = {pair.stem: pair for pair in pair_files(naming, colors, depths)}
-        self.frame_ids = tuple(self._pairs)
-        if settings.depth_scale is None:
-            self.notes = ("floating-point depth is taken for metres: --depth-scale UNITS_PER_METRE tells another unit",)
-        self._poses, self._pose_problem = _poses(root, naming, [pair.key for pair in self._pairs.values()])
+        told = settings.intrinsics is not None
+        self._scenes = {prefix: Scene.of(self._files(folder), told) for prefix, folder in self._folders(root).items()}
+        self._index = {
+            frame_id: (prefix, pair)
+            for prefix, scene in self._scenes.items()
+            for frame_id, pair in zip(scene.ids(prefix), scene.pairs, strict=True)
+        }
+        self.frame_ids = tuple(self._index)
+        if any(scene.labels for scene in self._scenes.values()):
+            self._names = read_label_names(root) or self.names
+            self.class_names = tuple(dict.fromkeys(self._names.values())) or ("object",)
+        self._check()
 
-    def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
-        pair = self._found(self._pairs, frame_id)
+    def _folders(self, root: Path) -> dict[str, Path]:
+        return {"": root}
+
+    def _files(self, folder: Path) -> Files:
+        return needed(files_by_role(folder), "no colour and depth that their names tell", path=folder)
+
+    def _camera(self, scene: Scene, pair: Pair) -> Stated:
+        return scene.camera(pair.key)
+
+    def _pose(self, scene: Scene, pair: Pair, notes: list[str]) -> np.ndarray | None:
+        notes += [] if scene.pose_problem is None else [f"no camera pose: {scene.pose_problem}"]
+        text = scene.poses.get(pair.key)
+        return None if text is None else or_note(notes, "no camera pose: ", text.read)
+
+    def _up(self, pose: np.ndarray | None) -> np.ndarray | None:
+        """The up vector, camera frame, that a layout's world declares; plain ones declare none."""
+        return None
+
+    def _check(self) -> None:
+        """What the first frame of each scene and the suffixes tell of what is missing, without decoding a picture."""
+        told, camera, unit, floats = self._settings, False, False, False
+        scene = next(iter(self._scenes.values()))
+        for scene in self._scenes.values():
+            stated = or_note([], "", self._camera, scene, scene.pairs[0]) or NOTHING
+            depths = {os.path.splitext(name)[1].lower() for name in scene.files.of("depth")}
+            integer = bool(depths & set(INTEGER_DEPTH_SUFFIXES))
+            no_unit = told.depth_scale is stated.units_per_metre is self.rule.units_per_metre is None
+            camera |= told.intrinsics is None and stated.K is None
+            unit |= no_unit and integer
+            floats |= no_unit and not integer
+        self._ask_for(_seen(scene), camera, unit)
+        if floats:
+            self.notes += (f"floating-point depth is taken for metres: {DEPTH_SCALE} tells another unit",)
+
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
+        prefix, pair = self._found(self._index, frame_id)
+        scene = self._scenes[prefix]
         color, depth = files_of(pair, self.root)
-        images = read_pair(color, depth, self._settings.depth_scale)
-        notes: list[str] = [] if self._pose_problem is None else [f"no camera pose: {self._pose_problem}"]
-        pose_text = self._poses.get(pair.key)
-        pose = None if pose_text is None else or_note(notes, "no camera pose: ", pose_text.read)
-        return self._frame(frame_id, images, None, pose, color, depth, notes=notes)
+        pose = self._pose(scene, pair, notes)
+        stated = NOTHING if self._told else self._camera(scene, pair)
+        label = scene.labels.get(pair.key)
+        annotate = None if label is None else LabelPicture(scene.files.root / label, self._names).annotations
+        return Listed(color, depth, stated, pose, annotate, self._up(pose))
+
+    @property
+    def _told(self) -> bool:
+        return self._settings.intrinsics is not None and self._settings.depth_scale is not None
+
+    def load_picture(self, frame_id: str) -> Frame:
+        """As `load`, without annotations."""
+        return self._decoded(frame_id, annotated=False)
 
 
-def _ask_for_the_missing(root: Path, depths: list[Path], settings: Settings) -> None:
-    missing: list[str] = []
-    if settings.intrinsics is None:
-        missing.append("--intrinsics fx,fy,cx,cy")
-    if settings.depth_scale is None and any(path.suffix.lower() in INTEGER_DEPTH_SUFFIXES for path in depths):
-        missing.append("--depth-scale UNITS_PER_METRE")
-    require(
-        not missing,
-        "this recording does not say what its camera is",
-        expected=" and ".join(missing),
-        cause=f"give it on the command line or keep it in {FILE_NAME} beside the data",
-        path=root,
-    )
+def _seen(scene: Scene) -> str:
+    """The colour and depth files of a scene in a few words."""
+    first = next((p for p in scene.pairs if p.color_name and p.depth_name), scene.pairs[0])
+    return f"{counted(len(scene.pairs), 'pair')} such as {first.color_name} and {first.depth_name}"
 
 
-def _poses(root: Path, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _PoseText], str | None]:
+def _poses(files: Files, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _PoseText], str | None]:
     """Where each frame's pose stands, and why there are none although there is a file."""
-    if (root / "pose").is_dir():
-        files = [root / "pose" / name for name in listing(root / "pose")[1] if name.lower().endswith(".txt")]
-        if files:
-            if same := twice(naming, files):
-                return {}, f"pose/ has {same} for one frame"
-            return {naming(path): _PoseText(path) for path in files}, None
-    path = root / "pose.txt"
+    known = set(keys)
+    names = [name for name in files.of("pose") if "/" in name or naming(name) in known]
+    if names:
+        if same := twice(naming, names):
+            return {}, f"pose/ has {same} for one frame"
+        return {naming(name): _PoseText(files.root / name) for name in names}, None
+    path = files.root / "pose.txt"
     if not path.is_file():
         return {}, None
     try:
@@ -122,14 +211,9 @@ def _poses(root: Path, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _Pose
     return {}, f"pose.txt has {len(lines)} lines for {len(keys)} frames"
 
 
-def _recognises(root: Path) -> bool:
-    names = {name.lower() for name in listing(root)[0]}
-    return bool(names.intersection(COLOR_FOLDERS)) and bool(names.intersection(DEPTH_FOLDERS))
-
-
 FORMAT = DatasetFormat(
     "folder",
-    "folder: color/, rgb/ or image/ with depth/, files paired by number",
-    _recognises,
+    "folder: colour and depth in color/ and depth/, or side by side as N-color.png and N-depth.png",
+    lambda root: files_by_role(root) is not None,
     FolderDataset,
 )

@@ -8,17 +8,21 @@ JPEG marker by marker to its end-of-image marker, a PGM by its size.
 from __future__ import annotations
 
 import io
+import os
 import re
 import zlib
 from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
+from PIL import Image
 
-from pipeline.datasets.files import CUT_OFF, read_bytes
+from pipeline.datasets.files import CUT_OFF, Blob, read_bytes
 from pipeline.system.errors import InputError, needed, require
 
-DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy")
+DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy", ".npz")
 INTEGER_DEPTH_SUFFIXES = (".png", ".pgm")
 
 _MAGIC = {
@@ -30,10 +34,13 @@ _MAGIC = {
     b"MM\0*": "tiff",
     b"\x76\x2f\x31\x01": "exr",
     b"\x93NUMPY": "npy",
+    b"PK\x03\x04": "npz",
 }
+_ARRAYS = ("exr", "npy", "npz")
+"""Kinds that hold numbers and no picture."""
 
 
-def read_color(path: Path) -> np.ndarray:
+def read_color(path: Blob) -> np.ndarray:
     """A colour file as (H, W, 3) uint8 RGB.
 
     The orientation tag is ignored, since depth maps carry none.
@@ -43,13 +50,22 @@ def read_color(path: Path) -> np.ndarray:
     InputError
         Missing, empty, cut off, corrupt, or no image.
     """
+    if hasattr(path, "pixels"):
+        return _pixels(path)
     data, kind = _checked(path, "png, jpeg, tiff or ppm")
-    require(kind not in ("exr", "npy"), "a colour file must be a png, jpeg, tiff or ppm", got=kind, path=path)
+    require(kind not in _ARRAYS, "a colour file must be a png, jpeg, tiff or ppm", got=kind, path=path)
     bgr = _decode(data, kind, path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     return np.ascontiguousarray(bgr[..., ::-1])
 
 
-def read_mask(path: Path) -> np.ndarray:
+def read_numbers(path: Blob) -> np.ndarray:
+    """A picture of masks or of labels as it is stored, (H, W) or (H, W, C); raises as `read_color`."""
+    data, kind = _checked(path, "png")
+    require(kind not in _ARRAYS, "a mask must be a png", got=kind, path=path)
+    return _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
+
+
+def read_mask(path: Blob) -> np.ndarray:
     """A mask file as (H, W) bool: whatever is above 0 in any channel but alpha.
 
     Raises
@@ -57,19 +73,17 @@ def read_mask(path: Path) -> np.ndarray:
     InputError
         As `read_color`.
     """
-    data, kind = _checked(path, "png")
-    require(kind not in ("exr", "npy"), "a mask must be a png", got=kind, path=path)
-    pixels = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
+    pixels = read_numbers(path)
     return np.any(pixels[..., :3] > 0, axis=2) if pixels.ndim == 3 else pixels > 0
 
 
-def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0) -> np.ndarray:
+def read_depth(path: Blob, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0) -> np.ndarray:
     """A depth file as (H, W) float32 metres, 0 where nothing was measured.
 
     Parameters
     ----------
-    path : Path
-        16-bit PNG or PGM, TIFF, EXR or NPY.
+    path : Blob
+        16-bit PNG or PGM, TIFF, EXR, NPY or NPZ.
     units_per_metre : float or None
         1000 for millimetres. None: floating-point depth is metres, and integer
         depth is an error.
@@ -83,28 +97,7 @@ def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = 
     InputError
         As `read_color`; also 8-bit depth, depth with colours, or an unknown unit.
     """
-    data, kind = _checked(path, "png, pgm, tiff, exr or npy")
-    if kind == "npy":
-        stored = _decode_npy(data, path)
-    elif kind == "exr":
-        stored = _decode_exr(path)
-    else:
-        stored = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
-    if stored.ndim == 3 and stored.shape[2] == 1:
-        stored = stored[..., 0]
-    require(
-        stored.dtype.itemsize != 1,
-        "depth of 8 bits",
-        got=stored.dtype,
-        expected="16-bit integers or floats",
-        cause="is this a picture of the depth, made for looking at, or a lossy copy?",
-        path=path,
-    )
-    require(stored.ndim == 2, "depth must have one channel", got=f"shape {stored.shape}", path=path)
-    require(stored.dtype.kind in "uif", "depth must be numbers", got=stored.dtype, path=path)
-    if rotated:
-        require(stored.dtype == np.uint16, "depth with rotated bits must have 16", got=stored.dtype, path=path)
-        stored = (stored >> rotated) | (stored << (16 - rotated))
+    stored = read_stored(path, rotated)
     if units_per_metre is None:
         require(
             stored.dtype.kind == "f",
@@ -122,7 +115,51 @@ def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = 
     return depth
 
 
-def _checked(path: Path, expected: str) -> tuple[bytes, str]:
+def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
+    """A depth file as it is stored, (H, W), of 16-bit or larger integers or floats; see `read_depth`."""
+    if hasattr(path, "pixels"):
+        stored = _pixels(path)
+    else:
+        data, kind = _checked(path, "png, pgm, tiff, exr, npy or npz")
+        if kind in ("npy", "npz"):
+            stored = _decode_numpy(data, path)
+        elif kind == "exr":
+            stored = _decode_exr(path)
+        else:
+            stored = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
+    if stored.ndim == 3 and stored.shape[2] == 1:
+        stored = stored[..., 0]
+    require(
+        stored.dtype.itemsize != 1,
+        "depth of 8 bits",
+        got=stored.dtype,
+        expected="16-bit integers or floats",
+        cause="is this a picture of the depth, made for looking at, or a lossy copy?",
+        path=path,
+    )
+    require(stored.ndim == 2, "depth must have one channel", got=f"shape {stored.shape}", path=path)
+    require(stored.dtype.kind in "uif", "depth must be numbers", got=stored.dtype, path=path)
+    if rotated:
+        require(stored.dtype == np.uint16, "depth with rotated bits must have 16", got=stored.dtype, path=path)
+        stored = (stored >> rotated) | (stored << (16 - rotated))
+    return stored
+
+
+def picture_size(path: Path) -> tuple[int, int] | None:
+    """(width, height) by the header of a picture; None where it is none."""
+    try:
+        with Image.open(path) as picture:
+            return picture.size
+    except (OSError, ValueError, Image.DecompressionBombError):
+        return None
+
+
+def _pixels(blob: Any) -> np.ndarray:
+    """The array of a blob that holds one."""
+    return blob.pixels()
+
+
+def _checked(path: Blob, expected: str) -> tuple[bytes, str]:
     """The bytes of an image file that is whole, and its kind by its first bytes."""
     data = read_bytes(path)
     kind = needed(
@@ -140,7 +177,7 @@ def _checked(path: Path, expected: str) -> tuple[bytes, str]:
     return data, kind
 
 
-def _check_png(data: bytes, path: Path) -> None:
+def _check_png(data: bytes, path: Blob) -> None:
     """Walk the chunks to IEND; each has its length, type, body and CRC-32 (PNG 1.2, section 3)."""
     view, position = memoryview(data), 8
     while position + 12 <= len(data):
@@ -160,7 +197,7 @@ def _check_png(data: bytes, path: Path) -> None:
     raise InputError("a PNG that is cut off", got=f"{len(data)} bytes", cause=CUT_OFF, path=path)
 
 
-def _check_jpeg(data: bytes, path: Path) -> None:
+def _check_jpeg(data: bytes, path: Blob) -> None:
     """Walk the markers to EOI (ITU T.81, annex B).
 
     Segments are skipped by their length, so that the end of an embedded
@@ -187,7 +224,7 @@ def _check_jpeg(data: bytes, path: Path) -> None:
     raise InputError("a JPEG that is cut off", got=f"{len(data)} bytes", cause=CUT_OFF, path=path)
 
 
-def _decode(data: bytes, kind: str, path: Path, flags: int) -> np.ndarray:
+def _decode(data: bytes, kind: str, path: Blob, flags: int) -> np.ndarray:
     if kind == "pnm":
         return _decode_pnm(data, path, flags)
     try:
@@ -197,7 +234,7 @@ def _decode(data: bytes, kind: str, path: Path, flags: int) -> np.ndarray:
     return needed(pixels, f"a {kind} that cannot be decoded", cause="is the file cut off or corrupt?", path=path)
 
 
-def _decode_pnm(data: bytes, path: Path, flags: int) -> np.ndarray:
+def _decode_pnm(data: bytes, path: Blob, flags: int) -> np.ndarray:
     """Binary PGM (P5) or PPM (P6); 16-bit samples are big-endian. Colour comes back BGR, like OpenCV's."""
     gap = rb"(?:\s|#[^\n]*\n)+"
     number = rb"([0-9]{1,9})"
@@ -225,15 +262,23 @@ def _decode_pnm(data: bytes, path: Path, flags: int) -> np.ndarray:
     return np.repeat(pixels, 3, axis=2) if channels == 1 else pixels[..., ::-1]
 
 
-def _decode_npy(data: bytes, path: Path) -> np.ndarray:
+def _decode_numpy(data: bytes, path: Blob) -> np.ndarray:
+    """The array of an NPY, or of an NPZ: its only one, or the one that is named for depth."""
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, MemoryError, OverflowError, SyntaxError, TypeError) as error:
-        raise InputError("an NPY that cannot be read", got=str(error)[:120], cause=CUT_OFF, path=path) from error
+        if isinstance(array, np.lib.npyio.NpzFile):
+            names = [name for name in array.files if len(array.files) == 1 or "depth" in name.lower()]
+            require(len(names) == 1, "an NPZ without one array of depth", got=", ".join(array.files), path=path)
+            array = array[names[0]]
+    except InputError:
+        raise
+    except (ValueError, EOFError, MemoryError, OverflowError, SyntaxError, TypeError, BadZipFile) as error:
+        kind = Path(path).suffix[1:].upper() or "array"
+        raise InputError(f"an {kind} that cannot be read", got=str(error)[:120], cause=CUT_OFF, path=path) from error
     return np.asarray(array)
 
 
-def _decode_exr(path: Path) -> np.ndarray:
+def _decode_exr(path: Blob) -> np.ndarray:
     """The only channel of an OpenEXR file, or the first of several equal ones.
 
     OpenCV's wheels either lack OpenEXR (5.0) or hide it behind an environment
@@ -250,7 +295,7 @@ def _decode_exr(path: Path) -> np.ndarray:
             path=path,
         ) from error
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as image:
+        with OpenEXR.File(os.fspath(path), separate_channels=True) as image:
             channels = [np.array(channel.pixels) for channel in image.channels().values()]
     except Exception as error:  # The package raises plain RuntimeError and ValueError alike.
         raise InputError("an EXR that cannot be read", got=str(error)[:120], path=path) from error

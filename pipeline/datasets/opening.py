@@ -2,40 +2,59 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.datasets import (
+    apc,
     avd,
     bop,
     folder,
+    parquet,
+    phones,
+    reconstructions,
     redwood,
     saved_case,
     scannet,
     semantic_abstraction,
     seven_scenes,
+    streams,
     sunrgbd,
     tum,
+    ycb_video,
 )
 from pipeline.datasets.base import Dataset, DatasetFormat
+from pipeline.datasets.files import listed_once
 from pipeline.datasets.settings import GivenUp, read_settings
+from pipeline.datasets.unknown import unknown
 from pipeline.datasets.up import with_given_up
-from pipeline.system.errors import UnknownFormat, require
+from pipeline.system.errors import require
 from pipeline.system.plugins import load_plugins
 
 FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,
     bop.FORMAT,
+    apc.FORMAT,
     seven_scenes.FORMAT,
     scannet.FORMAT,
     tum.FORMAT,
     sunrgbd.VOTENET_FORMAT,
     sunrgbd.FORMAT,
+    ycb_video.FORMAT,
+    phones.ARKITSCENES,
+    reconstructions.NERFSTUDIO,
+    reconstructions.COLMAP,
     redwood.FORMAT,
+    parquet.FORMAT,
+    streams.FORMAT,
     avd.FORMAT,
     semantic_abstraction.FORMAT,
 )
 """The formats with marks of their own; the first that recognises a folder opens it.
 A new reader is one file and one line here."""
+
+CAPTURES: tuple[DatasetFormat, ...] = (phones.RECORD3D, parquet.FORMAT, streams.FORMAT)
+"""Formats of single files, which are told by their names."""
 
 FALLBACK = folder.FORMAT
 """What any other recording is opened as, after the plugins have been asked."""
@@ -51,6 +70,7 @@ def open_dataset(
     depth_scale: float | None = None,
     up: str | None = None,
     level_at: str | None = None,
+    browse: bool = False,
 ) -> Dataset:
     """Open a folder of RGB-D frames without decoding an image.
 
@@ -72,6 +92,10 @@ def open_dataset(
         "FRAME:U,V", or "U,V" of the first frame: the surface at this pixel is level, in all frames of its scene that
         have poses.
 
+    browse : bool
+        Frames are only looked at: where nothing tells the camera or the depth's unit, that is no error but a note and
+        `Camera.untold`, and what measures refuses.
+
     Raises
     ------
     InputError
@@ -80,17 +104,13 @@ def open_dataset(
     """
     root = Path(path).expanduser()
     require(root.exists(), "there is no such dataset", expected="a folder", path=root)
-    require(root.is_dir(), "a dataset is a folder", got="a file", cause="is its parent folder the dataset?", path=root)
     require(up is None or level_at is None, "--up and --level-at say the same", expected="one of them")
     told = None if up is None else GivenUp.parse(up)
-    settings = read_settings(root).overridden(intrinsics, depth_scale, told)
+    settings = replace(read_settings(root).overridden(intrinsics, depth_scale, told), browse=browse)
     added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
-    formats = (*FORMATS, *added, FALLBACK)
-    for candidate in formats:
-        if candidate.recognises(root):
-            return with_given_up(candidate.open(root, settings), settings, level_at)
-    raise UnknownFormat(
-        "no dataset is recognised in this folder",
-        cause="looked for " + "; ".join(candidate.signature for candidate in formats),
-        path=root,
-    )
+    formats = (*FORMATS, *added, FALLBACK) if root.is_dir() else CAPTURES
+    with listed_once():
+        for candidate in formats:
+            if candidate.recognises(root):
+                return with_given_up(candidate.open(root, settings), settings, level_at)
+    raise unknown(root, lambda path: any(candidate.recognises(path) for candidate in formats))

@@ -9,28 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import (
-    Recording,
-    files_of,
-    or_note,
-    pose_from_matrix,
-    read_pair,
-)
-from pipeline.datasets.files import (
-    Key,
-    as_floats,
-    image_files,
-    listing,
-    numbered_lines,
-    paired_files,
-    read_json,
-    readable,
-)
-from pipeline.datasets.settings import Settings, unit_notes
-from pipeline.geometry.frame import Frame
+from pipeline.datasets.camera_files import Stated
+from pipeline.datasets.cameras import or_note, pose_from_matrix
+from pipeline.datasets.files import as_floats, listing, numbered_lines, read_json, readable
+from pipeline.datasets.pairing import Key, image_files, paired_files
+from pipeline.datasets.recording import DepthRule, Listed, Recording, files_of
+from pipeline.datasets.settings import Settings
 from pipeline.system.errors import InputError, needed, require
 
-UNITS_PER_METRE = 1000.0
 COLOR_FOLDERS = ("color", "image", "rgb")
 DEPTH_FOLDERS = ("depth",)
 CAMERA_FILES = ("camera_primesense.json", "camera_intrinsic.json", "intrinsics.json", "intrinsic.json")
@@ -60,38 +46,37 @@ class RedwoodDataset(Recording):
     """
 
     format = "redwood"
+    rule = DepthRule(1000.0, "Redwood's")
 
     def __init__(self, root: Path, settings: Settings) -> None:
         layout = needed(_layout(root), "no colour and depth folders", path=root)
         super().__init__(root, settings)
         self._camera_file = layout.camera
         require(
-            layout.camera is not None or settings.intrinsics is not None,
+            layout.camera is not None or settings.intrinsics is not None or settings.browse,
             "the camera is not known",
             expected=f"{' or '.join(CAMERA_FILES)}, or --intrinsics fx,fy,cx,cy",
             path=root,
         )
         self._pairs = paired_files(layout.frames, COLOR_FOLDERS, (".png",), DEPTH_FOLDERS)
         self.frame_ids = tuple(self._pairs)
-        self.notes = unit_notes(settings, UNITS_PER_METRE, "Redwood's")
         self._pose_notes: list[str] = []
         read = (layout.trajectory, [pair.key for pair in self._pairs.values()])
         self._poses = or_note(self._pose_notes, f"no camera pose, {TRAJECTORY}: ", _poses, *read) or {}
 
-    def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         files = self._found(self._pairs, frame_id)
         color, depth = files_of(files, self.root)
-        pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE)
-        notes = list(self._pose_notes)
+        notes += self._pose_notes
         pose = None
         if files.key in self._poses:
             pose = or_note(notes, f"no camera pose, {TRAJECTORY}: ", pose_from_matrix, self._poses[files.key])
         elif self._poses:
             notes.append(f"no camera pose: {TRAJECTORY} has none for this frame")
-        path = self._camera_file if self._settings.intrinsics is None else None
-        K = None if path is None else _camera_matrix(path, pair[1].shape)
-        return self._frame(frame_id, pair, K, pose, self._camera_file or color, depth, notes=notes)
+        path = self._camera_file
+        if self._settings.intrinsics is not None or path is None:
+            return Listed(color, depth, Stated(path=path), pose)
+        return Listed(color, depth, _stated(path), pose)
 
 
 def _layout(root: Path) -> _Layout | None:
@@ -128,26 +113,14 @@ def _is_camera_file(path: Path) -> bool:
         return False
 
 
-def _camera_matrix(path: Path, size: tuple[int, ...]) -> np.ndarray:
-    """(3, 3) intrinsics of an Open3D PinholeCameraIntrinsic, which stores them column by column.
-
-    Raises
-    ------
-    InputError
-        Malformed, or for images of another size.
-    """
+def _stated(path: Path) -> Stated:
+    """An Open3D PinholeCameraIntrinsic, which stores its matrix column by column; InputError where it is malformed."""
     table = read_json(path)
     for key in ("width", "height", "intrinsic_matrix"):
         require(key in table, f"{key} is missing", path=path)
     width, height = as_floats([table["width"], table["height"]], 2, path, "width and height")
-    require(
-        (height, width) == size,
-        "the camera file is for another image size",
-        got=f"{width:g}x{height:g}",
-        expected=f"{size[1]}x{size[0]} as the images",
-        path=path,
-    )
-    return as_floats(table["intrinsic_matrix"], 9, path, "intrinsic_matrix").reshape(3, 3).T
+    K = as_floats(table["intrinsic_matrix"], 9, path, "intrinsic_matrix").reshape(3, 3).T
+    return Stated(K, (round(width), round(height)), path=path)
 
 
 def _poses(path: Path | None, keys: list[Key]) -> dict[Key, np.ndarray]:

@@ -5,21 +5,17 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import Recording, differ_in_size, files_of, read_pose
-from pipeline.datasets.files import paired_files, read_matrix
-from pipeline.datasets.images import read_color, read_depth
-from pipeline.datasets.settings import Settings, unit_notes
-from pipeline.geometry.frame import Frame
+from pipeline.datasets.camera_files import Stated
+from pipeline.datasets.cameras import read_pose
+from pipeline.datasets.files import read_matrix
+from pipeline.datasets.images import picture_size
+from pipeline.datasets.pairing import paired_files
+from pipeline.datasets.recording import DepthRule, Listed, Recording, files_of
+from pipeline.datasets.settings import Settings
 from pipeline.system.errors import require
-
-UNITS_PER_METRE = 1000.0
-SAME_SHAPE = 0.02
-"""Colour and depth are of one camera where their aspect ratios differ by less than this share.
-ScanNet's own, 1296x968 and 640x480, differ by 0.4 %."""
 
 
 class ScanNetDataset(Recording):
@@ -33,42 +29,28 @@ class ScanNetDataset(Recording):
 
     format = "scannet"
 
+    rule = DepthRule(1000.0, "ScanNet's")
+
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
         self._pairs = paired_files(root, ("color",), (".png",))
         self.frame_ids = tuple(self._pairs)
-        self.notes = unit_notes(settings, UNITS_PER_METRE, "ScanNet's")
 
-    def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         pair = self._found(self._pairs, frame_id)
         color, depth = files_of(
             pair, self.root, self.root / "color" / f"{frame_id}.jpg", self.root / "depth" / f"{frame_id}.png"
         )
-        rgb = read_color(color)
-        metres = read_depth(depth, self._settings.depth_scale or UNITS_PER_METRE)
-        notes: list[str] = []
-        height, width = metres.shape
-        whole = rgb.shape[:2]
-        if whole != metres.shape:
-            if abs(whole[1] * height / (whole[0] * width) - 1) > SAME_SHAPE:
-                raise differ_in_size(rgb, metres, color, depth)
-            # OpenCV's average over areas becomes nearest-neighbour where the image grows.
-            how = cv2.INTER_AREA if whole[0] > height else cv2.INTER_LINEAR
-            rgb = cv2.resize(rgb, (width, height), interpolation=how)
-            if frame_id == self.frame_ids[0]:
-                notes.append(f"colour of {whole[1]}x{whole[0]} is resized to the depth's {width}x{height} everywhere")
-        K, source = self._camera_matrix(whole == metres.shape)
         poses = self.root / "pose"
         pose = read_pose(poses / f"{frame_id}.txt", notes) if poses.is_dir() else None
-        return self._frame(frame_id, (rgb, metres), K, pose, source, depth, notes=notes)
+        return Listed(color, depth, self._camera(color, depth), pose)
 
-    def _camera_matrix(self, same_size: bool) -> tuple[np.ndarray | None, Path]:
+    def _camera(self, color: Path, depth: Path) -> Stated:
         """The depth camera's intrinsics; the colour camera's where there is no other file and one size."""
         path = self.root / "intrinsic" / "intrinsic_depth.txt"
         if self._settings.intrinsics is not None:
-            return None, path
-        if not path.is_file() and same_size:
+            return Stated(path=path)
+        if not path.is_file() and picture_size(color) == picture_size(depth):
             path = self.root / "intrinsic" / "intrinsic_color.txt"
         M = read_matrix(path, 4, 4)
         require(
@@ -77,7 +59,7 @@ class ScanNetDataset(Recording):
             got=f"last row {M[3].tolist()}, last column {M[:, 3].tolist()}",
             path=path,
         )
-        return M[:3, :3], path
+        return Stated(M[:3, :3], path=path)
 
 
 def _recognises(root: Path) -> bool:

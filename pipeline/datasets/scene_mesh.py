@@ -101,6 +101,7 @@ def fuse_context(
         Where Open3D is not installed.
     """
     config = config or ContextConfig()
+    frame.camera.check_metric()
     no_pose = f"frame {frame.id} has no pose, so that no other frame can be placed around it"
     pose = needed(frame.camera.T_world_camera, no_pose, error=FrameUnusable)
     others = readable_frames(dataset.load, neighbours(dataset, frame.id, config.frames))

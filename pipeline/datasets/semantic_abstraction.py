@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_frame
-from pipeline.datasets.cameras import Recording, make_camera, or_note
+from pipeline.datasets.cameras import make_camera, or_note
 from pipeline.datasets.files import natural, readable
+from pipeline.datasets.recording import Recording
 from pipeline.datasets.semantic_abstraction_file import (
     RANDOMIZED,
     RENAMED,

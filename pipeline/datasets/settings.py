@@ -10,12 +10,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.geometry.camera import UpSource
+from pipeline.geometry.pose_convention import check_convention
+from pipeline.geometry.registration import Registration
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import parse_toml
 from pipeline.system.whole_files import write_whole
 
 FILE_NAME = "spatialviz.toml"
-KEYS = ("name", "intrinsics", "depth_scale", "world_up", "up", "frame_up")
+KEYS = ("name", "intrinsics", "depth_scale", "poses", "registration", "world_up", "up", "frame_up")
+INTRINSICS = "--intrinsics fx,fy,cx,cy"
+DEPTH_SCALE = "--depth-scale UNITS_PER_METRE"
+"""The options that tell what a recording may not."""
 TABLE = "frame_up"
 """The one key that is a table."""
 
@@ -30,6 +35,11 @@ class Settings:
         Pixels.
     depth_scale : float or None
         Depth units in one metre: 1000 for millimetres.
+    poses : str or None
+        What the pose files mean, one of `pose_convention.CONVENTIONS`; by default "camera-to-world opencv".
+    registration : (fx, fy, cx, cy, tx, ty, tz) or None
+        The colour camera as the depth camera sees it, pixels and metres: `geometry.registration.Registration`. By
+        default both are one.
     world_up : (x, y, z) or None
         The direction against gravity in the world that the poses speak of, as the dataset's makers declare it.
     up : GivenUp or None
@@ -38,6 +48,8 @@ class Settings:
         Up in the camera frame of single frames; the poses carry it to the others of the scene.
     name : str or None
         The dataset's name for people.
+    browse : bool
+        Pictures are only looked at: what nothing tells of the camera is made up, and said to be (`Camera.untold`).
     """
 
     intrinsics: tuple[float, float, float, float] | None = None
@@ -46,6 +58,9 @@ class Settings:
     name: str | None = None
     up: GivenUp | None = None
     frame_up: Mapping[str, Vector] = field(default_factory=dict)
+    browse: bool = False
+    poses: str | None = None
+    registration: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.intrinsics is not None:
@@ -60,6 +75,12 @@ class Settings:
                 scale > 0, "the depth scale must be positive", got=f"{scale:g}", expected="depth units in one metre"
             )
             object.__setattr__(self, "depth_scale", scale)
+        if self.poses is not None:
+            check_convention(self.poses)
+        if self.registration is not None:
+            numbers = _numbers("registration", self.registration, 7)
+            Registration(*numbers)
+            object.__setattr__(self, "registration", numbers)
         if self.world_up is not None:
             object.__setattr__(self, "world_up", _direction("world_up", self.world_up))
         if isinstance(self.up, str):
@@ -80,9 +101,13 @@ class Settings:
         intrinsics: tuple[float, float, float, float] | None = None,
         depth_scale: float | None = None,
         up: GivenUp | None = None,
+        **more: Any,
     ) -> Settings:
-        """These settings, with what is given here winning: `up` also over what is known of single frames."""
-        given: dict[str, Any] = {"intrinsics": intrinsics, "depth_scale": depth_scale, "up": up}
+        """These settings, with what is given here winning: `up` also over what is known of single frames.
+
+        `more` may give `poses` and `registration`.
+        """
+        given: dict[str, Any] = {"intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, **more}
         if up is not None:
             given["frame_up"] = {}
         return replace(self, **{key: value for key, value in given.items() if value is not None})
@@ -94,7 +119,7 @@ def unit_notes(settings: Settings, units_per_metre: float, whose: str) -> tuple[
         return ()
     return (
         f"the depth's unit is {whose}, {units_per_metre:g} to a metre, which no file states: "
-        "--depth-scale UNITS_PER_METRE tells another",
+        f"{DEPTH_SCALE} tells another",
     )
 
 
@@ -103,7 +128,7 @@ def camera_notes(settings: Settings, numbers: Sequence[float], whose: str) -> tu
     if settings.intrinsics is not None:
         return ()
     values = ",".join(f"{n:g}" for n in numbers)
-    return (f"the camera is {whose}, {values}, which no file states: --intrinsics fx,fy,cx,cy tells another",)
+    return (f"the camera is {whose}, {values}, which no file states: {INTRINSICS} tells another",)
 
 
 def read_settings(root: Path) -> Settings:
@@ -114,7 +139,7 @@ def read_settings(root: Path) -> Settings:
     InputError
         Malformed TOML, an unknown key, or a value that cannot be.
     """
-    path = root / FILE_NAME
+    path = settings_file(root)
     if not path.is_file():
         return Settings()
     try:
@@ -138,11 +163,13 @@ def write_settings(
     depth_scale: float | None,
     up: GivenUp | None = None,
     frame_up: Mapping[str, Vector] | None = None,
+    **more: Any,
 ) -> Path:
     """Keep the camera and the up vector of a recording beside it, for the next time.
 
     What the file already holds and is not given here (None) stays, frames of `frame_up` that are not among them, too;
-    but `up` is told of all frames. The file is replaced whole, so that a killed process leaves the old one.
+    but `up` is told of all frames. `more` may give `poses` and `registration`. The file is replaced whole, so that a
+    killed process leaves the old one.
 
     Returns
     -------
@@ -155,7 +182,7 @@ def write_settings(
         A value that cannot be, or a folder that cannot be written.
     """
     root = Path(root)
-    settings = read_settings(root).overridden(intrinsics, depth_scale, up)
+    settings = read_settings(root).overridden(intrinsics, depth_scale, up, **more)
     told = {**settings.frame_up, **(frame_up or {})}
     lines: list[str] = []
     for key in KEYS:
@@ -166,11 +193,17 @@ def write_settings(
             lines.append(f"{key} = [{', '.join(repr(float(v)) for v in value)}]")
         elif isinstance(value, float):
             lines.append(f"{key} = {value!r}")
-    lines += _tables(root / FILE_NAME)
+    path = settings_file(root)
+    lines += _tables(path)
     if told:
         lines += ["", f"[{TABLE}]", *(f"{_quoted(frame)} = {list(v)!r}" for frame, v in told.items())]
-    write_whole(root / FILE_NAME, ("\n".join(lines) + "\n").encode(), "the settings", make_folder=False)
-    return root / FILE_NAME
+    write_whole(path, ("\n".join(lines) + "\n").encode(), "the settings", make_folder=False)
+    return path
+
+
+def settings_file(root: Path) -> Path:
+    """Where the settings of a dataset stand: in its folder, or beside a capture, which may share it with others."""
+    return (root.parent if root.is_file() else root) / FILE_NAME
 
 
 def _tables(path: Path) -> list[str]:

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import (
-    Recording,
-    known_intrinsics,
-    one_file,
-    read_pair,
-    read_pose,
-)
+from pipeline.datasets.camera_files import Stated
+from pipeline.datasets.cameras import one_file, read_pose
 from pipeline.datasets.files import listing, read_matrix
-from pipeline.datasets.settings import Settings, camera_notes, unit_notes
-from pipeline.geometry.frame import Frame
+from pipeline.datasets.recording import DepthRule, Listed, Recording
+from pipeline.datasets.settings import Settings, camera_notes
 
-UNITS_PER_METRE = 1000.0
-NOTHING = 65535
 DEFAULT_INTRINSICS = (585.0, 585.0, 320.0, 240.0)
+UNREGISTERED = (
+    "colour and depth of 7-Scenes are of two cameras, and are read as of one: `spatialviz doctor DATASET --apply` "
+    "estimates the warp between them"
+)
 
 _IMAGE = re.compile(r"(frame-[0-9]{1,12})\.(color|depth)\.(png|jpg|jpeg)")
 
@@ -36,6 +30,8 @@ class SevenScenesDataset(Recording):
     """
 
     format = "7-scenes"
+    rule = DepthRule(1000.0, "7-Scenes' own", nothing=65535)
+    camera_file = "camera-intrinsics.txt or "
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
@@ -47,30 +43,23 @@ class SevenScenesDataset(Recording):
                     kinds = self._files.setdefault(frame_id, {"color": [], "depth": []})
                     kinds[match[2]].append(root / folder / name)
         self.frame_ids = tuple(self._files)
-        self.notes = unit_notes(settings, UNITS_PER_METRE, "7-Scenes' own")
         if any(_camera_file(root, (root / frame_id).parent) is None for frame_id in self.frame_ids):
             self.notes += camera_notes(settings, DEFAULT_INTRINSICS, "7-Scenes' own")
+        if settings.registration is None:
+            self.notes += (UNREGISTERED,)
 
-    def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         files = self._found(self._files, frame_id)
         stem = self.root / frame_id
         color = one_file(files["color"], "colour", stem.with_name(f"{stem.name}.color.png"))
         depth = one_file(files["depth"], "depth", stem.with_name(f"{stem.name}.depth.png"))
-        pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE, NOTHING)
-        notes: list[str] = []
         pose_file = stem.with_name(f"{stem.name}.pose.txt")
         pose = read_pose(pose_file, notes) if pose_file.is_file() else None
-        K, source = self._camera_matrix(stem.parent, pair[1].shape, color)
-        return self._frame(frame_id, pair, K, pose, source, depth, notes=notes)
-
-    def _camera_matrix(self, folder: Path, size: Sequence[int], color: Path) -> tuple[np.ndarray | None, Path]:
-        if self._settings.intrinsics is not None:
-            return None, color
-        path = _camera_file(self.root, folder)
-        if path is not None:
-            return read_matrix(path, 3, 3), path
-        return known_intrinsics(DEFAULT_INTRINSICS, "7-Scenes'", size, "camera-intrinsics.txt or ", color), color
+        path = _camera_file(self.root, stem.parent)
+        if path is None:
+            return Listed(color, depth, pose=pose, documented=DEFAULT_INTRINSICS)
+        K = None if self._settings.intrinsics is not None else read_matrix(path, 3, 3)
+        return Listed(color, depth, Stated(K, path=path), pose)
 
 
 def _camera_file(root: Path, folder: Path) -> Path | None:

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import Recording, nearest_rotation, one_file, or_note, read_pair
+from pipeline.datasets.camera_files import Stated
+from pipeline.datasets.cameras import nearest_rotation, one_file, or_note
 from pipeline.datasets.files import (
-    COLOR_SUFFIXES,
     as_floats,
     listing,
     natural,
@@ -25,7 +25,9 @@ from pipeline.datasets.files import (
     readable,
 )
 from pipeline.datasets.images import read_color
-from pipeline.datasets.settings import Settings, unit_notes
+from pipeline.datasets.pairing import COLOR_SUFFIXES
+from pipeline.datasets.recording import DepthRule, Listed, Recording
+from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Annotation, Frame
@@ -67,6 +69,7 @@ class SunRgbdDataset(Recording):
     """
 
     format = "sunrgbd"
+    rule = DepthRule(UNITS_PER_METRE, "SUN RGB-D's", rotated=ROTATED_BITS)
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
@@ -76,25 +79,21 @@ class SunRgbdDataset(Recording):
             found = sorted(_frames_below(root, LEVELS), key=natural)
             self._folders = {name: root / name for name in found}
         self.frame_ids = tuple(self._folders)
-        self.notes = unit_notes(settings, UNITS_PER_METRE, "SUN RGB-D's")
 
-    def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         folder = self._found(self._folders, frame_id)
-        notes: list[str] = []
         color = _only_image(folder / "image", COLOR_SUFFIXES, "colour")
         if (folder / "depth").is_dir():
             depth = _only_image(folder / "depth", (".png",), "depth")
         else:
             depth = _only_image(folder / "depth_bfx", (".png",), "depth")
             notes.append("depth/ is missing: depth_bfx/ is used, whose holes were filled in")
-        pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE, rotated=ROTATED_BITS)
         path = folder / "intrinsics.txt"
         K = None if self._settings.intrinsics is not None else read_matrix(path, 3, 3)
         up = or_note(
             notes, "no up vector, extrinsics: ", lambda: camera_from_upright(_tilt(folder / "extrinsics"))[:, 2]
         )
-        return self._frame(frame_id, pair, K, None, path, depth, notes=notes, up=up)
+        return Listed(color, depth, Stated(K, path=path), up=up)
 
 
 def _only_image(folder: Path, suffixes: tuple[str, ...], what: str) -> Path:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import Dataset, dataset_notes, has_moves, moves
-from pipeline.datasets.settings import ASSUMED, DECLARE
+from pipeline.datasets.settings import ASSUMED, DECLARE, DEPTH_SCALE
 from pipeline.datasets.up import own_disagreement, resolved_camera, scene_vote
 from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Frame
@@ -40,7 +40,7 @@ class FrameReport:
     depth_valid : float
         Share of the pixels that have depth, 0..1.
     median_depth : float or None
-        Metres, over those pixels; None where broken.
+        Metres, over those pixels; None where broken, and where nothing tells the unit.
     has_pose : bool
     up_source : str or None
         How the up vector that is used is known; see `camera.UpSource`.
@@ -82,7 +82,9 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
         except InputError as error:
             yield FrameReport(index, frame_id, ok=False, problem=str(error), dataset_notes=assumed, moves=leads)
             continue
-        camera = resolved_camera(dataset, frame)
+        # Of a camera that is only a stand-in no level plane can be asked.
+        untold = frame.camera.untold
+        camera = frame.camera if untold else resolved_camera(dataset, frame)
         valid = frame.depth[frame.depth > 0]
         yield FrameReport(
             index,
@@ -93,7 +95,7 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
             annotations=len(frame.annotations),
             labels=tuple(annotation.label for annotation in frame.annotations),
             depth_valid=valid.size / frame.depth.size,
-            median_depth=float(np.median(valid)),
+            median_depth=None if DEPTH_SCALE in untold else float(np.median(valid)),
             has_pose=frame.camera.T_world_camera is not None,
             up_source=camera.up_source,
             up=None if camera.up is None else tuple(camera.up.tolist()),

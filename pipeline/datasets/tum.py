@@ -12,19 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
-from pipeline.datasets.cameras import (
-    Recording,
-    known_intrinsics,
-    or_note,
-    pose_from_quaternion,
-    read_pair,
-)
+from pipeline.datasets.cameras import or_note, pose_from_quaternion
 from pipeline.datasets.files import as_floats, numbered_lines, path_inside
-from pipeline.datasets.settings import Settings, camera_notes, unit_notes
-from pipeline.geometry.frame import Frame
+from pipeline.datasets.recording import DepthRule, Listed, Recording
+from pipeline.datasets.settings import Settings, camera_notes
 from pipeline.system.errors import require
 
-UNITS_PER_METRE = 5000.0
 WITHIN = 0.02
 """Seconds by which two entries of one frame may differ."""
 
@@ -67,12 +60,13 @@ class TumDataset(Recording):
     """
 
     format = "tum"
+    rule = DepthRule(5000.0, "TUM's")
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
         colors, depths = _entries(root, "rgb.txt"), _entries(root, "depth.txt")
         times = np.array([entry.time for entry in colors]), np.array([entry.time for entry in depths])
-        matched = _match(*times)
+        matched = match_times(*times)
         require(
             matched,
             "no colour image has a depth image within 20 ms",
@@ -89,21 +83,14 @@ class TumDataset(Recording):
         found = re.search("freiburg[123]", root.resolve().name.lower())
         self._camera = CAMERAS[found[0]] if found else DEFAULT_CAMERA
         whose = f"{found[0]}'s by the folder's name" if found else "TUM's default"
-        self.notes = (
-            *unit_notes(settings, UNITS_PER_METRE, "TUM's"), *camera_notes(settings, self._camera, whose)
-        )  # fmt: skip
+        self.notes += camera_notes(settings, self._camera, whose)
 
-    def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         color = self._found(self._colors, frame_id)
         require(frame_id in self._depths, f"no depth image within 20 ms of {frame_id}", path=self.root / "depth.txt")
-        depth = self._depths[frame_id].path
-        pair = read_pair(color.path, depth, self._settings.depth_scale or UNITS_PER_METRE)
-        notes = list(self._pose_notes)
+        notes += self._pose_notes
         pose = self._pose(color.time, notes)
-        told = self._settings.intrinsics is not None
-        K = None if told else known_intrinsics(self._camera, "TUM's", pair[1].shape, "", color.path)
-        return self._frame(frame_id, pair, K, pose, color.path, depth, notes=notes)
+        return Listed(color.path, self._depths[frame_id].path, pose=pose, documented=self._camera)
 
     def _pose(self, time: float, notes: list[str]) -> np.ndarray | None:
         path = self._path
@@ -146,7 +133,7 @@ def _entries(root: Path, name: str) -> list[_Entry]:
     return [found[time] for time in sorted(found)]
 
 
-def _match(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
+def match_times(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
     """One-to-one matches of two sorted lists of times within 20 ms, the nearest first.
 
     The greedy rule is that of the dataset's own associate.py.

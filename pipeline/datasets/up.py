@@ -24,7 +24,7 @@ from pipeline.datasets.base import (
     unknown_frame,
 )
 from pipeline.datasets.settings import SOURCES, GivenUp, Settings, Vector, parse_level_at
-from pipeline.geometry.camera import Camera
+from pipeline.geometry.camera import IMAGE_UP, Camera
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.level_plane import (
     MIN_SCORE,
@@ -301,6 +301,9 @@ def _voters(dataset: Dataset, frame_id: str) -> list[Voter]:
 def resolved_camera(dataset: Dataset, frame: Frame) -> Camera:
     """The frame's camera with its up vector; a frame with a pose and without an up takes its scene's."""
     camera = frame.camera
+    if camera.untold:
+        # Planes of a camera that is only a stand-in are none of the scene's.
+        return camera if camera.up is not None else camera.with_up(IMAGE_UP, "assumed")
     if camera.up is not None or camera.T_world_camera is None:
         return resolve_up(frame.depth, camera)
     return resolve_up(frame.depth, camera, scene_vote(dataset, frame.id).up)

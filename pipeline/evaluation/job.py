@@ -10,6 +10,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_confusion, network_confusion
 from pipeline.evaluation.grounding_tables import (
     OPM_ONLY,
@@ -39,15 +40,7 @@ from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, median_
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, other_systems, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
 from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
-from pipeline.evaluation.summary import (
-    Comparison,
-    RunSummary,
-    compare,
-    has_verdicts,
-    oracle_table,
-    summarise_run,
-    verdict_table,
-)
+from pipeline.evaluation.summary import RunSummary, has_verdicts, oracle_table, summarise_run, verdict_table
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
 from pipeline.labels.profiles import canonical_hash

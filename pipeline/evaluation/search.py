@@ -23,7 +23,9 @@ import numpy as np
 
 from pipeline.diagnosis.oracles import ALL_ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
+from pipeline.evaluation.comparing import CHANGE, CHANGES, SECOND
 from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
+from pipeline.evaluation.run_notes import MARKS
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.statistics import quoted
@@ -50,7 +52,8 @@ WORDS = ("text", "said", "problem")
 """Columns of sentences: a value must stand in them."""
 SORT = "sort"
 RIGHT = ("CORRECT",)
-_ABOUT_RIGHT = {"verdict", "lucky", "correct", "strict_correct", "set_correct", "pair_correct", "reference_correct"}
+_ABOUT_RIGHT = {"verdict", "lucky", "correct", "strict_correct", "set_correct", "pair_correct", "reference_correct",
+                CHANGE, f"{SECOND}verdict", MARKS}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -159,6 +162,22 @@ def find_rows(records: pa.Table, query: str) -> np.ndarray:
         The search cannot be read.
     """
     return _rows(records, compile_search(query, records.schema))
+
+
+def terms_of(query: str, schema: pa.Schema) -> list[tuple[str, Term]]:
+    """The terms of a search, each with the column that it asks for; "" for an order.
+
+    Raises
+    ------
+    InputError
+        The search cannot be read.
+    """
+    fields = fields_of(schema)
+    found = []
+    for term in read_terms(query):
+        order = term.field is not None and term.field.lower() == SORT
+        found.append(("", term) if order else (_meant(term, fields)[0].column, term))
+    return found
 
 
 def find_failures(records: pa.Table, query: str = "") -> pa.Table:
@@ -273,13 +292,16 @@ def _text(field: Field, operator: str, value: Value, _single: bool) -> Condition
     return f"lower({column}) = lower(?)", [value.text]
 
 
+_KNOWN = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, "relation": PAIRWISE, CHANGE: tuple(CHANGES)}
+
+
 def _named(field: Field, value: Value) -> tuple[Value, ...]:
     """A verdict or a relation by its own name; an unknown one is an error. OPM stands for the three of the detector."""
-    known = {"verdict": VERDICTS, "relation": PAIRWISE}.get(field.column)
+    known = _KNOWN.get(field.column)
     if known is None or _none(value) or ("*" in value.text and not value.quoted):
         return (value,)
     text = value.text.lower()
-    if field.column == "verdict" and text == "opm":
+    if known is VERDICTS and text == "opm":
         return tuple(Value(v) for v, module in MODULE_OF.items() if module == "OPM")
     phrases = {phrase: name for name, phrase in PHRASE.items()} if field.column == "relation" else {}
     names = {name.lower(): name for name in known} | phrases
@@ -323,14 +345,15 @@ def _flag(field: Field, _operator: str, value: Value, _single: bool) -> Conditio
 def _names(field: Field, term: Term) -> Condition:
     column = quoted(field.column)
     named = [v for v in term.values if not _none(v)]
-    for v in named:
+    oracles = field.column != MARKS
+    for v in named if oracles else ():
         require(
             v.text.upper() in ALL_ORACLES,
             f"no such {field.name}",
             got=repr(v.text),
             expected=f"one of {', '.join(ALL_ORACLES)}",
         )
-    chosen = sorted({v.text.upper() for v in named})
+    chosen = sorted({v.text.upper() if oracles else v.text.lower() for v in named})
     parts = [f"len(coalesce({column}, [])) = 0"] if len(named) < len(term.values) else []
     if term.operator == ":":
         parts += [f"list_contains({column}, ?)" for _ in chosen]

@@ -27,6 +27,11 @@ class Value:
     text: str
     quoted: bool = False
 
+    @property
+    def written(self) -> str:
+        """As it stands in a search."""
+        return quote(self.text, self.quoted) if self.quoted else self.text
+
 
 @dataclass(frozen=True)
 class Term:
@@ -47,6 +52,12 @@ class Term:
     operator: str
     values: tuple[Value, ...]
     negated: bool = False
+
+    @property
+    def written(self) -> str:
+        """As it stands in a search."""
+        head = "" if self.field is None else f"{self.field}{self.operator}"
+        return f"{'-' if self.negated else ''}{head}{','.join(v.written for v in self.values)}"
 
 
 def read_terms(text: str) -> tuple[Term, ...]:
@@ -89,9 +100,9 @@ def _value(text: str, at: int, bare: re.Pattern[str], before: str) -> tuple[Valu
     return Value(found.group()), found.end()
 
 
-def quote(text: str) -> str:
-    """A value as it is written in a search, to mean itself."""
-    if re.fullmatch(r"[A-Za-z0-9_./+-]+", text) and text.lower() != "none":
+def quote(text: str, always: bool = False) -> str:
+    """A value as it is written in a search, to mean itself; with `always` in quotes also where it needs none."""
+    if not always and re.fullmatch(r"[A-Za-z0-9_./+-]+", text) and text.lower() != "none":
         return text
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{escaped}"'

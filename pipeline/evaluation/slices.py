@@ -251,11 +251,11 @@ def _sums(
     sums = np.zeros((int(index.max()) + 1, len(keys), 1 + len(flags)))
     for cluster, key, *numbers in found:
         sums[cluster, at[key]] = numbers
-    parts = [_part(cut, key, system) for key in keys]
+    parts = [part_of(cut, key, system) for key in keys]
     return keys, [name for name, _ in parts], [query for _, query in parts], sums
 
 
-def _part(cut: Dimension, key: Any, system: str) -> tuple[str, str]:
+def part_of(cut: Dimension, key: Any, system: str) -> tuple[str, str]:
     """The name of a value, and the search that finds it."""
     if not cut.column:
         return system, ""

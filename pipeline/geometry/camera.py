@@ -38,6 +38,9 @@ class Camera:
         Unit vector against gravity in the CAMERA frame, None where unknown.
     up_source : str or None
         How `up` is known.
+    untold : tuple of str
+        Options that would tell what nothing tells of the camera or of the depth's unit: a stand-in is there to look
+        at, and nothing may be measured by it.
     """
 
     K: np.ndarray
@@ -46,6 +49,7 @@ class Camera:
     T_world_camera: np.ndarray | None = None
     up: np.ndarray | None = None
     up_source: UpSource | None = None
+    untold: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         K = np.asarray(self.K, dtype=np.float64)
@@ -111,6 +115,14 @@ class Camera:
     @property
     def cy(self) -> float:
         return float(self.K[1, 2])
+
+    def check_metric(self) -> None:
+        """Raise InputError where nothing can be measured, since the camera or the depth's unit is not known."""
+        require(
+            not self.untold,
+            "nothing can be measured: this recording does not say its camera",
+            expected=" and ".join(self.untold),
+        )
 
     def with_up(self, up: np.ndarray, source: UpSource) -> Camera:
         """The same camera with its up vector ((3,), camera frame) set."""

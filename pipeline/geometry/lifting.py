@@ -345,7 +345,13 @@ def lift(
     -------
     tuple of LiftedObject
         One for each mask, in order.
+
+    Raises
+    ------
+    InputError
+        The camera is only a stand-in (`Camera.untold`).
     """
+    camera.check_metric()
     config = config or LiftConfig()
     if edges is None:
         edges = depth_edges(depth, config)

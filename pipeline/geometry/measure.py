@@ -82,7 +82,8 @@ def measure(
     Raises
     ------
     InputError
-        A pixel is outside the picture, or has no depth.
+        A pixel is outside the picture, or has no depth; or the camera is only a stand-in (`Camera.untold`).
     """
+    camera.check_metric()
     points = np.stack([surface_point(depth, camera, pixel) for pixel in (first, second)])
     return Measurement((first, second), points, viewer.matrix @ (points[1] - points[0]))

@@ -1,7 +1,7 @@
 """The fixed colours of roles and of dropped pixels: the same in 3D, 2D, tables and chips.
 
-Orange and blue stay apart under all common colour-vision deficiencies; every
-role is doubled by a word, a line width or a line style wherever it is shown.
+Roles stay apart where one kind of cone is missing, and can be read as text on the page's grounds (tests hold
+both); every role is doubled by a word, a line width or a line style wherever it is shown.
 """
 
 from __future__ import annotations
@@ -12,27 +12,28 @@ import numpy as np
 
 from pipeline.geometry.lifting import Pixel
 
-Role = Literal["target", "reference", "other", "truth", "edited"]
+Role = Literal["target", "reference", "other", "truth", "edited", "second", "bad"]
 RGB = tuple[int, int, int]
 
 ON_DARK: dict[Role, RGB] = {
-    "target": (255, 138, 51),
-    "reference": (77, 163, 255),
-    "other": (150, 158, 170),
-    "truth": (94, 214, 150),
-    "edited": (240, 214, 84),
+    "target": (241, 126, 38),
+    "reference": (70, 159, 251),
+    "other": (155, 158, 166),
+    "truth": (93, 218, 156),
+    "edited": (246, 219, 90),
+    "second": (194, 109, 189),
+    "bad": (246, 116, 106),
 }
 ON_LIGHT: dict[Role, RGB] = {
-    "target": (214, 88, 0),
-    "reference": (0, 103, 196),
-    "other": (112, 120, 132),
-    "truth": (0, 134, 84),
-    "edited": (158, 122, 0),
+    "target": (176, 81, 0),
+    "reference": (33, 90, 201),
+    "other": (100, 108, 119),
+    "truth": (10, 125, 69),
+    "edited": (92, 57, 0),
+    "second": (158, 3, 139),
+    "bad": (180, 17, 35),
 }
-
-SECOND_ON_DARK: RGB = (236, 122, 214)
-SECOND_ON_LIGHT: RGB = (170, 28, 146)
-"""A second detector's boxes, always dashed: the reddish purple of Okabe and Ito, made lighter and darker."""
+"""As on a dark ground: "second" is a second detector's boxes, always dashed; "bad" what failed, a word beside it."""
 
 DROPPED: dict[Pixel, RGB] = {
     Pixel.NO_DEPTH: (120, 124, 132),
@@ -47,11 +48,6 @@ DROPPED: dict[Pixel, RGB] = {
 def palette(dark: bool) -> dict[Role, RGB]:
     """Role colours for a dark or a light background."""
     return ON_DARK if dark else ON_LIGHT
-
-
-def second_color(dark: bool) -> RGB:
-    """The colour of a second detector, on a dark or a light background."""
-    return SECOND_ON_DARK if dark else SECOND_ON_LIGHT
 
 
 def hex_color(color: RGB) -> str:

@@ -22,17 +22,30 @@ class Term:
         What it is in a few words.
     text : str
         What it means, in a sentence.
+    fault : str
+        What is wrong where a verdict names this module, in a few words.
     """
 
     name: str
     group: str
     short: str
     text: str
+    fault: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """What it says as a verdict, in a few words."""
+        return self.fault or self.short
+
+    @property
+    def meaning(self) -> str:
+        """What it means, as a module and as a verdict."""
+        return f"{self.text} As a verdict: {self.fault}." if self.fault else self.text
 
     @property
     def hint(self) -> str:
-        """Both, for those who hover over the word."""
-        return f"{self.short}. {self.text}"
+        """All of it, for those who hover over the word."""
+        return f"{self.short}. {self.meaning}"
 
 
 @cache
@@ -42,10 +55,14 @@ def glossary() -> dict[str, Term]:
     return {name: Term(name, group, *words) for group, terms in groups.items() for name, words in terms.items()}
 
 
+def explained(name: str) -> Term | None:
+    """The term of a name, however it is capitalised; None where there is none."""
+    return glossary().get(name) or next((t for t in glossary().values() if t.name.lower() == name.lower()), None)
+
+
 def find_term(name: str) -> Term:
     """The term of a name, however it is capitalised; InputError names those that there are."""
-    found = next((t for t in glossary().values() if t.name == name), None)
-    found = found or next((t for t in glossary().values() if t.name.lower() == name.lower()), None)
+    found = explained(name)
     if found is None:
         raise InputError(f"the glossary does not explain {name!r}", expected=", ".join(glossary()))
     return found
@@ -56,9 +73,9 @@ def glossary_markdown() -> str:
     lines = [
         "# Glossary",
         "",
-        "What the page says where the mouse rests on a word, and `spatialviz glossary` in the shell.",
+        "What the page says where the mouse rests on a word or Tab reaches it, and `spatialviz glossary` in the shell.",
     ]
     for group, terms in groupby(glossary().values(), lambda term: term.group):
         lines += ["", f"## {group}", "", "| word | is | |", "|---|---|---|"]
-        lines += [f"| **{term.name}** | {term.short} | {term.text} |" for term in terms]
+        lines += [f"| **{term.name}** | {term.short} | {term.meaning} |" for term in terms]
     return "\n".join(lines) + "\n"

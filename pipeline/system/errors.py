@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -36,7 +37,7 @@ class InputError(ValueError):
         got: object = None,
         expected: object = None,
         cause: str | None = None,
-        path: str | Path | None = None,
+        path: str | PathLike[str] | None = None,
     ) -> None:
         parts = [what]
         if got is not None:
@@ -60,7 +61,7 @@ def require(
     got: object = None,
     expected: object = None,
     cause: str | None = None,
-    path: str | Path | None = None,
+    path: str | PathLike[str] | None = None,
     error: type[InputError] = InputError,
 ) -> None:
     """Raise InputError (or another `error`) with these words where something does not hold.

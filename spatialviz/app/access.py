@@ -17,6 +17,11 @@ from pipeline.system.errors import as_input_error, require
 LOCAL_NAMES = ("127.0.0.1", "localhost", "[::1]")
 COOKIE = "spatialviz"
 EVERYWHERE = ("", "0.0.0.0", "::")
+REFUSAL = (
+    '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+    '<meta name="color-scheme" content="dark light"><title>spatialviz: no access</title></head>'
+    "<body><main><h1>No access</h1><p>{}</p></main></body></html>\n"
+)
 KINDS = {".html": "text/html", ".mjs": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml",
          ".jpg": "image/jpeg", ".png": "image/png"}  # fmt: skip
 SAFE = {
@@ -74,17 +79,17 @@ class Access:
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         host = hosts[0] if len(hosts) == 1 else ""
         if not self._names(host):
-            return response(http.HTTPStatus.MISDIRECTED_REQUEST, b"This server does not go by that name.\n")
+            return refused(http.HTTPStatus.MISDIRECTED_REQUEST, "This server does not go by that name.")
         if len(origins) > 1 or (origins and urlsplit(origins[0]).netloc != host):
-            return response(http.HTTPStatus.FORBIDDEN, b"This page belongs to another site.\n")
+            return refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
         if request.headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none") and not (
             request.headers.get("Sec-Fetch-Mode") == "navigate" and request.headers.get("Sec-Fetch-Dest") == "document"
         ):
-            return response(http.HTTPStatus.FORBIDDEN, b"This page belongs to another site.\n")
+            return refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
         asked = _token(urlsplit(request.path).query)
         if self._tokens and self.name(request) is None and asked not in self._tokens:
-            return response(
-                http.HTTPStatus.UNAUTHORIZED, b"A token is needed: open the address that the server has printed.\n"
+            return refused(
+                http.HTTPStatus.UNAUTHORIZED, "A token is needed: open the address that the server has printed."
             )
         return None
 
@@ -148,6 +153,11 @@ def read_tokens(file: Path) -> dict[str, str]:
 
 def _token(query: str) -> str:
     return dict(parse_qsl(query)).get("token", "")
+
+
+def refused(status: http.HTTPStatus, text: str) -> Response:
+    """A refusal as a page that is read to everybody; `text` is the program's own."""
+    return response(status, REFUSAL.format(text).encode(), ".html", {"Cache-Control": "no-store"})
 
 
 def response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: Mapping[str, str] | None = None) -> Response:

@@ -9,21 +9,18 @@ from pipeline.answering.json_records import headline, probability, told, why_no_
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
-from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
+from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
-from spatialviz.app.markup import BAD, Child, Element, button, h, named, note, panel
+from pipeline.language.glossary import glossary
+from spatialviz.app.markup import BAD, Child, Element, button, h, hint_of, named, note, panel, term, with_terms
 from spatialviz.app.state import Edited, OtherAnswer, State, same_thing
 from spatialviz.app.toolbar import level_html, up_chip
 
 HINT = "Type TARGET RELATION REFERENCE above, for example “mug left of the laptop”, and press Enter."
 NOTHING_TO_ASK = "Nothing can be asked: the dataset has no annotations, and no detector was named (--detector)."
-TITLES = {
-    "attributes": ("P(attributes)", "how surely the attributes and choices that were said fit the objects"),
-    "product": ("product", "P(target) · P(reference) · P(relation), and P(attributes) where some were said"),
-}
 
 
 def answer_html(state: State, can_ask: bool = True) -> Element:
@@ -60,7 +57,7 @@ def before_html(state: State, edited: Edited) -> Element:
             h.span(lead, cls="dim") if lead else None,
             named(colors["target"], name(best.target)),
             *(named(colors["reference"], name(i)) for i in references),
-            h.b(probability(best.relation_probability), title="P(relation)"),
+            h.b(probability(best.relation_probability), title=hint_of("P(relation)")),
         ]
     return h.div(
         h.span("before", cls="dim"),
@@ -121,7 +118,7 @@ def _pair(state: State, trace: Trace) -> list[Child]:
         _names(state, trace, pair),
         _headline(pair),
         h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None,
-        h.div(answer.below, cls="dim", id="answer-below"),
+        h.div(with_terms(answer.below, "posterior", "margin"), cls="dim", id="answer-below"),
     ]
 
 
@@ -149,9 +146,9 @@ def _headline(pair: ScoredPair) -> Element:
     """The numbers at the top: that the pair stands in the relation, and the product of all factors."""
     cells = []
     for what, value in headline(pair):
-        name, title = TITLES.get(what, (f"P({what})", f"the probability of the {what}"))
+        name = what if what == "product" else f"P({what})"
         low = "low" if what != "product" and not pair.holds else ""
-        cells.append(h.span(f"{name} ", h.b(probability(value), cls=low), title=title))
+        cells.append(h.span(term(name), " ", h.b(probability(value), cls=low)))
     return h.div(cells, cls="heads", id="answer-heads")
 
 
@@ -159,13 +156,6 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-ORACLE_WORDS = {
-    "RECALL": ("missing objects", "every labelled object the detector missed joins the candidates"),
-    "LIFT": ("true geometry", "every candidate that is an object gets the geometry of its own labelled pixels"),
-    "SRM": ("true relations", "the relation of every pair of real objects is .99, .5 or .01, as labelled"),
-    "ATTRIBUTE": ("true attributes", "attributes of real objects are .99, .5 or .01, as far as they are known"),
-    "CONF": ("true confidences", "real objects of the asked class get .99, false positives .01"),
-}
 UNKNOWN = "No verdict: nothing is known of the truth in this frame. It needs labels (a run) or annotations."
 
 
@@ -183,8 +173,7 @@ def _oracles(d: Diagnosis) -> list[Child]:
     repair = f"smallest repair: {' + '.join(d.repair)}" if d.repair else ""
     if len(d.mends) > 1:
         repair = f"each alone would do: {', '.join(d.mends)}"
-    hint = "score of the best acceptable pair less that of the best other one"
-    head = h.tr(h.td(), h.td(), h.th("target"), h.th("margin", cls="n", title=hint))
+    head = h.tr(h.td(), h.td(), h.th(term("target")), h.th(term("margin"), cls="n"))
     return [
         h.h3("With the truth in place of", h.span(repair)),
         h.table(h.thead(head), h.tbody(rows), cls="oracles"),
@@ -193,14 +182,14 @@ def _oracles(d: Diagnosis) -> list[Child]:
 
 def _oracle(d: Diagnosis, name: str, subset: int) -> Element:
     right, margin = bool(d.right_with >> subset & 1), float(d.margins[subset])
-    words, hint = ORACLE_WORDS.get(name, ("nothing: as it is", "the pipeline's own answer"))
+    words = ORACLE_WORDS.get(name, "nothing: as it is")
     return h.tr(
-        h.th(name, scope="row"),
+        h.th(term(name) if name else None, scope="row"),
         h.td(words),
         h.td("✓ right" if right else "✗ wrong", cls="right" if right else "wrong"),
         h.td(f"{margin:+.2f}" if np.isfinite(margin) else "–", cls="n"),
         cls="on" if name in (d.mends or d.repair) else "",
-        title=hint,
+        title=glossary()[name].text if name else "the pipeline's own answer",
     )
 
 
@@ -208,9 +197,9 @@ def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
     """The other run's answer beside this one: what moved."""
     mine = state.ranked[0] if state.ranked else None
     if other.error:
-        return [h.h3("The other run", h.span(other.name)), note(other.error)]
+        return [h.h3("The second run", h.span(other.name)), note(other.error)]
     rows = []
-    for name, pair, asked in (("this", mine, trace), ("other", other.best, other.trace)):
+    for name, pair, asked in (("first", mine, trace), ("second", other.best, other.trace)):
         cells: Child = h.td("no answer", colspan=4)
         if pair is not None and asked is not None and pair.reference is not None:
             names = " · ".join(_named_here(state, asked.objects[i]) for i in (pair.target, pair.reference))
@@ -219,11 +208,16 @@ def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
         rows.append(h.tr(h.th(name, scope="row"), cells))
     moved = ""
     if mine is not None and other.best is not None and other.trace is not None:
-        same = same_thing(trace, mine.target, other.trace.objects[other.best.target])
-        moved = "the same target" if same else "another target"
-    head = h.tr(h.td(), h.td(), (h.th(name, cls="n") for name in ("tgt", "ref", "rel")))
+        ends = ((mine.target, other.best.target), (mine.reference, other.best.reference))
+        same = [a is not None and b is not None and same_thing(trace, a, other.trace.objects[b]) for a, b in ends]
+        moved = {(True, True): "the same pair", (True, False): "the same target, another reference"}.get(
+            (same[0], same[1]), "another target"
+        )
+    head = h.tr(
+        h.td(), h.td(), (h.th(term(f"P({name})", name[:3]), cls="n") for name in ("target", "reference", "relation"))
+    )
     return [
-        h.h3("Against the other run", h.span(f"{other.name}: {moved}")),
+        h.h3("The second run", h.span(f"{other.name}: {moved}" if moved else other.name)),
         verdict_chip_of(other.judged) if isinstance(other.judged, Diagnosis) else None,
         h.table(h.thead(head), h.tbody(rows), cls="other"),
     ]
@@ -235,23 +229,7 @@ def _named_here(state: State, entry: SceneObject) -> str:
     return state.shown.names[int(overlap.argmax())] if overlap.max() >= 0.5 else entry.label
 
 
-MEANING = {
-    "CORRECT": "the answer is the labelled target",
-    "PARSE": "the expression was read as something else",
-    "LABEL": "the answer is right, too, or the label is wrong, as a person or its own relations say",
-    "OPM-TARGET": "no candidate is a right target",
-    "OPM-REF": "no candidate pair is a right one",
-    "LIFT": "a 3D box is off",
-    "ATTRIBUTE": "a colour, size or shape is judged wrongly",
-    "SRM": "the relation network is wrong",
-    "OPM-CONF": "a false detection outscored the right one",
-    "PRM": "confidences overruled the relation",
-    "COMPOUND": "several modules together",
-}
-"""What each verdict says, in a few words."""
-
-
 def verdict_chip(verdict: str, detail: str | None = None) -> Element:
     """A verdict in its colour, with its detail."""
     more = (" ", h.i(detail.lower().replace("_", " "))) if detail else None
-    return h.span(verdict, more, cls="vd", css={"--c": hex_color(VERDICTS[verdict])}, title=MEANING[verdict])
+    return h.span(verdict, more, cls="vd", css={"--c": hex_color(VERDICTS[verdict])}, title=hint_of(verdict))

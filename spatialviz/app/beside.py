@@ -10,9 +10,22 @@ import numpy as np
 from pipeline.answering.agreement.agreement import MIN_IOU
 from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.palette import RGB, hex_color, ink, palette, second_color
+from pipeline.geometry.palette import RGB, hex_color, ink, palette
 from spatialviz.app.context import Context, Part, choice, command
-from spatialviz.app.markup import DOUBT, GOOD, Child, Element, detector_score, dot, h, heading, note, panel, segments
+from spatialviz.app.markup import (
+    DOUBT,
+    GOOD,
+    Child,
+    Element,
+    detector_score,
+    dot,
+    h,
+    heading,
+    note,
+    panel,
+    segments,
+    term,
+)  # fmt: skip
 from spatialviz.app.scene import GHOST_GROWTH, Tag, edges, half_size
 from spatialviz.app.state import Layers, State
 from spatialviz.report.picture import dashed
@@ -71,7 +84,7 @@ class BesideLayer(Part):
         if live or marks == self._drawn:
             return self._tags
         self._drawn = marks
-        color, alike = second_color(state.dark), _alike(state)
+        color, alike = palette(state.dark)["second"], _alike(state)
         boxes = {j: self.ctx.scene.shown_box(o.lifted.box) for j, o in enumerate(objects) if o.lifted.box is not None}
         shown = boxes if state.boxes_shown else {}
         drawn = (
@@ -86,7 +99,7 @@ class BesideLayer(Part):
         return self._tags
 
     def _tag(self, beside: SecondDetections, j: int, box: Box3D) -> Tag:
-        anchor, color = self.ctx.client.anchor(ANCHOR, box.center), hex_color(second_color(self.state.dark))
+        anchor, color = self.ctx.client.anchor(ANCHOR, box.center), hex_color(palette(self.state.dark)["second"])
         name, detail = f"B {second_name(beside, j)}", detector_score(beside.objects[j].score)
         return Tag(anchor, name, detail, color, True, extent=half_size(box))
 
@@ -125,7 +138,7 @@ def layers_html(state: State) -> Element | None:
 
 def second_overlay(state: State, beside: SecondDetections, unit: float) -> Iterator[Element]:
     """The second detector's 2D boxes as parts of an SVG: dashed, faint where the own one found the same."""
-    color, tag = hex_color(second_color(True)), hex_color(second_color(False))
+    color, tag = hex_color(palette(True)["second"]), hex_color(palette(False)["second"])
     alike = _alike(state)
     for j, entry in enumerate(state.second_layer):
         chosen = j == state.second_selected
@@ -164,7 +177,7 @@ def agreement_html(state: State) -> Element:
         reason = "The detectors are compared beside an answer, not beside labels."
         return panel(note(reason if state.labels is not None else "There is nothing to compare in this frame."))
     sums, a, b = beside.sums, *beside.names
-    second, other = hex_color(second_color(state.dark)), hex_color(palette(state.dark)["other"])
+    second, other = hex_color(palette(state.dark)["second"]), hex_color(palette(state.dark)["other"])
     whose = (dot(palette(state.dark)["other"]), f"A {a} \u2003", hollow(second), f"B {b}")
     title = heading("Agreement", h.span(whose, title=f"A: {a}, B: {b}"))
     if not sums.a + sums.b:
@@ -176,10 +189,10 @@ def agreement_html(state: State) -> Element:
         (sums.only_b, second, "only B", "second"),
     )
     figures = (
-        ("agreement", sums.share, "2 alike / (A + B): what kappa tends to where empty places are beyond counting"),
-        ("of places", sums.share_placed, "the same, however the two name what they both found"),
-        ("mean IoU", sums.mean_iou, "of what both found"),
-        ("scores ρ", sums.score_correlation, "rank correlation of the scores of what both found"),
+        ("agreement", sums.share),
+        ("of places", sums.share_placed),
+        ("mean IoU", sums.mean_iou),
+        ("scores ρ", sums.score_correlation),
     )
     return panel(
         title,
@@ -198,9 +211,7 @@ def agreement_html(state: State) -> Element:
             ),
             cls="legend",
         ),
-        h.div(
-            (h.span(h.b(_figure(value)), name, cls="dim", title=hint) for name, value, hint in figures), cls="kappas"
-        ),
+        h.div((h.span(h.b(_figure(value)), term(name), cls="dim") for name, value in figures), cls="kappas"),
         _rows(state, beside),
         _beyond(beside),
     )
@@ -221,7 +232,7 @@ def _rows(state: State, beside: SecondDetections) -> Child:
             name = f"{found.labels_a[i]}·{state.shown.names[i].rpartition('·')[2]}"
             own = _cells(dot(colors[state.roles.get(i, "other")]), name, float(found.scores_a[i]))
         if j is not None:
-            mark = hollow(hex_color(second_color(state.dark)))
+            mark = hollow(hex_color(palette(state.dark)["second"]))
             other = _cells(mark, second_name(beside, j), float(found.scores_b[j]))
         if i is not None and j is not None:
             overlap, hint = iou[i, j], "overlap of the two"
@@ -238,8 +249,8 @@ def _rows(state: State, beside: SecondDetections) -> Child:
         )  # fmt: skip
     if not rows:
         return h.div("They disagree on nothing.", cls="dim")
-    score = h.th("score", cls="n s", title="the detector's own")
-    head = h.tr(h.th("A"), score, h.th("B"), score, h.th("IoU", cls="n s"))
+    score = h.th(term("score"), cls="n s")
+    head = h.tr(h.th("A"), score, h.th("B"), score, h.th(term("IoU"), cls="n s"))
     return (
         heading(f"Disagreements ({len(rows)})", h.kbd("Shift"), " ", h.kbd("J"), " next"),
         h.div(h.table(head, rows, cls="apart"), cls="scroll disagreements"),

@@ -26,7 +26,7 @@ WAITING_BYTES = 8 * 2**20
 """A browser that lets so much wait is cut off; it comes back and is sent the page as it is then."""
 MANY, REST_SECONDS = 10, 0.25
 """Where more jobs than that wait for one page, it rests after each: others are answered meanwhile."""
-LASTING = ("ask-typed", "edit-live", "hover")
+LASTING = ("ask-typed", "edit-live", "hover", "rows")
 """Commands of which only the last one counts, where several wait."""
 
 
@@ -136,8 +136,8 @@ class Channel:
             try:
                 job()
             except Exception as error:  # One failed click must not end the session.
-                said = {"title": "Something went wrong", "text": f"{type(error).__name__}: {error}", "bad": True}
-                self.send(Call("toast", said))
+                said = f"A fault of the program; the page goes on. For its makers: {type(error).__name__}: {error}"
+                self.send(Call("toast", {"title": "Something went wrong", "text": said, "bad": True}))
             finally:
                 _AT_WORK.discard(self)
             if self.behind > MANY and not self._ended:

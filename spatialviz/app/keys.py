@@ -96,6 +96,8 @@ LABEL_KEYS: Mapping[str, Rows] = {
         ("Shift+I", "Edit the pixels of the selected object", "px-tool:brush"),
         ("Shift+X", "Cut the selected object in parts", "px-tool:cut"),
         ("Shift+N", "New object, drawn on the picture", "px-new"),
+        ("Shift+W", "New object, painted on the picture", "px-new:brush"),
+        ("Shift+Q", "New object, by clicks in the picture's depth", "px-new:depth"),
         ("Shift+T", "New object, by clicks in the scene", "px-new:scene"),
         ("Shift+M", "Merge the selected object into the one before", "px-merge"),
     ),
@@ -142,6 +144,15 @@ MOVE_KEYS: Rows = (
 """The keys of datasets with moves: two rows of a number pad, and the rows of the buttons."""
 
 MOUSE: Mapping[str, Rows] = {
+    "The list of Evaluate": (
+        ("/", "Search", ""),
+        ("J", "Next row (K: the one before; arrows, Home, End, Page Up and Down in the list)", ""),
+        ("Enter", "Explain the row", ""),
+        ("X", "Select the row, or no more (Space, Ctrl+Click)", ""),
+        ("Shift+Arrows", "Select from row to row (Shift+Click)", ""),
+        ("Ctrl+A", "Select all that the search finds", ""),
+        ("Escape", "Select nothing", ""),
+    ),
     "Mouse and keys in the scene": (
         ("Drag", "Turn the view", ""),
         ("Right drag", "Move the view", ""),

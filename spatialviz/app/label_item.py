@@ -87,7 +87,7 @@ def item_card(view: LabelView, item: ItemKey | None, row: Row | None, selected: 
         return None
     name = labelled["label"]
     if name == UNNAMED:
-        return _card(view, "object", "What is this?", "Type its name below, or press its digit.", reasons)
+        return _card(view, "object", "What is this?", "Name it: Shift+O, or the digit of its class.", reasons)
     ask = "Are its name, its pixels and its box right?"
     return _card(view, "object", f"{name}·{selected}", ask, reasons, _object_change(view, selected))
 
@@ -175,9 +175,9 @@ def begin_card(view: LabelView, editor: LabelEditor) -> Element:
     """What to do in a frame where nothing is labelled yet."""
     where = f"Saved from the first stroke, in {editor.labels.root}" if grows(editor.labels) else None
     tools = h.div(
-        answer("Rectangle", "R", "px-new", "drag a rectangle: the surface inside it"),
-        answer("Brush", "B", "px-new:brush", "paint it"),
-        answer("Depth", "D", "px-new:depth", "click it: the surface around the click"),
+        answer("Rectangle", "Shift+N", "px-new", "drag a rectangle: the surface inside it"),
+        answer("Brush", "Shift+W", "px-new:brush", "paint it"),
+        answer("Depth", "Shift+Q", "px-new:depth", "click it: the surface around the click"),
         cls="answers",
     )
     return h.div(
@@ -210,7 +210,7 @@ def upcoming_html(items: Sequence[Upcoming]) -> Element | None:
         return None
     rows = (
         h.button(
-            h.img(src=one.shot, alt="", cls="shot") if one.shot else h.i(cls="shot"),
+            h.img(src=one.shot, alt="", cls="peek") if one.shot else h.i(cls="peek"),
             h.span(one.text, h.small(one.reason or one.frame)),
             do=f"item:{one.place}",
             title=f"{one.text}\n{one.reason}\n{one.frame}",

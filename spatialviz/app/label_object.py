@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
 from pipeline.corrections.journal.edits import Edits, set_box, set_class, set_status
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Saved
+from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.object_card import back_to_automatic, bring_back, judgements, object_card
 from pipeline.corrections.scene import MovingBox
@@ -22,7 +23,7 @@ from spatialviz.app.context import Context, command
 from spatialviz.app.edit_messages import box_with, number_of
 from spatialviz.app.edit_panel import STATUS_WORDS, numbers_said, object_html, rejected_html, saved_html
 from spatialviz.app.edit_scene import BoxGizmo
-from spatialviz.app.label_item import digits_row
+from spatialviz.app.label_item import UNNAMED, digits_row
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import h, panel
 from spatialviz.app.review_html import pair_html
@@ -43,6 +44,7 @@ class LabelObject(LabelPart):
         self._moving: MovingBox | None = None
         self._held: int | None = None
         self._follows = False
+        ctx.editors.on_saved.append(self._learn)
         self._gizmo = BoxGizmo(ctx, self._dragged, "/label")
 
     @property
@@ -103,7 +105,17 @@ class LabelObject(LabelPart):
     @property
     def digits(self) -> list[str]:
         """The classes that digits choose."""
-        return [c.name for c in completions("", self._vocabulary(), 9)]
+        here = Counter(row["label"] for row in self.view.frame.objects.values())
+        often = (c.name for c in completions("", self._vocabulary(), 18))
+        names = dict.fromkeys((*often, *(name for name, _ in here.most_common())))
+        return [name for name in names if name != UNNAMED][:9]
+
+    def _learn(self, events: tuple[Event, ...]) -> None:
+        """Class names that this person has given elsewhere can be completed here."""
+        source = self.state.source
+        given = [e.after for e in events if (e.ref.kind, e.ref.field) == ("object", "label")]
+        if source in self._words and given:
+            self._words[source] = self._words[source].with_names(given)
 
     # ---- status -----------------------------------------------------------------------
 

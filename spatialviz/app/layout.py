@@ -13,7 +13,8 @@ from spatialviz.app.markup import BAD, Child, Element, button, changed, h, note
 
 LISTED_FRAMES = 1000
 """A list of more frames would be slow to open; around the current one are enough to pick from."""
-KEPT_CALLS = ("strip", "plan", "tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure")
+KEPT_CALLS = ("strip", "plan", "tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure",
+              "found", "chosen")  # fmt: skip
 """Calls that a page which comes back must hear again."""
 
 

@@ -21,6 +21,7 @@ script or a style, as the page's content policy forbids both. What an element do
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -28,6 +29,7 @@ from typing import TypeAlias
 
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import RGB, hex_color
+from pipeline.language.glossary import explained, find_term
 
 Child: TypeAlias = "Element | str | int | float | Iterable[Child] | None"
 DATA = ("do", "local", "live", "change", "enter", "point", "band", "hover", "field")
@@ -159,6 +161,23 @@ CHANGED = 0.005
 """Numbers are shown with two digits; one that differs by less is the same."""
 
 
+def term(name: str, shown: Child = None) -> Element:
+    """A word of the glossary, which says its meaning while the mouse rests on it or it has the focus."""
+    return h.abbr(name if shown is None else shown, title=f"{name}: {find_term(name).hint}", tabindex=0)
+
+
+def with_terms(text: str, *names: str) -> Child:
+    """A text in which these words explain themselves."""
+    parts = re.split(rf"\b({'|'.join(map(re.escape, names))})\b", text)
+    return [term(part) if part in names else part for part in parts]
+
+
+def hint_of(label: str, key_hint: str = "") -> str | None:
+    """What is said of a control: what the glossary says of its label, and its key; None where there is neither."""
+    found = explained(label)
+    return " ".join(filter(None, (f"{found.name}: {found.hint}" if found else "", key_hint))) or None
+
+
 def dot(color: RGB) -> Element:
     """A filled square in a role's colour."""
     return h.span(cls="dot", css={"--c": hex_color(color)})
@@ -217,7 +236,9 @@ def segments(kind: str, options: Mapping[str, str], chosen: str, name: str = "")
     """One of several: a press sends "kind:key"; `name` is for those who do not see it."""
     return h.div(
         (
-            h.button(label, role="radio", aria_checked=str(key == chosen).lower(), do=f"{kind}:{key}")
+            h.button(
+                label, role="radio", aria_checked=str(key == chosen).lower(), do=f"{kind}:{key}", title=hint_of(label)
+            )
             for key, label in options.items()
         ),
         cls="seg",

@@ -400,13 +400,15 @@ class ReviewQueue(LabelPart):
     def _card(self, queue: SourceQueue, item: ItemKey | None) -> Element:
         """The item with its answers, the pace, and what comes next."""
         work, view = queue.work, self.view
-        known = work is not None and item is not None and item.plain in work.indices and not work.is_gone(item)
-        row = work.row(item) if work is not None and item is not None and known else None
-        card = item_card(view, item if known else None, row, self.number)
+        place = None if work is None or item is None else work.indices.get(item.plain)
+        row = None if work is None or place is None or work.gone[place] else work.queue.slice(place, 1).to_pylist()[0]
+        card = item_card(view, None if row is None else item, row, self.number)
         if card is None:
             card = begin_card(view, self.editor) if not view.frame.objects else idle_card(work is not None)
         counts = {} if work is None else work.counts
         pace = pace_html(self._paced(), counts.get("settled", 0), counts.get("items", 0))
+        # Another card is another element: the page scrolls to it.
+        card = card.with_(id=f"card-{place}-{self.number}", data_shown=True)
         return h.div(panel(card), panel(pace), upcoming_html(self._upcoming(queue, item)))
 
     def _upcoming(self, queue: SourceQueue, item: ItemKey | None) -> list[Upcoming]:

@@ -20,7 +20,7 @@ class RightPair(LabelPart):
 
     def __init__(self, ctx: Context) -> None:
         super().__init__(ctx)
-        self._kept = ""
+        self._kept = ("", "")
         self._query: Query | None = None
 
     @command("right-pair")
@@ -32,17 +32,16 @@ class RightPair(LabelPart):
             return
         outcome = editor.save(right_pair(editor, state.trace, pair))
         said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
-        self._kept = state.text if isinstance(outcome, Saved) else ""
+        self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
         self.ctx.page.toast("Not saved" if bad else "This pair is right", said, bad)
         self.ctx.ask(state.text)
 
     @command("right-undo")
     def take_back(self) -> None:
         """It is not, after all."""
-        if not self._kept:
+        if self._kept != (self.state.frame_id, self.state.text):
             return
-        outcome = self.editor.undo()
-        self._kept = ""
+        outcome, self._kept = self.editor.undo(), ("", "")
         self.ctx.page.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
         self.ctx.ask(self.state.text)
 
@@ -73,7 +72,7 @@ class RightPair(LabelPart):
         pair = state.chosen or next(iter(state.ranked), None)
         if state.trace is None or pair is None or pair.reference is None or not self._plain:
             return None
-        if self._kept == state.text:
+        if self._kept == (state.frame_id, state.text):
             back = button("Undo", "right-undo", "this pair is not right after all")
             return h.div(h.span("This pair is kept as true.", cls="dim"), back, cls="rightpair panel")
         known = isinstance(state.judged, Diagnosis)

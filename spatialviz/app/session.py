@@ -11,18 +11,19 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import unused_words
 from pipeline.answering.json_records import holds
 from pipeline.answering.suggestions import suggest_expressions
-from pipeline.datasets.base import dataset_notes
+from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.language.unreadable import why_unread
-from pipeline.system.errors import InputError, UnknownClass
+from pipeline.system.errors import InputError, UnknownClass, require
 from spatialviz.app import (
     beside,
+    evaluate,
     filling,
     frame_cloud,
     keys,
-    run_panel,
+    row_cases,
     selection,
     view_strings,
     what_if,
@@ -67,9 +68,9 @@ class Session(Context):
         self._selection = selection.Selection(self, pointing.on_pixel)
         self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
         self._beside = beside.BesideLayer(self)
-        self._runs = run_panel.RunPanel(self)
+        self._runs = evaluate.Evaluate(self)
         self._what_if, self._browse = what_if.WhatIf(self, self._judge.judge), Browse(self)
-        self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs)
+        self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs.reveal)
         parts = (
             self,
             self._selection,
@@ -83,6 +84,7 @@ class Session(Context):
             selection.ViewSettings(self),
             keys.Keys(self),
             view_strings.Keeping(self, self._judge, self._strings.now),
+            row_cases.RowCases(self, self._judge, self._runs.selected),
             *self._labels.parts,
         )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
@@ -162,6 +164,7 @@ class Session(Context):
 
     @command("data")
     def _turn_to_source(self, name: str) -> None:
+        require(name in self.shared.store.sources, "this dataset is not open here", got=name)
         self.go(Place(name))
 
     @property
@@ -172,7 +175,7 @@ class Session(Context):
 
     def _begin(self, place: Place) -> None:
         """Show what the address says, else what the server was started with, else the first failure or frame."""
-        if place.frame is not None or place.text is not None:
+        if place.frame is not None or place.text is not None or place.task == "evaluate":
             if place.text is None and place.task is None and self.state.correctable:
                 self.editors.wanted = ANYTHING
             self.go(place, restoring=True)
@@ -275,6 +278,7 @@ class Session(Context):
     @command("open")
     def open_frame(self, frame_id: str, first: bool = False, asking: str | None = None) -> None:
         """Show a frame and ask `asking` of it; without, what was asked before, or on a `first` frame what fits it."""
+        frame_id = named_frame(self.source.dataset.frame_ids, frame_id, self.source.dataset.root)
         if frame_id == self.state.frame_id and not first:
             return
         self._begun, self._suggestions = True, ()
@@ -361,7 +365,9 @@ class Session(Context):
             self.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)
-            self.note(answer_in_words(self.state, trace))
+            said = answer_in_words(self.state, trace)
+            self.note(said)
+            self.page.call("announce", said)
         if draw:
             self.draw()
 

@@ -11,13 +11,28 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.lifting import Pixel
-from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette, second_color
+from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
 from spatialviz.app.beside import hollow, second_name
 from spatialviz.app.edit_scene import REGION_COLORS, AskedPair, asked_pair
-from spatialviz.app.markup import Child, Element, button, chosen, detector_score, dot, h, named, note, panel, was, words
+from spatialviz.app.markup import (
+    Child,
+    Element,
+    button,
+    chosen,
+    detector_score,
+    dot,
+    h,
+    named,
+    note,
+    panel,
+    term,
+    was,
+    with_terms,
+    words,
+)  # fmt: skip
 from spatialviz.app.picture import thumb
 from spatialviz.app.state import State
 
@@ -62,8 +77,8 @@ def _candidates(state: State, number: int, name: str, found: Candidates) -> Elem
     head = h.tr(
         h.td(),
         h.th("candidate"),
-        h.th("score", cls="n", title=f"P(object | {name})"),
-        None if raw is None else h.th("raw", cls="n", title="the detector's own score, before calibration"),
+        h.th(term("score"), cls="n"),
+        None if raw is None else h.th(term("raw"), cls="n"),
     )
     return h.table(h.caption(f"“{name}”"), h.thead(head), h.tbody(rows), cls="candidates")
 
@@ -101,7 +116,7 @@ def object_html(state: State) -> Element | None:
     i, j, second = state.selected, state.second_selected, None
     own = i is not None and i < len(state.shown.objects) and state.own_layer
     if j is not None and state.beside is not None and state.second_layer:
-        title = h.b(hollow(hex_color(second_color(state.dark))), f"B {second_name(state.beside, j)}")
+        title = h.b(hollow(hex_color(palette(state.dark)["second"])), f"B {second_name(state.beside, j)}")
         second = (_brief if own else _facts)(state.second_layer[j], title)
     if i is None or not own:
         return None if second is None else panel(second)
@@ -133,11 +148,11 @@ def _brief(entry: SceneObject, title: Child) -> Element:
 def _facts(entry: SceneObject, title: Child) -> Element:
     """An object's size, its place, and what became of every pixel of its mask."""
     lifted, quality = entry.lifted, entry.lifted.quality
-    facts = {}
+    facts: dict[str, Child] = {}
     if lifted.box is not None:
         width, height, depth = lifted.box.size
         facts["size"] = f"{width:.2f} wide × {height:.2f} high × {depth:.2f} deep m"
-        facts["distance"] = f"{quality.distance:.2f} m · yaw confidence {lifted.yaw_confidence:.2f}"
+        facts["distance"] = with_terms(f"{quality.distance:.2f} m · yaw confidence {lifted.yaw_confidence:.2f}", "yaw")
     made = " by a segmenter" if quality.mask_source == "segmenter" else ""
     facts["points"] = f"{quality.points:,} of {quality.mask_pixels:,} mask pixels{made} ({quality.kept:.0%})"
     cleaned: list[Child] = []
@@ -149,7 +164,7 @@ def _facts(entry: SceneObject, title: Child) -> Element:
             if (share := counts[reason.name.lower()])
         ]
         bar = (h.i(css={"--c": hex_color(c), "width": f"{p:.1%}"}, title=f"{name} {p:.0%}") for name, c, p in shares)
-        legend = (h.span(dot(color), f"{name} {p:.0%}") for name, color, p in shares)
+        legend = (h.span(dot(color), h.span(term(name), f" {p:.0%}")) for name, color, p in shares)
         cleaned = [h.div(bar, cls="stack"), h.div(legend, cls="legend")]
     return h.article(
         h.h3(title, h.span(_score(entry))),

@@ -16,23 +16,13 @@ from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis, threshold
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
+from pipeline.language.glossary import glossary
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
-from spatialviz.app.answer import MEANING, verdict_evidence
-from spatialviz.app.markup import Child, Element, cell, chosen, h, named, was
+from spatialviz.app.answer import verdict_evidence
+from spatialviz.app.markup import Child, Element, cell, chosen, h, hint_of, named, term, was, with_terms
 from spatialviz.app.stage_objects import attributes_evidence, candidates_evidence, lift_evidence, relations_evidence
 from spatialviz.app.state import State
-
-MEANS = {
-    "PARSE": "what the words say",
-    "OPM": "object proposals: which objects may be meant",
-    "LIFT": "their geometry in 3D",
-    "SRM": "spatial relations between them",
-    "ATTRIBUTE": "how they fit what is said of them alone",
-    "PRM": "which pair is meant",
-    "LABEL": "what is known to be true",
-}
-
 
 Mark: TypeAlias = Literal["good", "doubt", "bad", "idle"]
 
@@ -92,7 +82,7 @@ def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) 
             id=f"head-{key}",
             aria_expanded=str(trace is not None).lower(),
             aria_controls=f"evidence-{key}",
-            title=f"{stage.name}: {MEANS[stage.name]}",
+            title=hint_of(stage.name),
         ),
         _sentence(state) if failed[:1] == (stage.name,) else None,
         evidence,
@@ -114,7 +104,7 @@ def stages(state: State) -> list[Stage]:
     """All stages: one that failed stands out, and where the answer is right no other is in doubt."""
     trace, failed = state.trace, failed_stages(state)
     if trace is None:
-        found = [Stage(name, "idle", MEANS[name]) for name in EVIDENCE if name not in ("ATTRIBUTE", "LABEL")]
+        found = [Stage(name, "idle", glossary()[name].short) for name in EVIDENCE if name not in ("ATTRIBUTE", "LABEL")]
         if state.error:
             found[0] = Stage("PARSE", "bad", "could not be asked")
         return [*found, _label(state)]
@@ -188,7 +178,7 @@ def _prm(trace: Trace) -> Stage:
 def _label(state: State) -> Stage:
     annotated = 0 if state.loaded is None else len(state.loaded.context.frame.annotations)
     if isinstance(state.judged, Diagnosis):
-        return Stage("LABEL", "good" if state.judged.correct else "idle", MEANING[state.judged.verdict])
+        return Stage("LABEL", "good" if state.judged.correct else "idle", glossary()[state.judged.verdict].verdict)
     if isinstance(state.judged, str):
         return Stage("LABEL", "idle", "no verdict")
     words = f"the dataset annotates {counted(annotated, 'object')}" if annotated else "nothing is known of this frame"
@@ -267,7 +257,6 @@ def _attachment(attachment: Attachment) -> Element:
 
 SHOWN_PAIRS = 30
 MATRIX_LIMIT = 14
-NEEDED = "needed: the right pair wins as soon as its factor is above this, all else as it is"
 
 
 def pairs_evidence(state: State, trace: Trace) -> list[Child]:
@@ -280,10 +269,10 @@ def pairs_evidence(state: State, trace: Trace) -> list[Child]:
 def _ranked(state: State) -> list[Child]:
     """The ranked pairs with each factor; the weakest factor of a pair stands out."""
     fit = any(p.factors for p in state.ranked)
-    names = {"tgt": "P(target | name)", "ref": "P(reference | name)", "rel": "P(relation)"}
-    names |= {"fit": "P(attributes and choices)"} if fit else {}
-    names["P"] = "posterior over all pairs"
-    heads = (h.th(name, cls="n", title=title) for name, title in names.items())
+    names = {"tgt": "P(target)", "ref": "P(reference)", "rel": "P(relation)"}
+    names |= {"fit": "P(attributes)"} if fit else {}
+    names["P"] = "posterior"
+    heads = (h.th(term(name, shown), cls="n") for shown, name in names.items())
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"
     return [
         h.h3("Ranked pairs", h.span(more)),
@@ -345,7 +334,7 @@ def _against(state: State) -> list[Child]:
     for name, share in shares.items():
         above, right = needed.get(name), getattr(d.right, f"p_{name}")
         css = {"--c": hex_color(VERDICTS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale / 2:.1%}"}
-        wanted = None if above is None else h.div(f"> {threshold(above, right)[0]}", cls="dim", title=NEEDED)
+        wanted = None if above is None else h.div(f"> {threshold(above, right)[0]}", cls="dim", title=hint_of("needed"))
         rows.append(
             h.tr(
                 h.th(name, scope="row"),
@@ -362,7 +351,7 @@ def _against(state: State) -> list[Child]:
         h.th("answer", cls="n"),
         h.th("right", cls="n"),
         h.th("right · answer", title="which of the two the factor favours"),
-        h.th("Δ log", cls="n"),
+        h.th(term("Δ log"), cls="n"),
     )
     return [
         h.h3("Answer against the right pair"),
@@ -410,7 +399,7 @@ def _matrix(state: State, trace: Trace) -> list[Child]:
         cls="matrix",
         css=css,
     )
-    aside = f"best {MATRIX_LIMIT} a side" if cut else "relation · outlined: acceptable"
+    aside = f"best {MATRIX_LIMIT} a side" if cut else with_terms("P(relation) · outlined: acceptable", "acceptable")
     return [h.h3("All pairs", h.span(aside)), h.div(table, cls="mx")]
 
 

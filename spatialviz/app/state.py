@@ -21,7 +21,7 @@ from pipeline.geometry.palette import Role
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.place import CameraMode, Place, Task
-from spatialviz.app.run_browser import Listing
+from spatialviz.app.run_figures import Listing
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
 EditMode = Literal["off", "move", "turn", "resize"]
@@ -210,10 +210,8 @@ class State:
 
     def expression_id(self, text: str) -> str | None:
         """The id of the run's expression that is open, where it is the one that is asked."""
-        listing = self.listing
-        if listing is None or listing.at is None or listing.at[0] != self.frame_id:
-            return None
-        return listing.at[1] if listing.open_row.get("text") == text else None
+        at = None if self.listing is None else self.listing.at
+        return at[1] if at is not None and (at[0], at[2]) == (self.frame_id, text) else None
 
     @property
     def unasked(self) -> State:

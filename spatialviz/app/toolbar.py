@@ -12,7 +12,7 @@ from pipeline.language.relation_names import PHRASE
 from spatialviz.app.beside import layers_html
 from spatialviz.app.keys import KEYS, MOVE_KEYS
 from spatialviz.app.layout import window
-from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, note, panel, segments, words
+from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, hint_of, note, panel, segments, term, words
 from spatialviz.app.state import State
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
@@ -56,12 +56,16 @@ def scene_tools_html(state: State) -> Element:
     exact = state.loaded is not None and any(a.box is not None for a in state.loaded.context.frame.annotations)
     toggles = (
         h.button(
-            label, cls="toggle", do=f"flag:{key}", aria_pressed=str(flags[key]).lower(), title=HINTS.get(f"flag:{key}")
+            label,
+            cls="toggle",
+            do=f"flag:{key}",
+            aria_pressed=str(flags[key]).lower(),
+            title=hint_of(label, HINTS.get(f"flag:{key}", "")),
         )
         for key, label in FLAGS.items()
         if key != "truth" or exact
     )
-    legend = (h.span(dot(color), words(reason)) for reason, color in DROPPED.items())
+    legend = (h.span(dot(color), term(words(reason))) for reason, color in DROPPED.items())
     return h.div(
         segments("color", COLORS, state.colors, "paint"),
         segments("camera", CAMERAS, state.camera, "look from"),
@@ -166,13 +170,8 @@ def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | Non
 
 def tools_html() -> Element:
     """What one may want to keep or change, in one menu."""
-    items = (
-        h.button(name, h.small(hint), title=hint, role="menuitem", id=f"tool-{key}", **how)
-        for key, name, hint, how in TOOLS
-    )
-    return h.details(
-        h.summary("⋯", aria_label="Tools", title="share, keep, look"), h.div(items, role="menu"), cls="menu"
-    )
+    items = (h.button(name, h.small(hint), title=hint, id=f"tool-{key}", **how) for key, name, hint, how in TOOLS)
+    return h.details(h.summary("⋯", aria_label="Tools", title="share, keep, look"), h.div(items), cls="menu")
 
 
 def problem_html(state: State) -> Element | None:
@@ -251,7 +250,7 @@ def up_chip(state: State) -> Element | None:
         f"up {source}",
         cls=f"upchip{' loud' if loud else ''}",
         css={"--c": DOUBT if loud else IDLE},
-        title=f"{said} {HOW if labels is None else MADE_WITH}",
+        title=f"{hint_of('up')} {said} {HOW if labels is None else MADE_WITH}",
         do="pick:level" if labels is None else None,
         aria_pressed=str(state.picking == "level").lower() if labels is None else None,
     )

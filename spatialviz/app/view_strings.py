@@ -26,7 +26,6 @@ from spatialviz.app.context import Context, Part, command
 from spatialviz.app.judging import Judge
 from spatialviz.app.markup import Element, h
 from spatialviz.app.place import Place
-from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.state import ColorMode, State
 from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
 from spatialviz.report import Subject, failure_page
@@ -40,9 +39,9 @@ def _text(text: str, rows: int, name: str) -> Element:
 class ViewStrings(Part):
     """Writes the view of one client as a string, and takes one back."""
 
-    def __init__(self, ctx: Context, panel: RunPanel) -> None:
+    def __init__(self, ctx: Context, reveal: Callable[[str, str], None]) -> None:
         super().__init__(ctx)
-        self._panel = panel
+        self._reveal = reveal
         self._waiting: ViewState | None = None
 
     def now(self) -> ViewState:
@@ -135,7 +134,7 @@ class ViewStrings(Part):
         if view.run is not None and (run is None or run.folder.resolve().name != Path(view.run).name):
             self.ctx.note(f"the view is of the run {view.run}, which is not open here")
         elif view.expression_id is not None:
-            self._panel.reveal(view.frame, view.expression_id)
+            self._reveal(view.frame, view.expression_id)
         self.state = with_settings(self.state, view)
         self.ctx.go(Place(view.dataset, view.frame, view.expression))
         if view.edits != self.state.edits:

@@ -28,7 +28,7 @@ from pipeline.answering.suggestions import suggest_expressions
 from pipeline.datasets import open_dataset
 from pipeline.datasets.demo import DEMO_EXPRESSION, demo_path
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.palette import depth_colors, hex_color, instance_colors, palette
+from pipeline.geometry.palette import depth_colors, hex_color, instance_colors
 from pipeline.language.naming import match
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.proposals import AnnotationDetector, Proposals, make_detector
@@ -424,9 +424,7 @@ def test_the_bench_times_every_stage(tmp_path: Path) -> None:
 # Colours.
 
 
-def test_roles_have_fixed_colours_that_differ() -> None:
-    for dark in (True, False):
-        assert len(set(palette(dark).values())) == len(palette(dark)) == 5
+def test_objects_have_colours_of_their_own() -> None:
     assert hex_color((255, 138, 51)) == "#ff8a33"
     colors = instance_colors(20)
     assert colors.shape == (20, 3)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from dataset_writers import K, Truth, random_truth
 
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
@@ -26,3 +27,17 @@ def refused(action: Callable[[], object], *words: str) -> None:
 def pose(frame: Frame) -> np.ndarray:
     assert frame.camera.T_world_camera is not None
     return frame.camera.T_world_camera
+
+
+def truths(count: int) -> list[Truth]:
+    rng = np.random.default_rng(7)
+    return [random_truth(rng) for _ in range(count)]
+
+
+def check_frame(frame: Frame, truth: Truth, posed: bool = False, atol: float = 0.0) -> None:
+    assert np.abs(frame.depth - truth.depth).max() <= atol
+    np.testing.assert_allclose(frame.camera.K, K, atol=1e-6)
+    pose = frame.camera.T_world_camera
+    assert (pose is not None) == posed
+    if pose is not None:
+        np.testing.assert_allclose(pose, truth.T_world_camera, atol=1e-6)

@@ -184,7 +184,7 @@ def test_a_scan_among_other_datasets_is_none_of_theirs(scan: Path) -> None:
     (root / "instance_id_map.txt").unlink()
     for other in ("tum", "notes"):
         (root / other).mkdir()
-    refused(lambda: open_dataset(root), "no dataset is recognised", "jpg_rgb")
+    refused(lambda: open_dataset(root), "no dataset is recognised", "a folder of")
 
 
 def test_questions_are_answered_from_the_2d_boxes(written: tuple[Path, dict[str, ImageTruth]]) -> None:

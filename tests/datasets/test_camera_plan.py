@@ -44,9 +44,8 @@ spots = st.lists(
 @given(spots, st.integers(0, 2**31), st.booleans())
 def test_the_plan_is_the_level_part_of_the_poses(spots, seed, declared):
     world = rotation(seed)
-    frames = [
-        frame(f"a/{k}", level(*spot, world), world[:, 2] if declared else None) for k, spot in enumerate(spots)
-    ]
+    up = world[:, 2] if declared else None
+    frames = [frame(f"a/{k}", level(x, y, z, yaw, world), up) for k, (x, y, z, yaw) in enumerate(spots)]
     plan = camera_plan(InMemoryDataset(frames), "a/0")
     assert plan is not None
     assert plan.frame_ids == tuple(f.id for f in frames)

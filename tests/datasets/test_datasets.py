@@ -39,8 +39,9 @@ from pipeline.system import plugins
 def test_what_cannot_be_opened_is_told(tmp_path: Path) -> None:
     refused(lambda: open_dataset(tmp_path / "absent"), "no such dataset", "absent")
     (tmp_path / "file").write_text("x")
-    refused(lambda: open_dataset(tmp_path / "file"), "a dataset is a folder")
-    refused(lambda: open_dataset(tmp_path), "scene_camera.json", "frame-XXXXXX.color.png", "depth/")
+    refused(lambda: open_dataset(tmp_path / "file"), "a file is no dataset")
+    (tmp_path / "file").unlink()
+    refused(lambda: open_dataset(tmp_path), "the folder is empty", "color/", "depth/")
     (tmp_path / "rgb").mkdir()
     (tmp_path / "depth").mkdir()
     refused(lambda: open_dataset(tmp_path, **FOLDER), "no colour files")

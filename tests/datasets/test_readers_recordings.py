@@ -49,7 +49,7 @@ def test_a_folder_of_datasets_is_no_dataset_of_one_of_their_formats(tmp_path: Pa
     for name in ("tum", "scannet", "redwood", "sunrgbd", "avd", "semantic-abstraction", "folder"):
         (tmp_path / name).mkdir()
         WRITERS[name](tmp_path / name)
-    refused(lambda: open_dataset(tmp_path), "no dataset is recognised", "rgb.txt", "intrinsic_depth.txt")
+    refused(lambda: open_dataset(tmp_path), "no dataset is recognised", "a folder of 7 datasets", "avd")
 
 
 @pytest.mark.parametrize("mark", ["pose.txt", "other.json", "large.json", "sun3d", "float"])

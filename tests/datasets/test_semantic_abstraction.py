@@ -158,7 +158,7 @@ def test_views_are_told_from_other_folders(tmp_path: Path) -> None:
     assert open_dataset(tmp_path).frame_ids == (f"train/{VIEW}",)
     for other in ("tum", "notes"):
         (tmp_path / other).mkdir()
-    refused(lambda: open_dataset(tmp_path), "no dataset is recognised", "FloorPlan")
+    refused(lambda: open_dataset(tmp_path), "no dataset is recognised", "a folder of")
     (tmp_path / "vool_split.json").write_text('{"train": []}')
     assert open_dataset(tmp_path).frame_ids == (f"train/{VIEW}",)
     renamed = tmp_path / "renamed"

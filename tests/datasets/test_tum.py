@@ -24,7 +24,7 @@ from recording_checks import CAMERA, pose, refused
 
 from pipeline.datasets import SurveyCounts, open_dataset, survey
 from pipeline.datasets.base import dataset_notes
-from pipeline.datasets.tum import _match
+from pipeline.datasets.tum import match_times
 
 # TUM
 
@@ -205,7 +205,7 @@ def test_tum_matching_is_that_of_the_datasets_own_tool(a: list[int], b: list[int
             left.remove(i)
             right.remove(j)
             distances.append(distance)
-    found = _match(first, second)
+    found = match_times(first, second)
     assert len(set(found.values())) == len(found)
     mine = sorted(round(abs(first[i] - second[j]) * 1000) for i, j in found.items())
     assert all(distance <= 20 for distance in mine)

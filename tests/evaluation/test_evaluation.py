@@ -20,11 +20,11 @@ from pipeline.answering.ask import AskConfig
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.ranking import alone
+from pipeline.evaluation.comparing import compare
 from pipeline.evaluation.grounding_tables import problem_warnings, read_reported, reported_rows
 from pipeline.evaluation.job import evaluate_dataset, make_tables
 from pipeline.evaluation.records import COLUMNS, DETECTIONS, read_records, records_schema
 from pipeline.evaluation.run import EvalSpec, Evaluator, VlmOptions, evaluate_labels, table_of
-from pipeline.evaluation.summary import compare
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, read_cases
 from pipeline.labels.job import label_dataset

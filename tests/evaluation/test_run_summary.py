@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from run_records import random_records
 
 from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.comparing import compare
 from pipeline.evaluation.confusion import answer_confusion, answer_standings, network_confusion, stands_in
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.evaluation.job import diagnose_run, evaluate_dataset
@@ -26,7 +27,7 @@ from pipeline.evaluation.run_folder import open_database
 from pipeline.evaluation.search import find_rows
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.slices import DIMENSIONS, slice_by, slice_table
-from pipeline.evaluation.summary import compare, oracle_deltas, oracle_table, summarise_run, verdict_table
+from pipeline.evaluation.summary import oracle_deltas, oracle_table, summarise_run, verdict_table
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels

@@ -265,3 +265,11 @@ def its_profile_is_another(t: Tables) -> set[Where]:
 def its_up_vector_is_another(t: Tables) -> set[Where]:
     put(said(t, "room/1", "book on box"), up_source="imu")
     return {("room/1", (3, 1))}
+
+
+@damages("frame/implausible-depth", "warning")
+def all_depth_is_five_times_too_far(t: Tables) -> set[Where]:
+    for row in t["objects"]:
+        if row["frame"] == "room/0":
+            put(row, size=[5 * edge for edge in row["size"]])
+    return {("room/0", ())}

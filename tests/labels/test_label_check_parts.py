@@ -18,8 +18,6 @@ from pipeline.labels.check.objects import (
     corners_of,
     moved_towards,
     projected,
-    size_range,
-    size_table,
 )
 from pipeline.labels.check.relations import shortest_cycle
 from pipeline.labels.check.stream import Rows, violations
@@ -28,6 +26,7 @@ from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import arrow_schema
 from pipeline.labels.schema import TABLES
 from pipeline.labels.wording import expression_text
+from pipeline.language.class_sizes import size_range, size_table
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.relations import T

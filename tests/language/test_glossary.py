@@ -36,3 +36,11 @@ def test_words_are_explained_once_and_end_as_sentences():
         assert term.text.endswith((".", "?"))
         assert not term.short.endswith(".")
         assert "|" not in term.text
+
+
+@pytest.mark.parametrize("name", MODULE_OF)
+def test_what_a_verdict_says_of_a_module_is_told_with_it(name):
+    term = glossary()[name]
+    assert term.verdict == (term.fault or term.short)
+    assert term.verdict in term.hint
+    assert term.verdict in glossary_markdown()

@@ -27,10 +27,10 @@ from pipeline.corrections.review.reviewed import Reviewed, pair_agreements, revi
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_of, read_queue, worklist, write_queue
 from pipeline.datasets import Dataset
 from pipeline.diagnosis.marks import read_marks
+from pipeline.evaluation.comparing import Comparison
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.evaluation.shared_makers import scorer_share
-from pipeline.evaluation.summary import Comparison
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.language.naming import Synonyms

@@ -15,7 +15,14 @@ import numpy as np
 
 from pipeline.datasets.settings import ASSUMED
 from pipeline.labels.check.expressions import TEXTS_KEPT, ExpressionRules, check_expressions, triple_of
-from pipeline.labels.check.objects import SizeSurvey, check_duplicates, check_objects, check_sizes, rotation_fault
+from pipeline.labels.check.objects import (
+    SizeSurvey,
+    check_depth,
+    check_duplicates,
+    check_objects,
+    check_sizes,
+    rotation_fault,
+)
 from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
 from pipeline.labels.check.stream import BATCH_ROWS, Rows, TableStream, frames_of
 from pipeline.labels.check.view import RULES, Figure, Finding, FrameView, Severity, chosen_rules
@@ -101,6 +108,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
             yield from check_rows(view)
         if "frame" in groups:
             yield from ups.add(view)
+            yield from check_depth(view)
         if "object" in groups:
             yield from check_objects(view)
             if "object/duplicate" in chosen:

@@ -5,21 +5,19 @@ Sizes are compared with what the class can be, and with the object's own kind in
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pipeline.datasets.plausible import doubt_by_sizes
 from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d, paired_iou_2d
 from pipeline.geometry.masks import MaskCrop
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.check.stream import Rows
 from pipeline.labels.check.view import Finding, FrameView, indices_where, pairs_where
-from pipeline.language.naming import normal_form, same_class
+from pipeline.language.class_sizes import size_factor, size_range
 from pipeline.system.errors import InputError
 
 NEAREST_M = 0.05
@@ -296,7 +294,6 @@ def box_overlaps(view: FrameView, wanted: np.ndarray) -> np.ndarray:
     return found
 
 
-TABLE = Path(__file__).with_name("object_sizes.json")
 LEAST_EXAMPLES = 8
 DEVIATIONS = 6.0
 LEAST_FACTOR = 2.0
@@ -347,21 +344,6 @@ def seen_whole(rows: Rows) -> np.ndarray:
     return ~rows["touches_border"] & (rows["occluded"] < HARDLY_OCCLUDED) & ~rows["fallback"]
 
 
-@lru_cache(maxsize=1)
-def size_table() -> dict[str, tuple[float, float]]:
-    """Shortest and longest that the longest edge of a class can be, metres, by name."""
-    longest = json.loads(TABLE.read_text(encoding="utf-8"))["longest_edge_m"]
-    return {name: (float(low), float(high)) for name, (low, high) in longest.items()}
-
-
-@lru_cache(maxsize=65536)
-def size_range(label: str) -> tuple[float, float] | None:
-    """The range of a class, by any of its names; None where the table lacks it."""
-    form, table = normal_form(label), size_table()
-    ranges = [table[form]] if form in table else [bounds for name, bounds in table.items() if same_class(label, name)]
-    return (min(r[0] for r in ranges), max(r[1] for r in ranges)) if ranges else None
-
-
 def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
     """Objects that are too large or too small."""
     rows = view.objects
@@ -381,6 +363,18 @@ def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
                 figures,
                 "error" if error else "warning",
             )
+
+
+def check_depth(view: FrameView) -> Iterator[Finding]:
+    """Frames whose things are all too large or too small by one factor, as a wrong depth scale makes them."""
+    if not view.usable:
+        return
+    lifted, whole = lengths(view.objects)[0], seen_whole(view.objects)
+    found = size_factor([label for label, sound in zip(view.labels, whole, strict=True) if sound], lifted[whole])
+    doubt = doubt_by_sizes(found)
+    if found is not None and doubt is not None:
+        figures: dict[str, float | int | str] = {"factor": found.middle, "things": found.things, "fit": found.fitting}
+        yield view.finding("frame/implausible-depth", (), doubt.text, figures)
 
 
 Verdict = tuple[str, dict[str, float | int | str], bool]

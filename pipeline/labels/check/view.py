@@ -301,6 +301,7 @@ RULES: dict[str, Rule] = {
     "frame/camera": _error("intrinsics, pose or up vector are not those of a camera"),
     "frame/up-assumed": _warning("nothing says where up is: image-up was taken, and every direction rests on it"),
     "frame/up-disagrees": _warning("in the world of its scene, the up vector of a frame is not that of most others"),
+    "frame/implausible-depth": _warning("its things are all too large or too small: is the depth scale another?"),
     "frame/objects": _error("the frame's number of objects is not that of its rows"),
     "object/mask": _error("a mask cannot be decoded, or is not of the frame's size or stated area"),
     "object/rotation": _error("the rotation of a 3D box is not a rotation, or an edge is negative"),

@@ -63,6 +63,9 @@ const children = (old, made) => {
   while (at) { const after = at.nextSibling; at.remove(); at = after; }
 };
 
+/* One element from its HTML, for those who put it where it belongs themselves. */
+export const make = html => woken(parsed(html).firstElementChild);
+
 const parsed = html => { const t = document.createElement('template'); t.innerHTML = html; return t.content; };
 
 export const patch = parts => {

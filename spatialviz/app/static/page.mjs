@@ -3,11 +3,13 @@
 import {byId, calls, connect, el, fields, go, locals, patch, send, sceneWindow, typing} from './core.mjs';
 import './fields.mjs';
 import './pixels.mjs';
+import './rows.mjs';
 import './scale.mjs';
 import './shot.mjs';
 import './sides.mjs';
 import './strip.mjs';
 import './tags.mjs';
+import './tip.mjs';
 
 const kept = (name, value) => {
   try { if (value === undefined) return localStorage.getItem(name) || ''; localStorage.setItem(name, value); } catch { return ''; }
@@ -106,8 +108,8 @@ document.addEventListener('change', e => {
   const f = e.target, {change, live: command} = f.dataset;
   if (command) { clearTimeout(timers[command]); delete timers[command]; }
   if (change) said(change, f.type === 'checkbox' ? f.checked : f.value);
-  // A number that is taken comes back with the next patch; one that is refused falls back.
-  if (change && f.type === 'number') { const was = f.value; setTimeout(() => { if (f.value === was) f.value = f.defaultValue; }, 900); }
+  // A number, or one of a list, that is taken comes back with the next patch; one that is refused falls back.
+  if (change && (f.type === 'number' || f.list)) { const was = f.value; setTimeout(() => { if (f.value === was) f.value = f.defaultValue; }, 900); }
 });
 for (const kind of ['focus', 'blur']) {
   document.addEventListener(kind, e => { if (e.target.dataset?.field) fields[e.target.dataset.field]?.[kind]?.(e, e.target); }, true);
@@ -172,7 +174,8 @@ const pressed = e => {
     if (!f.matches('a, button, summary, select')) { e.preventDefault(); act(f, e); }
     return;
   }
-  const name = named(e), large = byId('stage').dataset.max;
+  const name = named(e), large = byId('stage').dataset.max, menu = document.querySelector('.menu[open]');
+  if (name === 'Escape' && menu) { shut(menu); return; }
   if (name === 'Escape' && large) locals.maximise(null, large);
   if (e.key === '/') { e.preventDefault(); byId('ask-text').focus(); byId('ask-text').select(); }
   else if (e.key === '?') { e.preventDefault(); send('help'); }
@@ -181,14 +184,38 @@ const pressed = e => {
 };
 window.addEventListener('keydown', pressed);
 
+// One of several is chosen by the arrows, too.
+document.addEventListener('keydown', e => {
+  const step = {ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1}[e.key];
+  const group = e.target.matches('button:is([role=radio], [role=tab])') && e.target.closest('[role=radiogroup], [role=tablist]');
+  if (!step || !group) return;
+  const all = [...group.querySelectorAll('[role=radio], [role=tab]')].filter(one => one.checkVisibility() && !one.disabled);
+  const next = all[(all.indexOf(e.target) + step + all.length) % all.length];
+  e.preventDefault();
+  next.focus();
+  next.click();
+});
+// A menu is open until something of it is taken, or something else is done.
+const shut = menu => { menu.open = false; menu.querySelector('summary').focus(); };
+for (const kind of ['click', 'focusin']) {
+  document.addEventListener(kind, e => {
+    for (const menu of document.querySelectorAll('.menu[open]')) {
+      if (!menu.contains(e.target)) menu.open = false;
+      else if (kind === 'click' && e.target.closest('button')) shut(menu);
+    }
+  });
+}
+
 // ---- what the server says beside elements
+
+calls.announce = text => { byId('announced').textContent = ''; setTimeout(() => { byId('announced').textContent = text; }, 100); };
 
 calls.theme = name => { document.documentElement.dataset.theme = name; kept('theme', name); };
 calls.task = name => {
   if (document.body.dataset.mode === name) return;
   document.body.dataset.mode = name;
   // What a task is about is open.
-  locals.tab(null, {explain: 'Objects', evaluate: 'Run', label: 'Edit'}[name]);
+  locals.tab(null, {explain: 'Objects', evaluate: 'Objects', label: 'Edit'}[name]);
 };
 calls.author = name => { kept('author', name); };
 calls.toast = ({title, text, bad}) => {
@@ -261,12 +288,20 @@ calls.question = text => {
 // ---- the bar between scene and picture
 
 const split = byId('split');
+const shared = share => {
+  const held = Math.min(.85, Math.max(.25, share));
+  byId('views').style.setProperty('--share', held);
+  split.setAttribute('aria-valuenow', Math.round(100 * held));
+};
+split.addEventListener('keydown', e => {
+  const step = {ArrowRight: 5, ArrowDown: 5, ArrowLeft: -5, ArrowUp: -5}[e.key];
+  if (step) { e.preventDefault(); shared((+split.getAttribute('aria-valuenow') + step) / 100); }
+});
 split.addEventListener('pointerdown', e => {
   split.setPointerCapture(e.pointerId);
   const move = e => {
     const b = byId('views').getBoundingClientRect(), stacked = getComputedStyle(split).cursor === 'row-resize';
-    const share = stacked ? (e.clientY - b.top) / b.height : (e.clientX - b.left) / b.width;
-    byId('views').style.setProperty('--share', Math.min(.85, Math.max(.25, share)));
+    shared(stacked ? (e.clientY - b.top) / b.height : (e.clientX - b.left) / b.width);
   };
   split.addEventListener('pointermove', move);
   split.addEventListener('pointerup', () => split.removeEventListener('pointermove', move), {once: true});

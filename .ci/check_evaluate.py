@@ -1,0 +1,254 @@
+"""Evaluate in Chromium: filters, the list and its selection, marks, kept searches, a second run, 50,000 rows, keys."""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from browser import Server, Tab, chromium, new_tab
+
+ROOT = Path(__file__).parents[1]
+RUN = ROOT / "assets" / "demo_run"
+MANY = 50_000
+MOST_NODES = 120
+"""Rows that are elements at once."""
+ROWS = "#rows .space > .expr"
+FILLED = "#rows .space > .expr:not(.wait)"
+
+
+def spatialviz(*words: object) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "spatialviz", *map(str, words)], capture_output=True, check=False, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def second_run(folder: Path) -> Path:
+    """The demo's sentences, answered with other options."""
+    spatialviz(
+        "eval", "demo", "--labels", RUN / "labels", "--out", folder, "--detector", "simulated", "--model",
+        RUN / "simulated.toml", "--min-score", "0.015", "--k", "12", "--srm", "rule", "--name", "the other",
+        "--tables", "grounding", "--no-plots",
+    )  # fmt: skip
+    return folder
+
+
+def large_run(folder: Path) -> Path:
+    """A run of 50,000 rows, synthetic: the demo's again and again under new ids."""
+    records = pq.read_table(RUN / "run" / "records.parquet")
+    rows = pa.concat_tables([records] * (MANY // records.num_rows + 1)).slice(0, MANY)
+    rows = rows.set_column(0, "id", pa.array([f"{k:06x}" for k in range(MANY)]))
+    folder.mkdir()
+    pq.write_table(rows.replace_schema_metadata(records.schema.metadata), folder / "records.parquet")
+    manifest = json.loads((RUN / "run" / "run.json").read_text())
+    manifest["expressions"] = MANY
+    manifest["spec"]["labels"] = str(RUN / "labels")
+    for key, value in manifest["spec"]["options"].items():
+        if isinstance(value, str) and value.endswith(".toml"):
+            manifest["spec"]["options"][key] = str(RUN / "simulated.toml")
+    text = json.dumps(manifest).replace("../simulated.toml", str(RUN / "simulated.toml"))
+    (folder / "run.json").write_text(text)
+    return folder
+
+
+def finds(tab: Tab, count: int) -> None:
+    tab.poll("n => document.querySelector('#found-bar .count b')?.textContent.replace(/\\D/g, '') === n", str(count))
+    if count:
+        tab.poll(f"document.querySelectorAll('{FILLED}').length > 0")
+
+
+def search(tab: Tab, query: str) -> None:
+    field = tab.see("#search input")
+    field.fill(query)
+    field.press("Enter")
+
+
+def facet(tab: Tab, name: str) -> dict[str, int]:
+    """The values of a facet that are shown, with their counts."""
+    shown = tab.page.locator(f"#facet-{name} .value").evaluate_all(
+        "all => all.map(v => [v.querySelector('.which').textContent, v.querySelector('.n').textContent])"
+    )
+    return {value: int(count.replace(",", "")) for value, count in shown}
+
+
+def told(name: str) -> dict[str, int]:
+    """A facet as the command line has it."""
+    facets = json.loads(spatialviz("failures", RUN / "run", "--json"))["facets"]
+    return {v["name"]: v["count"] for v in facets[name]["values"]}
+
+
+def filters_count_what_is_found(tab: Tab) -> None:
+    """A facet's number is what a press on it finds; the others follow, its own does not."""
+    everything = told("verdict")
+    before = facet(tab, "verdict")
+    assert all(everything[name] == n for name, n in before.items()), (before, everything)
+    tab.click("facet:verdict:OPM-REF")
+    finds(tab, before["OPM-REF"])
+    assert facet(tab, "verdict") == before, "a facet must not be narrowed by itself"
+    relations = facet(tab, "relation")
+    assert sum(relations.values()) == before["OPM-REF"], relations
+    tab.click("facet:verdict:OPM-CONF")
+    finds(tab, before["OPM-REF"] + before["OPM-CONF"])
+    tab.click("facet:relation:left")
+    left = facet(tab, "relation")["left of"]
+    finds(tab, left)
+    assert sum(facet(tab, "verdict").values()) > left
+    assert "find=verdict:OPM-REF,OPM-CONF" in tab.page.url.replace("+", " "), tab.page.url
+    query = tab.see("#search input").input_value()
+    said = json.loads(spatialviz("failures", RUN / "run", query, "--json"))
+    assert said["found"] == left, (query, said["found"], left)
+
+
+def pictures_are_shown(tab: Tab) -> None:
+    tab.poll(f"[...document.querySelectorAll('{FILLED} img')].slice(0, 4).every(i => i.naturalWidth > 100)")
+
+
+def a_failure_opens_and_back_returns(tab: Tab) -> None:
+    search(tab, "-verdict:CORRECT sort:margin")
+    finds(tab, 1800 - told("verdict")["CORRECT"])
+    tab.page.locator("#rows").evaluate("list => { list.scrollTop = 4000; }")
+    tab.poll(f"[...document.querySelectorAll('{FILLED}')].some(e => +e.id.slice(4) > 40)")
+    top = tab.page.locator("#rows").evaluate("list => list.scrollTop")
+    tab.page.wait_for_timeout(300)
+    row = tab.page.locator(FILLED).nth(6)
+    asked = row.locator(".asked").inner_text()
+    row.click()
+    tab.poll("asked => document.body.dataset.mode === 'explain' && document.getElementById('ask-text').value === asked",
+             asked)  # fmt: skip
+    tab.see("#verdict")
+    tab.poll("location.search.includes('mode=explain')")
+    tab.page.go_back()
+    tab.poll("document.body.dataset.mode === 'evaluate'")
+    tab.poll(f"document.querySelectorAll('{FILLED}').length > 4")
+    assert tab.see("#search input").input_value() == "-verdict:CORRECT sort:margin"
+    back = tab.page.locator("#rows").evaluate("list => list.scrollTop")
+    assert abs(back - top) < 400, (back, top)
+
+
+def selected_are_marked_and_kept(tab: Tab) -> None:
+    """By keys alone: walk, select, mark, search for the mark, keep the search under a name, forget it."""
+    search(tab, "verdict:LIFT,SRM,PRM")
+    count = sum(facet(tab, "verdict")[name] for name in ("LIFT", "SRM", "PRM"))
+    finds(tab, count)
+    keyboard = tab.page.keyboard
+    keyboard.press("j")
+    assert tab.page.evaluate("document.activeElement.id") == "rows"
+    keyboard.press("Home")
+    keyboard.press("x")
+    keyboard.press("ArrowRight")
+    keyboard.press("Space")
+    tab.see("#found-bar", "2 selected")
+    keyboard.press("Shift+ArrowRight")
+    tab.see("#found-bar", "3 selected")
+    tab.poll("document.querySelectorAll('#rows .expr[aria-selected=true]').length === 3")
+    tab.see("#found-bar .naming").focus()
+    keyboard.type("odd")
+    keyboard.press("Enter")
+    tab.see("#found-bar", "#odd")
+    tab.poll("document.querySelectorAll('#rows .tagged').length === 3")
+    keyboard.press("Escape")
+    tab.poll("!document.querySelector('#found-bar .chosen')")
+    keyboard.press("Control+a")
+    tab.see("#found-bar", f"{count} selected")
+    keyboard.press("Escape")
+    keyboard.press("/")
+    assert tab.page.evaluate("document.activeElement.matches('#search input')")
+    search(tab, "marks:odd")
+    finds(tab, 3)
+    assert facet(tab, "marks") == {"odd": 3}
+    tab.see("#filters .naming").focus()
+    keyboard.type("the odd ones")
+    keyboard.press("Enter")
+    tab.see("#filters .kept", "the odd ones")
+    tab.click("find:")
+    finds(tab, 1800)
+    tab.see("#filters .kept .try", "the odd ones").click()
+    finds(tab, 3)
+    tab.see("#filters .kept .drop").click()
+    tab.poll("!document.querySelector('#filters .kept')")
+    tab.see("#rows").focus()
+    keyboard.press("Enter")
+    tab.poll("document.body.dataset.mode === 'explain'")
+
+
+def what_the_second_run_broke(tab: Tab, second: Path) -> None:
+    record = json.loads(spatialviz("failures", RUN / "run", "change:broken", "--compare", second, "--json"))
+    broken = len(record["comparison"]["broken"])
+    assert broken == record["found"] > 0, record["found"]
+    tab.click("task:evaluate")
+    tab.see("#filters", "what the second run broke")
+    tab.see('#filters [data-do="find:change:broken"]').click()
+    finds(tab, broken)
+    assert facet(tab, "change") | {"broken": broken} == facet(tab, "change")
+    pictures_are_shown(tab)
+    tab.click("rows-view:table")
+    tab.see("#rows[role=grid] [role=columnheader]", "second run")
+    first = tab.page.locator(FILLED).first.inner_text()
+    assert all(word in first for word in ("CORRECT", "broken", "→")), first
+    rows = int(tab.page.locator("#rows").get_attribute("aria-rowcount") or 0)
+    assert rows == broken + 1, rows
+    tab.click("find:change:broken sort:second_verdict")
+    tab.see("#rows [aria-sort=ascending]", "second run")
+    tab.poll(f"document.querySelectorAll('{FILLED}').length > 3")
+    verdicts = tab.page.locator(f"{FILLED} .c-second_verdict .vd").all_inner_texts()
+    assert verdicts == sorted(verdicts), verdicts
+
+
+def many_rows_scroll(tab: Tab) -> dict[str, float]:
+    """Rows appear within a moment wherever the list is scrolled to; few of them are elements."""
+    tab.click("find:")
+    finds(tab, MANY)
+    waits, nodes = [], 0
+    for part in (0.1, 0.5, 0.93, 0.31, 0.999):
+        started = time.monotonic()
+        tab.page.locator("#rows").evaluate("(list, part) => { list.scrollTop = part * list.scrollHeight; }", part)
+        tab.poll(
+            "part => { const l = document.getElementById('rows').getBoundingClientRect(), y = l.top + l.height / 2;"
+            " return [...document.querySelectorAll('#rows .space > .expr:not(.wait)')].some(e => {"
+            "  const r = e.getBoundingClientRect();"
+            "  return r.top < y + 9 && r.bottom > y - 9 && Math.abs(+e.id.slice(4) / 50000 - part) < .03; }); }", part,
+        )  # fmt: skip
+        waits.append(time.monotonic() - started)
+        nodes = max(nodes, tab.page.locator(ROWS).count())
+    assert nodes < MOST_NODES, nodes
+    started = time.monotonic()
+    search(tab, "-verdict:CORRECT distance>1 sort:margin")
+    tab.poll("document.querySelector('#rows').scrollTop < 5 && document.querySelector('#row-0:not(.wait)')")
+    searched = time.monotonic() - started
+    tab.page.locator("#rows").focus()
+    for _ in range(4):
+        tab.page.keyboard.press("PageDown")
+    tab.poll("document.querySelector('#rows .expr.at:not(.wait)')")
+    tab.click("choose-all")
+    tab.see("#found-bar .chosen", "selected")
+    return {"rows_s": round(max(waits), 2), "search_s": round(searched, 2), "nodes": nodes}
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as work, chromium() as browser:
+        second = second_run(Path(work) / "second")
+        with Server("--run", RUN / "run", "--compare", second) as server:
+            tab = new_tab(browser).open(f"{server.address}/?mode=evaluate")
+            tab.poll(f"document.querySelectorAll('{FILLED}').length > 4")
+            pictures_are_shown(tab)
+            tab.see("#figures .falls")
+            filters_count_what_is_found(tab)
+            a_failure_opens_and_back_returns(tab)
+            selected_are_marked_and_kept(tab)
+            what_the_second_run_broke(tab, second)
+            assert not tab.problems, tab.problems
+            tab.page.close()
+        with Server("--run", large_run(Path(work) / "large"), "demo") as server:
+            tab = new_tab(browser).open(f"{server.address}/?mode=evaluate")
+            report = many_rows_scroll(tab)
+            assert not tab.problems, tab.problems
+    print(json.dumps(report))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""Recordings from the command line: browsed without a camera, never measured, imported, told what is seen."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+from dataset_writers import random_truth, write_png
+from numpy.random import default_rng
+
+from spatialviz.cli import main
+
+TOLD = ["--intrinsics", "60,61,31.5,23.5", "--depth-scale", "1000"]
+
+
+@pytest.fixture
+def pairs(tmp_path: Path) -> Path:
+    rng = default_rng(1)
+    for number in range(3):
+        truth = random_truth(rng)
+        write_png(tmp_path / f"pairs/{number}.png", truth.rgb)
+        write_png(tmp_path / f"pairs/{number}_depth.png", truth.millimetres)
+    return tmp_path / "pairs"
+
+
+def test_what_lacks_a_camera_is_listed(pairs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["frames", str(pairs)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("--intrinsics fx,fy,cx,cy") == 1
+    assert "3 of 3 frames" in printed
+    assert main(["frames", str(pairs), "--json"]) == 0
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(r["ok"], r["median_depth"], r["up"]) for r in records] == [(True, None, None)] * 3
+    assert main(["frames", str(pairs), *TOLD, "--json"]) == 0
+    assert all(json.loads(line)["median_depth"] > 0 for line in capsys.readouterr().out.splitlines())
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["ask", "DATASET", "0", "mug left of book"],
+        ["relations", "DATASET"],
+        ["measure", "DATASET", "0", "5,5", "9,9"],
+        ["label", "DATASET", "--out", "OUT"],
+        ["import-recording", "DATASET", "OUT"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_what_lacks_a_camera_is_not_measured(
+    pairs: Path, tmp_path: Path, command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = {"DATASET": str(pairs), "OUT": str(tmp_path / "out")}
+    assert main([words.get(word, word) for word in command]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "3 pairs such as 0.png and 0_depth.png" in line
+    assert "--intrinsics fx,fy,cx,cy and --depth-scale UNITS_PER_METRE" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_frames_tells_each_note_once_and_takes_folders_of_datasets(
+    pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("one", "two"):
+        shutil.copytree(pairs, tmp_path / "many" / name)
+    (tmp_path / "many/two/1.png").write_bytes(b"")
+    assert main(["frames", str(tmp_path / "many"), *TOLD]) == 0
+    printed = capsys.readouterr().out
+    assert "3 of 3 frames" in printed
+    assert "2 of 3 frames" in printed
+    assert "note on 3 frames: up is assumed" in printed
+    assert main(["frames", str(tmp_path / "many"), *TOLD, "--json", "--summary"]) == 0
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(r["dataset"], r["frames_usable"]) for r in records] == [("one", 3), ("two", 2)]
+    assert main(["frames", str(pairs), *TOLD, "--all"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sum("64x48" in line and "depth, median" in line for line in lines) == 3
+
+
+def test_a_recording_is_imported_once_and_opens_without_options(
+    pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["import-recording", str(pairs), str(tmp_path / "plain"), *TOLD, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["frames"] == 3
+    assert (tmp_path / "plain/spatialviz.toml").read_text().startswith("intrinsics = [60.0, 61.0, 31.5, 23.5]")
+    assert main(["measure", str(tmp_path / "plain"), "0", "5,5", "30,30", "--json"]) in (0, 2)
+    assert main(["frames", str(tmp_path / "plain"), "--json"]) == 0
+
+
+def test_a_missing_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    (tmp_path / "a.mcap").write_bytes(b"x")
+    assert main(["frames", str(tmp_path / "a.mcap")]) == 2
+    assert "spatialviz[ros]" in capsys.readouterr().err

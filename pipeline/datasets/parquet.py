@@ -1,0 +1,188 @@
+"""Tables with pictures in their columns, as the Hugging Face `datasets` library writes them: one row a frame.
+
+https://huggingface.co/docs/datasets/image_dataset
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.camera_files import NOTHING, Stated, flat_numbers, stated_in
+from pipeline.datasets.files import readable
+from pipeline.datasets.pairing import role_of
+from pipeline.datasets.recording import Listed, Recording
+from pipeline.datasets.settings import DEPTH_SCALE, Settings
+from pipeline.system.errors import as_input_error, needed, require
+
+SUFFIX = ".parquet"
+ROWS_KEPT = 8
+"""So many decoded rows stay in memory."""
+NAME_COLUMNS = ("id", "frame_id", "image_id", "frame", "name")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A picture in a table: one row of one column, encoded bytes or an array."""
+
+    table: Path
+    row: int
+    column: str
+
+    @property
+    def name(self) -> str:
+        return self.column
+
+    def __fspath__(self) -> str:
+        return f"{self.table}/{self.column}[{self.row}]"
+
+    def read_bytes(self) -> bytes:
+        value = _row(self.table, self.row)[self.column]
+        value = value.get("bytes") if isinstance(value, Mapping) else value
+        return needed(value if isinstance(value, bytes) else None, "a cell without a picture", path=self)
+
+
+@dataclass(frozen=True)
+class ArrayCell(Cell):
+    """A cell of nested lists of numbers."""
+
+    def pixels(self) -> np.ndarray:
+        with as_input_error("a cell that is no picture of numbers", ValueError, TypeError, path=self):
+            return np.array(_row(self.table, self.row)[self.column], np.float32)
+
+
+def _file(table: Path) -> Any:
+    return _opened(table, table.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _opened(table: Path, written: int) -> Any:
+    from pyarrow.parquet import ParquetFile
+
+    with as_input_error("a table that cannot be read", Exception, got=str, path=table):
+        return ParquetFile(table, memory_map=True)
+
+
+def _row(table: Path, row: int) -> dict[str, Any]:
+    return _decoded_row(table, table.stat().st_mtime_ns, row)
+
+
+@lru_cache(maxsize=ROWS_KEPT)
+def _decoded_row(table: Path, written: int, row: int) -> dict[str, Any]:
+    """One row of a table; of a row group only the batch that holds it is kept."""
+    file, first = _file(table), 0
+    with as_input_error("a row that cannot be read", Exception, got=str, path=table):
+        for group in range(file.num_row_groups):
+            count = file.metadata.row_group(group).num_rows
+            if row < first + count:
+                for batch in file.iter_batches(1, row_groups=[group]):
+                    if first == row:
+                        return batch.to_pylist()[0]
+                    first += 1
+            first += count
+    raise IndexError(row)
+
+
+class ParquetDataset(Recording):
+    """Rows of one table or of all tables in a folder; columns are told by the words of their names.
+
+    A colour and a depth column are needed; numbers in other columns (`fx`, `intrinsics`, `depth_scale`, ...) are the
+    row's camera. The id is that of a column `id` or `frame_id`, else the row's number.
+    """
+
+    format = "parquet"
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        super().__init__(root, settings)
+        tables = _tables(root)
+        columns = _file(tables[0]).schema_arrow
+        roles = {field.name: role_of(field.name)[0] for field in columns if _is_picture(field)}
+        self._columns = {role: next((c for c, r in roles.items() if r == role), None) for role in ("color", "depth")}
+        missing = [what for role, what in (("color", "colour"), ("depth", "depth")) if self._columns[role] is None]
+        require(
+            not missing,
+            f"a table without a {' and a '.join(missing)} column",
+            got=", ".join(columns.names),
+            path=tables[0],
+        )
+        self._numbers = [n for n in columns.names if n not in self._columns.values()]
+        self._rows: dict[str, tuple[Path, int]] = {}
+        for table in tables:
+            for row, name in enumerate(_ids(table, columns.names)):
+                self._rows[name if len(tables) == 1 else f"{table.stem}/{name}"] = table, row
+        self.frame_ids = tuple(self._rows)
+        require(self.frame_ids, "a table without a row", path=root)
+        first = self._stated(next(iter(self._rows.values())))
+        arrays = _is_array(columns.field(str(self._columns["depth"])))
+        told = settings.depth_scale or first.units_per_metre
+        seen = f"{len(self._rows)} rows with {self._columns['color']} and {self._columns['depth']}"
+        self._ask_for(seen, settings.intrinsics is None and first.K is None, told is None and not arrays)
+        if told is None and arrays:
+            self.notes += (f"floating-point depth is taken for metres: {DEPTH_SCALE} tells another unit",)
+
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
+        table, row = self._found(self._rows, frame_id)
+        kinds = _file(table).schema_arrow
+        color, depth = (
+            (ArrayCell if _is_array(kinds.field(name)) else Cell)(table, row, name)
+            for name in map(str, self._columns.values())
+        )
+        stated = NOTHING if self._settings.intrinsics is not None else self._stated((table, row))
+        return Listed(color, depth, stated)
+
+    def _stated(self, at: tuple[Path, int]) -> Stated:
+        row = _row(*at)
+        return stated_in(dict(flat_numbers({name: row[name] for name in self._numbers})), at[0])
+
+
+def _is_array(column: Any) -> bool:
+    return str(column.type).count("list<") > 1
+
+
+def _is_picture(column: Any) -> bool:
+    """Whether a column can hold pictures: encoded bytes, alone or in the library's struct, or nested lists."""
+    return str(column.type).startswith(("struct<bytes: ", "binary", "large_binary")) or _is_array(column)
+
+
+def _ids(table: Path, columns: list[str]) -> list[str]:
+    """The ids of a table's rows, each once."""
+    column = next((name for name in NAME_COLUMNS if name in columns), None)
+    if column is not None:
+        names = [str(v) for v in _file(table).read([column]).column(0).to_pylist()]
+        if len(set(names)) == len(names):
+            return names
+    return [str(row) for row in range(_file(table).metadata.num_rows)]
+
+
+def _tables(root: Path) -> list[Path]:
+    if root.suffix.lower() == SUFFIX:
+        return [root]
+    folder = root / "data" if (root / "data").is_dir() and not any(_named(root)) else root
+    return [folder / name for name in _named(folder)]
+
+
+def _named(folder: Path) -> list[str]:
+    return [name for name in readable(folder)[1] if name.lower().endswith(SUFFIX)]
+
+
+def _recognises(root: Path) -> bool:
+    tables = _tables(root)
+    if not tables:
+        return False
+    try:
+        roles = {role_of(field.name)[0] for field in _file(tables[0]).schema_arrow if _is_picture(field)}
+    except ValueError:
+        # What is wrong with the file is told when it is opened by name.
+        return root.is_file()
+    return {"color", "depth"} <= roles or root.is_file()
+
+
+FORMAT = DatasetFormat(
+    "parquet", "parquet: tables with picture columns of colour and depth", _recognises, ParquetDataset
+)

@@ -1,0 +1,225 @@
+"""Pictures with poses as scene reconstruction leaves them: nerfstudio's `transforms.json`, COLMAP's text models.
+
+https://docs.nerf.studio/quickstart/data_conventions.html, https://colmap.github.io/format.html
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.camera_files import NOTHING, Stated, flat_numbers, stated_in
+from pipeline.datasets.cameras import inverse, or_note, pose_from_matrix, pose_from_quaternion
+from pipeline.datasets.files import as_floats, numbered_lines, path_inside, read_json, readable
+from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
+from pipeline.datasets.pairing import choose_naming, files_in_roles
+from pipeline.datasets.recording import DepthRule, Listed, Recording
+from pipeline.datasets.settings import DEPTH_SCALE, Settings
+from pipeline.geometry.camera import intrinsics
+from pipeline.system.errors import InputError, needed, require
+
+OPENCV_OF_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+"""From OpenCV's camera frame to OpenGL's: y and z are turned round."""
+TRANSFORMS = "transforms.json"
+MODEL_FOLDERS = ("", "sparse", "sparse/0", "colmap/sparse/0", "colmap/text", "colmap_text", "dense/sparse")
+FOCALS = {"SIMPLE_PINHOLE": 1, "SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 1}
+"""How many focal lengths a camera model of COLMAP has, where it is not two; then cx cy and the lens follow."""
+
+
+@dataclass(frozen=True)
+class PosedPicture:
+    """One entry of a list of pictures: its files, and its camera as the list has it."""
+
+    color: Path
+    depth: Path | None
+    camera: Any
+    pose: Any
+
+
+class PosedPictures(Recording):
+    """What lists of posed pictures share: the id is the picture's name, depth is named too or paired by its name."""
+
+    source: Path
+    lens = False
+    """Whether the cameras have a distortion that is left out."""
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        super().__init__(root, settings)
+        self._entries = self._list()
+        require(self._entries, "a list of pictures without one", path=self.source)
+        self.frame_ids = tuple(self._entries)
+        entries = self._entries.values()
+        require(
+            any(entry.depth is not None for entry in entries),
+            f"{len(self._entries)} posed pictures without depth",
+            expected="a folder depth/ with a file of the same name or number for each",
+            path=self.source,
+        )
+        integer = any(e.depth is not None and e.depth.suffix.lower() in INTEGER_DEPTH_SUFFIXES for e in entries)
+        unknown = self.rule.units_per_metre is None and settings.depth_scale is None
+        self._ask_for(f"{len(self._entries)} posed pictures with depth", False, unknown and integer)
+        if unknown and not integer:
+            self.notes += (f"floating-point depth is taken for metres: {DEPTH_SCALE} tells another unit",)
+        if self.lens:
+            self.notes += ("lens distortion is left out: each camera is taken for a plain pinhole",)
+
+    def _list(self) -> dict[str, PosedPicture]:
+        raise NotImplementedError
+
+    def _read_camera(self, camera: Any, picture: Path) -> Stated:
+        raise NotImplementedError
+
+    def _read_pose(self, pose: Any) -> np.ndarray:
+        raise NotImplementedError
+
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
+        entry = self._found(self._entries, frame_id)
+        depth = needed(entry.depth, "the depth file is missing", path=entry.color)
+        stated = NOTHING if self._settings.intrinsics is not None else self._read_camera(entry.camera, entry.color)
+        pose = None if entry.pose is None else or_note(notes, "no camera pose: ", self._read_pose, entry.pose)
+        return Listed(entry.color, depth, stated, pose)
+
+    def _with_depths(self, entries: dict[str, PosedPicture]) -> dict[str, PosedPicture]:
+        """The entries, each with the depth file that has its number or its name."""
+        depths = files_in_roles(self.root, "depth")
+        if not depths:
+            return entries
+        colors = [os.path.relpath(entry.color, self.root) for entry in entries.values()]
+        naming = choose_naming(colors, depths)
+        known = {naming(name): self.root / name for name in depths}
+        return {
+            frame_id: PosedPicture(entry.color, known.get(naming(color)), entry.camera, entry.pose)
+            for (frame_id, entry), color in zip(entries.items(), colors, strict=True)
+        }
+
+
+class NerfstudioDataset(PosedPictures):
+    """Pictures of `transforms.json`: camera-to-world poses of OpenGL cameras, depth in millimetres by its makers' rule.
+
+    Its world has z up by the makers' convention, which reconstructions keep only roughly: it is not declared.
+    """
+
+    format = "nerfstudio"
+    rule = DepthRule(1000.0, "nerfstudio's")
+
+    def _list(self) -> dict[str, PosedPicture]:
+        self.source = self.root / TRANSFORMS
+        table = read_json(self.source)
+        frames = table.get("frames")
+        if not isinstance(frames, list):
+            raise InputError("a list of frames is missing", path=self.source)
+        self._shared = {key: value for key, value in table.items() if key != "frames"}
+        found: dict[str, PosedPicture] = {}
+        for number, frame in enumerate(frames):
+            path = frame.get("file_path") if isinstance(frame, Mapping) else None
+            require(isinstance(path, str), f"frame {number} names no file", path=self.source)
+            color = path_inside(self.root, f"{path}", self.source, number)
+            color = color if color.suffix else color.with_suffix(".png")
+            depth = next((frame[key] for key in ("depth_file_path", "depth_path") if frame.get(key)), None)
+            depth = None if depth is None else path_inside(self.root, str(depth), self.source, number)
+            own = {k: v for k, v in frame.items() if k not in ("transform_matrix", "file_path", "depth_file_path")}
+            frame_id = color.stem if color.stem not in found else f"{color.parent.name}/{color.stem}"
+            found[frame_id] = PosedPicture(color, depth, own, frame.get("transform_matrix"))
+        cameras = [self._shared, *(entry.camera for entry in found.values())]
+        self.lens = any(camera.get(key) for camera in cameras for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
+        return found if any(entry.depth for entry in found.values()) else self._with_depths(found)
+
+    def _read_camera(self, camera: Mapping[str, Any], picture: Path) -> Stated:
+        table = {**self._shared, **camera}
+        stated = stated_in(dict(flat_numbers(table)), self.source)
+        size = stated.size or picture_size(picture)
+        if stated.K is not None:
+            return half_pixel(stated.K, size, self.source)
+        angle = table.get("camera_angle_x")
+        if size is None or not isinstance(angle, int | float) or not 0 < angle < math.pi:
+            return Stated(path=self.source)
+        focal = size[0] / 2 / math.tan(angle / 2)
+        return half_pixel(intrinsics(focal, focal, size[0] / 2, size[1] / 2), size, self.source)
+
+    def _read_pose(self, pose: Any) -> np.ndarray:
+        T = as_floats(pose, 16, self.source, "transform_matrix").reshape(4, 4)
+        return pose_from_matrix(T @ OPENCV_OF_OPENGL)
+
+
+class ColmapDataset(PosedPictures):
+    """Pictures of a COLMAP text model, `cameras.txt` and `images.txt`; their poses are world-to-camera.
+
+    The length of the model's unit is whatever the reconstruction took it for: the poses are right up to scale.
+    """
+
+    format = "colmap"
+
+    def _list(self) -> dict[str, PosedPicture]:
+        folder = needed(_model(self.root), "no COLMAP model", path=self.root)
+        self.source = folder / "images.txt"
+        cameras: dict[str, Sequence[str]] = {}
+        for _, line in numbered_lines(folder / "cameras.txt"):
+            number, *words = line.split()
+            cameras[number] = words
+        # The picture's line and its points' line take turns, and the points' may be empty.
+        lines = [line.split() for _, line in numbered_lines(self.source)]
+        pictures = [
+            words for words in lines if len(words) >= 10 and not words[9].lstrip("-").replace(".", "").isdigit()
+        ]
+        found: dict[str, PosedPicture] = {}
+        for words in pictures:
+            name = " ".join(words[9:])
+            color = path_inside(self._pictures(name), name, self.source, 0)
+            frame_id = color.stem if color.stem not in found else name
+            found[frame_id] = PosedPicture(color, None, cameras.get(words[8]), words[1:8])
+        self.lens = any(len(words) > 3 and not words[0].endswith("PINHOLE") for words in cameras.values())
+        self.notes += ("the poses' scale is the reconstruction's own, which need not be metres",)
+        return self._with_depths(dict(sorted(found.items())))
+
+    def _pictures(self, name: str) -> Path:
+        folders = (self.root / folder for folder in ("images", "color", "rgb", ""))
+        return next((folder for folder in folders if (folder / name).is_file()), self.root / "images")
+
+    def _read_camera(self, camera: Sequence[str] | None, picture: Path) -> Stated:
+        words = needed(camera, "a picture of an unknown camera", path=self.source)
+        require(len(words) >= 5, "a camera without intrinsics", got=" ".join(words)[:60], path=self.source)
+        model, *text = words
+        values = as_floats(text, len(text), self.source, "a camera")
+        width, height, *rest = values.tolist()
+        focals = FOCALS.get(model, 2)
+        require(len(rest) >= focals + 2, "a camera without intrinsics", got=" ".join(words)[:60], path=self.source)
+        K = intrinsics(rest[0], rest[focals - 1], rest[focals], rest[focals + 1])
+        size = stated_in({"w": np.array([width]), "h": np.array([height])}).size
+        return half_pixel(K, size, self.source)
+
+    def _read_pose(self, pose: Sequence[str]) -> np.ndarray:
+        qw, qx, qy, qz, *t = as_floats(pose, 7, self.source, "a pose").tolist()
+        return inverse(pose_from_quaternion(np.array([*t, qx, qy, qz, qw])))
+
+
+def half_pixel(K: np.ndarray, size: tuple[int, int] | None, path: Path) -> Stated:
+    """Intrinsics whose pixel (0, 0) has its corner at 0, as ours, whose pixel has its centre there."""
+    K = K.copy()
+    K[:2, 2] -= 0.5
+    return Stated(K, size, path=path)
+
+
+def _model(root: Path) -> Path | None:
+    folders = (root / name for name in MODEL_FOLDERS)
+    return next((f for f in folders if {"cameras.txt", "images.txt"} <= set(readable(f)[1])), None)
+
+
+NERFSTUDIO = DatasetFormat(
+    "nerfstudio",
+    f"nerfstudio: {TRANSFORMS} with depth files",
+    lambda root: (root / TRANSFORMS).is_file(),
+    NerfstudioDataset,
+)
+COLMAP = DatasetFormat(
+    "colmap",
+    "colmap: cameras.txt and images.txt, here or in sparse/0/, with images/ and depth/",
+    lambda root: _model(root) is not None,
+    ColmapDataset,
+)

@@ -1,0 +1,207 @@
+"""What the readers of recordings share: a layout lists each frame's files and their facts, one way decodes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+
+from pipeline.datasets.base import unknown_id
+from pipeline.datasets.camera_files import NOTHING, Stated
+from pipeline.datasets.cameras import differ_in_size, known_intrinsics, make_camera, make_frame, one_file
+from pipeline.datasets.files import Blob
+from pipeline.datasets.images import read_color, read_depth, read_stored
+from pipeline.datasets.pairing import Pair
+from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.registration import Registration, registered
+from pipeline.system.errors import InputError
+
+Value = TypeVar("Value")
+SAME_SHAPE = 0.02
+"""Colour and depth are of one camera where their aspect ratios differ by less than this share.
+ScanNet's own, 1296x968 and 640x480, differ by 0.4 %."""
+BROWSED_MEDIAN_M = 2.0
+"""The median depth that is shown where nothing tells the unit."""
+
+
+@dataclass(frozen=True)
+class DepthRule:
+    """How a format stores depth, where its files do not say.
+
+    Attributes
+    ----------
+    units_per_metre : float or None
+        The format's own unit. None: only a file or a person can tell; floats are metres.
+    whose : str
+        Whose unit that is, for the note: "ScanNet's".
+    nothing : int or None
+        A stored value, besides 0, that means nothing was measured.
+    rotated : int
+        By how many bits the stored values are rotated to the left.
+    """
+
+    units_per_metre: float | None = None
+    whose: str = ""
+    nothing: int | None = None
+    rotated: int = 0
+
+
+Annotate = Callable[[tuple[int, int], list[str]], tuple[Annotation, ...]]
+"""The annotations of a frame of (height, width) pixels; what is odd goes to the list of notes."""
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One frame as its layout lists it: nothing is decoded.
+
+    Attributes
+    ----------
+    color, depth : Blob
+    stated : Stated
+        What files say of its camera.
+    pose : (4, 4) float64 or None
+        T_world_camera, metres.
+    annotate : callable or None
+    up : (3,) float64 or None
+        What the dataset declares, camera frame.
+    documented : (fx, fy, cx, cy) or None
+        The format's own camera for 640x480, where `stated` has none.
+    """
+
+    color: Blob
+    depth: Blob
+    stated: Stated = NOTHING
+    pose: np.ndarray | None = None
+    annotate: Annotate | None = None
+    up: np.ndarray | None = None
+    documented: tuple[float, float, float, float] | None = None
+
+
+class Recording:
+    """What the readers of files share; a reader sets `frame_ids` and says in `_listed` where a frame stands."""
+
+    format = ""
+    rule = DepthRule()
+    camera_file = ""
+    """What a camera file of the format is called, for a message: "camera-intrinsics.txt or "."""
+    frame_ids: tuple[str, ...] = ()
+    class_names: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    untold: tuple[str, ...] = ()
+    """Options that would tell what nothing tells; frames can then only be looked at."""
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        self.root = root
+        self._settings = settings
+        if self.rule.units_per_metre is not None:
+            self.notes = unit_notes(settings, self.rule.units_per_metre, self.rule.whose)
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame; see `Dataset.load`."""
+        return self._decoded(frame_id)
+
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
+        raise NotImplementedError
+
+    def _decoded(self, frame_id: str, annotated: bool = True) -> Frame:
+        notes: list[str] = []
+        found = self._listed(frame_id, notes)
+        rgb = read_color(found.color)
+        metres, untold = self._metres(found)
+        whole = rgb.shape[:2]
+        if whole != metres.shape:
+            rgb = _resized(rgb, metres, found, notes, frame_id == self.frame_ids[0])
+        size = (metres.shape[1], metres.shape[0])
+        stated = found.stated if self._settings.intrinsics is None else NOTHING
+        K = stated.scaled(size, (whole[1], whole[0]))
+        if K is None and found.documented is not None and self._settings.intrinsics is None:
+            whose = self.rule.whose.removesuffix(" own")
+            K = known_intrinsics(found.documented, whose, metres.shape, self.camera_file, found.color)
+        annotations = found.annotate(metres.shape, notes) if annotated and found.annotate is not None else ()
+        source = found.stated.path or found.color
+        return self._frame(
+            frame_id, (rgb, metres), K, found.pose, source, found.depth, annotations, notes, found.up, untold
+        )
+
+    def _metres(self, found: Listed) -> tuple[np.ndarray, tuple[str, ...]]:
+        """(H, W) float32 depth, and the option that would tell its unit where nothing does."""
+        rule = self.rule
+        units = self._settings.depth_scale or found.stated.units_per_metre or rule.units_per_metre
+        if units is None and self._settings.browse:
+            stored = read_stored(found.depth)
+            if stored.dtype.kind != "f":
+                units = float(np.median(stored[stored > 0])) / BROWSED_MEDIAN_M if stored.any() else 1.0
+                return read_depth(found.depth, units, rule.nothing, rule.rotated), (DEPTH_SCALE,)
+        return read_depth(found.depth, units, rule.nothing, rule.rotated), ()
+
+    def _ask_for(self, seen: str, camera: bool, unit: bool) -> None:
+        """Raise InputError where the camera or the unit is missing; where pictures are only browsed, keep it."""
+        missing = [option for option, lacks in ((INTRINSICS, camera), (DEPTH_SCALE, unit)) if lacks]
+        if not missing:
+            return
+        are = "is" if len(missing) == 1 else "are"
+        what = " and ".join(name for name, lacks in (("a camera", camera), ("the depth's unit", unit)) if lacks)
+        if self._settings.browse:
+            self.untold = tuple(missing)
+            return
+        raise InputError(
+            f"{seen}; {what} {are} missing",
+            expected=" and ".join(missing),
+            cause=f"{'1000 for millimetres; ' if unit else ''}or kept in {FILE_NAME} beside the data",
+            path=self.root,
+        )
+
+    def _found(self, table: Mapping[str, Value], frame_id: str) -> Value:
+        """What a table of all frames has of one; InputError where there is no such frame."""
+        if frame_id not in table:
+            raise unknown_id(self.frame_ids, frame_id, self.root)
+        return table[frame_id]
+
+    def _frame(
+        self,
+        frame_id: str,
+        pair: tuple[np.ndarray, np.ndarray],
+        K: np.ndarray | None,
+        pose: np.ndarray | None,
+        source: Blob,
+        depth_path: Blob,
+        annotations: tuple[Annotation, ...] = (),
+        notes: Sequence[str] = (),
+        up: np.ndarray | None = None,
+        untold: tuple[str, ...] = (),
+    ) -> Frame:
+        """A Frame; `source` is to blame for the intrinsics, `up` ((3,), camera frame) is what the dataset declares."""
+        camera = make_camera(K, pair[1].shape, pose, self._settings, source, untold)
+        if camera.untold:
+            notes = [*notes, f"nothing can be measured, sizes are made up: {' and '.join(camera.untold)}"]
+        if up is not None:
+            camera = camera.with_up(up, "declared")
+        if self._settings.registration is not None:
+            metres, camera = registered(pair[1], camera, Registration(*self._settings.registration))
+            pair = pair[0], metres
+        return make_frame(frame_id, pair, camera, depth_path, annotations, tuple(notes))
+
+
+def _resized(rgb: np.ndarray, metres: np.ndarray, found: Listed, notes: list[str], first: bool) -> np.ndarray:
+    """The colour image in the depth image's size; InputError where they are not of one shape."""
+    (height, width), whole = metres.shape, rgb.shape[:2]
+    if abs(whole[1] * height / (whole[0] * width) - 1) > SAME_SHAPE:
+        raise differ_in_size(rgb, metres, found.color, found.depth)
+    if first:
+        notes.append(f"colour of {whole[1]}x{whole[0]} is resized to the depth's {width}x{height} everywhere")
+    # OpenCV's average over areas becomes nearest-neighbour where the image grows.
+    return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if whole[0] > height else cv2.INTER_LINEAR)
+
+
+def files_of(pair: Pair, root: Path, color: Path | None = None, depth: Path | None = None) -> tuple[Path, Path]:
+    """Both files of a frame; InputError where one is missing, which should be `color` or `depth`, if that is known."""
+    present = pair.color or pair.depth or root
+    return (
+        one_file([pair.color] if pair.color else [], "colour", color or present),
+        one_file([pair.depth] if pair.depth else [], "depth", depth or present),
+    )

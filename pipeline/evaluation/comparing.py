@@ -1,0 +1,176 @@
+"""Two runs on the same expressions: what the second fixed, what it broke, and what is right for another reason."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.grounding_tables import clusters_of, column
+from pipeline.evaluation.summary import has_verdicts
+from pipeline.metrics.intervals import Estimate, McNemar, mcnemar, mean_estimate
+from pipeline.system.arrow import pa
+from pipeline.system.errors import require
+
+MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
+CHANGES = {
+    "fixed": "fixed", "broken": "broken", "other_reason": "right for another reason", "verdict": "changed verdict",
+    "same": "the same",
+}  # fmt: skip
+"""What became of an expression, in the words of the glossary: it is right only after, right only before, right both
+times by another target, another reference or a pair that is acceptable only once, none of these but with another
+verdict, or none of all this."""
+CHANGE, SECOND = "change", "second_"
+"""The column that says what became of an expression, and what stands before the names of the second run's columns."""
+SECOND_COLUMNS = ("verdict", "detail", "lucky", "said", "margin", "box", "reference_box")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What changed from one run to another.
+
+    Attributes
+    ----------
+    shared : int
+        Expressions that both answered.
+    only_before, only_after : int
+        Expressions that only one of them has.
+    differences : dict of str to Estimate
+        By measure: after less before, with its clustered interval.
+    tests : dict of str to McNemar
+        `b` counts what only the run after got right, `c` what only the run before did.
+    fixed, broken, other_reason : tuple of dict
+        Expressions (id, frame, text) that became right, became wrong, and are
+        right both times with another target, reference, or one that is only now (or no longer) acceptable.
+    measure : str
+        The measure by which they are sorted into these.
+    verdicts : dict of str to dict of str to int, or None
+        How many expressions went from which verdict to which: [before][after], all of them, those that stayed too;
+        None where a run has no verdicts.
+    """
+
+    shared: int
+    only_before: int
+    only_after: int
+    differences: dict[str, Estimate]
+    tests: dict[str, McNemar]
+    fixed: tuple[dict[str, Any], ...]
+    broken: tuple[dict[str, Any], ...]
+    other_reason: tuple[dict[str, Any], ...]
+    measure: str
+    verdicts: dict[str, dict[str, int]] | None = None
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "measure": self.measure,
+            "shared": self.shared,
+            "only_before": self.only_before,
+            "only_after": self.only_after,
+            "differences": {k: v.record() for k, v in self.differences.items()},
+            "mcnemar": {k: {"b": t.b, "c": t.c, "p_value": t.p_value} for k, t in self.tests.items()},
+            "fixed": list(self.fixed),
+            "broken": list(self.broken),
+            "other_reason": list(self.other_reason),
+            "verdicts": self.verdicts,
+        }
+
+
+def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> Comparison:
+    """Compare two runs by the expressions that both have.
+
+    Parameters
+    ----------
+    before, after : pyarrow.Table
+        Records.
+    measure : str
+        One of MEASURES.
+
+    Raises
+    ------
+    InputError
+        They have no expression in common.
+    """
+    shared = shared_rows(before, after)
+    require(len(shared[0]), "the two runs have no expression in common", cause="were they made with other labels?")
+    first, second = before.take(shared[0]), after.take(shared[1])
+    clusters, _ = clusters_of(second)
+    columns = {name: (column(first, name), column(second, name)) for name in MEASURES}
+    differences = {name: mean_estimate(b, clusters, other=a) for name, (a, b) in columns.items()}
+    tests = {name: mcnemar(b > 0, a > 0) for name, (a, b) in columns.items()}
+    change = changes(first, second, measure)
+    return Comparison(
+        first.num_rows,
+        before.num_rows - first.num_rows,
+        after.num_rows - first.num_rows,
+        differences,
+        tests,
+        _named(second, change == "fixed"),
+        _named(second, change == "broken"),
+        _named(second, change == "other_reason"),
+        measure,
+        verdict_transitions(first, second),
+    )
+
+
+def shared_rows(before: pa.Table, after: pa.Table) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) int64 twice: the rows of the same expressions in two runs, in the order of the run after."""
+    keys = [list(zip(t.column("frame").to_pylist(), t.column("id").to_pylist(), strict=True)) for t in (before, after)]
+    index = {key: k for k, key in enumerate(keys[0])}
+    own = np.array([index.get(key, -1) for key in keys[1]], np.int64)
+    return own[own >= 0], np.flatnonzero(own >= 0)
+
+
+def changes(first: pa.Table, second: pa.Table, measure: str = "set_correct") -> np.ndarray:
+    """(K,) of CHANGES: what became of the same expressions, row by row."""
+    was, now = column(first, measure) > 0, column(second, measure) > 0
+    same = (column(first, "pair_correct") > 0) == (column(second, "pair_correct") > 0)
+    for name in ("matched_target", "matched_reference"):
+        # An object that is no labelled one has no index: two of them count as the same.
+        same &= np.nan_to_num(column(first, name), nan=-1) == np.nan_to_num(column(second, name), nan=-1)
+    judged = has_verdicts(first) and has_verdicts(second)
+    verdicts = [np.array(t.column("verdict").to_pylist() if judged else [], object) for t in (first, second)]
+    other = verdicts[0] != verdicts[1] if judged else False
+    return np.select(
+        [~was & now, was & ~now, was & now & ~same, np.broadcast_to(other, was.shape)], list(CHANGES)[:4], "same"
+    )
+
+
+def with_second(records: pa.Table, second: pa.Table, measure: str = "set_correct") -> pa.Table:
+    """A run's records with `change`, and with `second_verdict` and so on of a second run; null where that has no such
+    expression.
+
+    Raises
+    ------
+    InputError
+        They have no expression in common.
+    """
+    own, other = shared_rows(records, second)
+    require(len(own), "the two runs have no expression in common", cause="were they made with other labels?")
+    change = np.full(records.num_rows, None, object)
+    change[own] = changes(records.take(own), second.take(other), measure)
+    at = np.full(records.num_rows, -1, np.int64)
+    at[own] = other
+    index = pa.array(at, mask=at < 0)
+    found = records.append_column(CHANGE, pa.array(change.tolist(), pa.string()))
+    for name in SECOND_COLUMNS:
+        if name in second.column_names:
+            found = found.append_column(f"{SECOND}{name}", second.column(name).take(index))
+    return found
+
+
+def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str, int]] | None:
+    """How many of the same expressions, row by row, went from which verdict to which; None without verdicts."""
+    if not (has_verdicts(before) and has_verdicts(after)):
+        return None
+    pairs = zip(before.column("verdict").to_pylist(), after.column("verdict").to_pylist(), strict=True)
+    counts = Counter((a, b) for a, b in pairs if a is not None and b is not None)
+    found = {a: {b: counts[a, b] for b in VERDICTS if counts[a, b]} for a in VERDICTS}
+    return {a: line for a, line in found.items() if line}
+
+
+def _named(records: pa.Table, chosen: np.ndarray) -> tuple[dict[str, Any], ...]:
+    return tuple(records.select(["id", "frame", "text", "relation"]).take(np.flatnonzero(chosen)).to_pylist())

@@ -1,0 +1,247 @@
+"""Facets of a run: by every property how many expressions have which value, of those that the rest of a search leaves;
+and searches with one more value, or one less."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.diagnosis.oracles import ALL_ORACLES
+from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.comparing import CHANGE, CHANGES, SECOND
+from pipeline.evaluation.run_notes import MARKS
+from pipeline.evaluation.search import find_rows, terms_of
+from pipeline.evaluation.search_words import Term, Value, quote, read_terms
+from pipeline.evaluation.slices import DIMENSIONS, Dimension, part_of
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.system.arrow import pa
+
+_YES_NO = ("yes", "no")
+_VERDICT, _CHANGE, _SECOND, _MARKS = (Dimension(name, title, name) for name, title in (
+    ("verdict", "verdict"), (CHANGE, "in the second run"), (f"{SECOND}verdict", "verdict of the second run"),
+    (MARKS, "marks"),
+))  # fmt: skip
+FACETS = (
+    _CHANGE, _VERDICT, _SECOND, DIMENSIONS["relation"], DIMENSIONS["class"], DIMENSIONS["reference"], _MARKS,
+    Dimension("detail", "detail of the verdict", "detail"),
+    Dimension("mends", "one oracle that alone mends it", "mends"), Dimension("lucky", "correct by luck", "lucky"),
+    Dimension("parse_ok", "read as it was meant", "parse_ok"),
+    Dimension("ambiguous", "several right answers", "ambiguous"), DIMENSIONS["distance"], DIMENSIONS["size"],
+    DIMENSIONS["occlusion"], DIMENSIONS["same_class"], DIMENSIONS["scene"], DIMENSIONS["frame"],
+)  # fmt: skip
+"""What a run is looked at by, in this order; what it has no column for is left out."""
+_ORDERS = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, CHANGE: tuple(CHANGES), "relation": PAIRWISE,
+           "mends": ALL_ORACLES, "lucky": _YES_NO, "parse_ok": _YES_NO, "ambiguous": _YES_NO}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FacetValue:
+    """One value of a facet.
+
+    Attributes
+    ----------
+    name : str
+    term : str
+        The search for it.
+    count : int
+        Expressions that have it, of those that the rest of the search leaves.
+    state : int
+        1 where the search asks for it, -1 where it asks for what has it not, else 0.
+    """
+
+    name: str
+    term: str
+    count: int
+    state: int = 0
+
+
+@dataclass(frozen=True)
+class Facet:
+    """One property of the expressions.
+
+    Attributes
+    ----------
+    name, title : str
+    values : tuple of FacetValue
+        Those that occur, and those that are asked for.
+    ranges : bool
+        Its values are ranges of a number: one at a time.
+    """
+
+    name: str
+    title: str
+    values: tuple[FacetValue, ...]
+    ranges: bool = False
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class _Coded:
+    """A column as numbers: expression `row[k]` has value `code[k]`."""
+
+    cut: Dimension
+    parts: tuple[tuple[str, str], ...]
+    row: np.ndarray
+    code: np.ndarray
+
+    def counts(self, chosen: np.ndarray) -> np.ndarray:
+        """(V,) int64: how many of the chosen expressions ((N,) bool) have each value."""
+        return np.bincount(self.code[chosen[self.row]], minlength=len(self.parts))
+
+
+class Facets:
+    """Counts the facets of one run.
+
+    Parameters
+    ----------
+    records : pyarrow.Table
+        With the columns `change` and `marks` where there are any.
+    """
+
+    def __init__(self, records: pa.Table) -> None:
+        self._records = records
+        self._coded = {d.column: _coded(records, d) for d in FACETS if d.column in records.column_names}
+
+    def marked(self, records: pa.Table) -> Facets:
+        """The facets of the same records with other marks."""
+        other = copy(self)
+        other._records, other._coded = records, self._coded | {MARKS: _coded(records, _MARKS)}
+        return other
+
+    def of(self, query: str = "") -> tuple[Facet, ...]:
+        """The facets under a search.
+
+        Raises
+        ------
+        InputError
+            The search cannot be read.
+        """
+        terms = terms_of(query, self._records.schema)
+        left: dict[str, np.ndarray] = {}
+        found = []
+        for coded in self._coded.values():
+            own = [term for column, term in terms if column == coded.cut.column]
+            rest = " ".join(t.written for column, t in terms if column not in ("", coded.cut.column))
+            if rest not in left:
+                left[rest] = np.zeros(self._records.num_rows, np.bool_)
+                left[rest][find_rows(self._records, rest)] = True
+            # What is the same of all says nothing.
+            if len(coded.parts) > 1 or coded.cut is _MARKS:
+                found.append(_facet(coded, coded.counts(left[rest]), own))
+        return tuple(f for f in found if f.values)
+
+
+def _facet(coded: _Coded, counts: np.ndarray, own: Sequence[Term]) -> Facet:
+    values = [
+        FacetValue(name, term, int(n), _state(term, own))
+        for (name, term), n in zip(coded.parts, counts, strict=True)
+    ]  # fmt: skip
+    cut = coded.cut
+    if not cut.edges and cut.name not in _ORDERS and cut.order == "count":
+        values.sort(key=lambda v: (-v.count, v.name))
+    return Facet(cut.name, cut.title, tuple(v for v in values if v.count or v.state), bool(cut.edges))
+
+
+def _coded(records: pa.Table, cut: Dimension) -> _Coded:
+    column = records.column(cut.column).combine_chunks()
+    kind = str(column.type)
+    row = np.arange(len(column))
+    if cut.edges:
+        numbers = column.cast("float64").to_numpy(zero_copy_only=False)
+        # An edge means the number nearest to it that the column can hold, as in a search.
+        code = np.searchsorted(np.array(cut.edges, np.float32).astype(np.float64), numbers, side="right")
+        known = np.isfinite(numbers)
+        keys: list[Any] = [*range(len(cut.edges) + 1), -1]
+        return _Coded(cut, tuple(part_of(cut, k, "") for k in keys), row, np.where(known, code, len(keys) - 1))
+    if "list" in kind:
+        lengths = np.diff(column.offsets.to_numpy())
+        row = np.repeat(row, lengths)
+        column = column.flatten()
+    elif kind == "bool":
+        words = np.array(_YES_NO, object)[1 - column.fill_null(False).to_numpy(zero_copy_only=False).astype(int)]
+        words[column.is_null().to_numpy(zero_copy_only=False)] = None
+        column = pa.array(words.tolist(), pa.string())
+    encoded = column.dictionary_encode(null_encoding="encode")
+    keys = encoded.dictionary.to_pylist()
+    rank = {name: k for k, name in enumerate(_ORDERS.get(cut.name, ()))}
+    by: list[int] = sorted(
+        range(len(keys)), key=lambda k: (keys[k] is None, rank.get(keys[k], len(rank)), str(keys[k]))
+    )
+    place = np.zeros(len(keys) + 1, np.int64)
+    place[by] = np.arange(len(by))
+    code = place[encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)]
+    return _Coded(cut, tuple(_named(cut, keys[k]) for k in by), row, code)
+
+
+def _named(cut: Dimension, key: str | None) -> tuple[str, str]:
+    if key is not None and cut.name in _ORDERS and cut.name != "relation":
+        return key, f"{cut.name}:{key}"
+    return (key, f"{cut.name}:{quote(key)}") if key is not None and cut.name == MARKS else part_of(cut, key, "")
+
+
+def _state(term: str, own: Sequence[Term]) -> int:
+    """Whether the terms of its own field ask for a value."""
+    first, *more = read_terms(term)
+    if more or first.operator not in (":", "="):
+        written = {t.written for t in own}
+        return int(written == {t.written for t in (first, *more)})
+    value = first.values[0].text.lower()
+    for t in own:
+        # A flag may stand alone, as a free word.
+        texts = ["yes"] if t.field is None else [v.text.lower() for v in t.values]
+        if t.operator in (":", "=") and value in texts:
+            return -1 if t.negated else 1
+    return 0
+
+
+def with_value(query: str, term: str, schema: pa.Schema, without: bool = False) -> str:
+    """A search that asks for one more value of a field, as one of its facets says it; where it asks for that already,
+    it does no more. With `without` it asks for what has the value not.
+
+    Raises
+    ------
+    InputError
+        One of the two cannot be read.
+    """
+    terms = terms_of(query, schema)
+    wanted = terms_of(term, schema)
+    column = wanted[0][0]
+    own = [t for c, t in terms if c == column]
+    state = _state(term, own)
+    ranged = len(wanted) > 1 or wanted[0][1].operator not in (":", "=")
+    value = wanted[0][1].values[0]
+    if ranged:
+        kept = [] if state == 1 else [t for _, t in wanted]
+    else:
+        # Of the terms of this field those stay that go on to mean something beside the new one.
+        kept = [_less(t, value) for t in own if t.operator in (":", "=") and t.field is not None]
+        kept = [t for t in kept if t is not None and t.negated == without]
+        if state != (-1 if without else 1):
+            kept = _more(kept, replace(wanted[0][1], negated=without))
+    first = next((k for k, (c, _) in enumerate(terms) if c == column), len(terms))
+    others = [(k, t) for k, (c, t) in enumerate(terms) if c != column]
+    parts = [t for k, t in others if k < first] + kept + [t for k, t in others if k > first]
+    # An order comes last.
+    parts.sort(key=lambda t: t.field is not None and t.field.lower() == "sort")
+    return " ".join(t.written for t in parts)
+
+
+def _less(term: Term, value: Value) -> Term | None:
+    values = tuple(v for v in term.values if v.text.lower() != value.text.lower())
+    return replace(term, values=values) if values else None
+
+
+def _more(terms: list[Term], term: Term) -> list[Term]:
+    """Values of one field are alternatives: they stand in one term, and of `=` and `:` the exact one wins."""
+    if not terms:
+        return [term]
+    operator = "=" if "=" in (term.operator, *(t.operator for t in terms)) else ":"
+    values = (*(v for t in terms for v in t.values), *term.values)
+    return [replace(term, operator=operator, values=values)]

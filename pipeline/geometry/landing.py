@@ -1,0 +1,144 @@
+"""How well the depth of one posed view lands on the depth of another, for a camera, a unit and poses.
+
+A point of view A, lifted and moved into view B, lands where B measured the same depth, in front of it (B sees through
+it: a contradiction), or behind it (B's surface hides it, or the pose lies). Only the share that lands says anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from pipeline.geometry.camera import Camera
+
+BLOCKS = 3
+"""Landings are counted in so many by so many blocks of each view, which are compared one by one."""
+ALIKE, TEXTURED = 8.0, 6.0
+"""A difference of brightness at which a point counts half, and the contrast from which on its brightness counts."""
+
+
+@dataclass(frozen=True)
+class Views:
+    """Posed depth maps of one size, with the points that are lifted and the pairs that are compared.
+
+    Attributes
+    ----------
+    depth : (F, H, W) float32
+        Metres as read, 0 where missing.
+    K : (F, 3, 3) float64
+    poses : (F, 4, 4) float64
+        T_world_camera as read.
+    pairs : (P, 2) int64
+        From view, to view.
+    u, v, z : (F, N) float32
+        Pixels of each view on a grid, and their depth, 0 where it has none.
+    detail : (F, H, W) float32 or None
+        Brightness against its surroundings, of colour that a point must also land on.
+    """
+
+    depth: np.ndarray
+    K: np.ndarray
+    poses: np.ndarray
+    pairs: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    z: np.ndarray
+    detail: np.ndarray | None = None
+
+    @classmethod
+    def of(
+        cls, depths: Sequence[np.ndarray], cameras: Sequence[Camera], pairs: np.ndarray, points: tuple[int, int]
+    ) -> Views:
+        """Views of depth maps ((H, W) float32 each) and their cameras, with (rows, columns) points of each."""
+        depth = np.stack(depths)
+        height, width = depth.shape[1:]
+        rows, columns = (
+            ((np.arange(n) + 0.5) * size / n).astype(int) for n, size in zip(points, (height, width), strict=True)
+        )
+        v, u = (a.ravel() for a in np.meshgrid(rows, columns, indexing="ij"))
+        poses = np.stack([np.eye(4) if c.T_world_camera is None else c.T_world_camera for c in cameras])
+        return cls(depth, np.stack([c.K for c in cameras]), poses, pairs, u, v, depth[:, v, u])
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width, pixels."""
+        return self.depth.shape[1], self.depth.shape[2]
+
+    def of_pairs(self, pairs: np.ndarray) -> Views:
+        """The same views, with other pairs."""
+        return replace(self, pairs=pairs)
+
+
+def detail_of(rgb: np.ndarray) -> np.ndarray:
+    """(H, W) float32 brightness of colour ((H, W, 3) uint8) against its surroundings: alike under another exposure."""
+    grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 2.0)
+    return grey - cv2.GaussianBlur(grey, (0, 0), 12.0)
+
+
+@dataclass(frozen=True)
+class Landing:
+    """What became of the lifted points.
+
+    Attributes
+    ----------
+    landed : (P, B) float64
+        Of each pair and block of its first view: the sum over points of how nearly each landed on a surface, 0..1.
+    met : (P, B) float64
+        Points that fell on a measured depth.
+    lifted : (P, B) float64
+        Points that had a depth.
+    """
+
+    landed: np.ndarray
+    met: np.ndarray
+    lifted: np.ndarray
+
+
+def land(
+    views: Views, K: np.ndarray, poses: np.ndarray, scale: float, tolerance: float, colour: bool = False
+) -> Landing:
+    """Lift, move and compare with these cameras.
+
+    Parameters
+    ----------
+    K : (F, 3, 3) float64
+    poses : (F, 4, 4) float64
+        T_world_camera.
+    scale : float
+        True depth by depth as read.
+    tolerance : float
+        Relative depth at which a point counts half.
+    colour : bool
+        Whether a point with detail must also land on the same, where the views have it.
+    """
+    a, b = views.pairs[:, 0], views.pairs[:, 1]
+    R_b = poses[b, :3, :3].transpose(0, 2, 1)
+    R = (R_b @ poses[a, :3, :3]).astype(np.float32)
+    # Depths stay as read, so that the scale acts on the way between the views alone.
+    t = (np.einsum("pij,pj->pi", R_b, poses[a, :3, 3] - poses[b, :3, 3]) / scale).astype(np.float32)
+    K = K.astype(np.float32)
+    z = views.z[a]
+    x = (views.u[None] - K[a, 0, 2, None]) / K[a, 0, 0, None] * z
+    y = (views.v[None] - K[a, 1, 2, None]) / K[a, 1, 1, None] * z
+    moved = [R[:, k, 0, None] * x + R[:, k, 1, None] * y + R[:, k, 2, None] * z + t[:, k, None] for k in range(3)]
+    front = moved[2] > 1e-6
+    safe = np.where(front, moved[2], 1.0)
+    u = K[b, 0, 0, None] * moved[0] / safe + K[b, 0, 2, None]
+    v = K[b, 1, 1, None] * moved[1] / safe + K[b, 1, 2, None]
+    height, width = views.size
+    inside = front & (z > 0) & (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
+    column, row = (np.where(inside, np.rint(c), 0).astype(np.int32) for c in (u, v))
+    other = views.depth[b[:, None], row, column]
+    met = inside & (other > 0)
+    off = (moved[2] - other) / np.where(met, tolerance * other, 1.0)
+    near = np.where(met, 1 / (1 + off * off), 0.0)
+    if colour and views.detail is not None:
+        own, there = views.detail[:, views.v, views.u][a], views.detail[b[:, None], row, column]
+        textured = np.abs(own) / (np.abs(own) + TEXTURED)
+        near *= 1 - textured + textured / (1 + ((own - there) / ALIKE) ** 2)
+    block = (views.v * BLOCKS // height) * BLOCKS + views.u * BLOCKS // width
+    one_hot = np.eye(BLOCKS * BLOCKS, dtype=np.float32)[block]
+    return Landing(*(part.astype(np.float32) @ one_hot for part in (near, met, z > 0)))

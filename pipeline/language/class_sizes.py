@@ -1,0 +1,80 @@
+"""How long the longest edge of an object of a class can be, and by what factor all named things are too long."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.language.naming import normal_form, same_class
+
+TABLE = Path(__file__).with_name("object_sizes.json")
+LEAST_UNFIT, MOST_FIT, LEAST_MENDED = 3, 0.6, 0.9
+"""Sizes are wrong where so many things do not fit their classes, no more than this share does, and some factor makes
+so many fit. Of 40 frames with right depth all things fitted; at five times it a sixth, at a fifth of it half."""
+
+
+@lru_cache(maxsize=1)
+def size_table() -> dict[str, tuple[float, float]]:
+    """Shortest and longest that the longest edge of a class can be, metres, by name."""
+    longest = json.loads(TABLE.read_text(encoding="utf-8"))["longest_edge_m"]
+    return {name: (float(low), float(high)) for name, (low, high) in longest.items()}
+
+
+@lru_cache(maxsize=65536)
+def size_range(label: str) -> tuple[float, float] | None:
+    """The range of a class, by any of its names; None where the table lacks it."""
+    form, table = normal_form(label), size_table()
+    ranges = [table[form]] if form in table else [bounds for name, bounds in table.items() if same_class(label, name)]
+    return (min(r[0] for r in ranges), max(r[1] for r in ranges)) if ranges else None
+
+
+@dataclass(frozen=True)
+class SizeFactor:
+    """By what factor the named things of a frame are too long.
+
+    Attributes
+    ----------
+    low, high : float
+        Divided by anything between, most things have sizes of their classes (5 where all is five times too long).
+    things, fitting : int
+        Things of known classes, and those that fit as they are.
+    """
+
+    low: float
+    high: float
+    things: int
+    fitting: int
+
+    @property
+    def middle(self) -> float:
+        return float(np.sqrt(self.low * self.high))
+
+
+def size_factor(labels: Sequence[str], lengths: Sequence[float] | np.ndarray) -> SizeFactor | None:
+    """By what factor all named things are too long or too short; None where they fit, or one factor does not do.
+
+    Parameters
+    ----------
+    labels : sequence of str
+    lengths : sequence of float, or (N,) float
+        Longest edges, metres; those that are not finite and positive, and classes that are not known, do not count.
+    """
+    pairs = [(size_range(label), length) for label, length in zip(labels, lengths, strict=True)]
+    known = np.array([(size / r[1], size / r[0]) for r, size in pairs if r and np.isfinite(size) and size > 0])
+    if not len(known):
+        return None
+    low, high = known.T
+    fitting = int(((low <= 1) & (high >= 1)).sum())
+    # Where most intervals overlap, one of them begins.
+    counts = ((low[None] <= low[:, None]) & (high[None] >= low[:, None])).sum(axis=1)
+    start = low[int(counts.argmax())]
+    end = high[(low <= start) & (high >= start)].min()
+    unfit = len(known) - fitting
+    if unfit < LEAST_UNFIT or fitting > MOST_FIT * len(known) or counts.max() < LEAST_MENDED * len(known):
+        return None
+    return SizeFactor(float(start), float(end), len(known), fitting)

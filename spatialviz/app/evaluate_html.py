@@ -1,0 +1,274 @@
+"""Evaluate: the facets at the left, the search with its filters, and the rows of the list in the middle."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+from pipeline.evaluation.comparing import CHANGES
+from pipeline.evaluation.facets import Facet, FacetValue
+from pipeline.evaluation.run_notes import MARKS, Notes
+from pipeline.geometry.palette import ON_DARK, hex_color
+from pipeline.geometry.palette import VERDICTS as COLORS
+from pipeline.language.glossary import glossary
+from spatialviz.app.answer import verdict_chip
+from spatialviz.app.markup import BAD, Child, Element, button, h, joined, note, panel, segments
+from spatialviz.app.run_figures import FAILED, Listing
+
+SHOWN_VALUES, FEW_VALUES = 7, 11
+"""Of a facet, before the rest is asked for; of up to so many all are shown."""
+VIEWS = {"grid": "Grid", "table": "Table"}
+EXPLAINED = ("change", "verdict", "second_verdict", "mends")
+"""Facets whose values are words of the glossary."""
+TITLES = {"mends": "mended by one module alone"}
+LEGEND = (
+    ("answered target", hex_color(ON_DARK["target"]), "thick"),
+    ("wrong target", hex_color(FAILED), "thick"),
+    ("answered reference", hex_color(ON_DARK["reference"]), "thin"),
+    ("labelled", hex_color(ON_DARK["truth"]), "dashed"),
+)
+SECOND_LEGEND = ("second run", hex_color(ON_DARK["edited"]), "dashed")
+SYNTAX = 'verdict:SRM  class:"trash can",bin  margin<0.1  -lucky  sort:margin'
+SYNTAX_HINT = (
+    "All terms must hold; a comma means or, a minus not. field:value, field:none, * for anything; numbers take < <= > "
+    ">= = !=; yes-or-no fields stand alone; free words and quoted phrases must stand in the expression; sort:FIELD or "
+    "sort:-FIELD. Tab takes what is offered, Enter searches."
+)
+
+
+def hint(word: str) -> str:
+    """What the glossary says of a word."""
+    return glossary()[word].hint
+
+
+def searches(query: str) -> dict[str, str]:
+    """Attributes by which a click lists what a search finds."""
+    return {"do": f"find:{query}"}
+
+
+# ---- facets
+
+
+def facets_html(facets: Sequence[Facet], opened: Collection[str], error: str) -> Element:
+    """All facets; each value is a box to tick, and a small one beside it leaves out what has it."""
+    if error:
+        return panel(h.p("The search cannot be read.", cls="dim"))
+    return h.div((_facet(f, f.name in opened) for f in facets), cls="facets", role="group", aria_label="Filters")
+
+
+def _facet(facet: Facet, opened: bool) -> Element:
+    most = max((v.count for v in facet.values), default=0) or 1
+    asked = [v for v in facet.values if v.state]
+    few = len(facet.values) <= FEW_VALUES
+    shown = facet.values if opened or few else facet.values[:SHOWN_VALUES]
+    shown = (*shown, *(v for v in asked if v not in shown))
+    rest = len(facet.values) - len(shown)
+    more = None
+    if rest or (opened and not few):
+        more = h.button(
+            f"{rest} more" if rest else "fewer", cls="more", do=f"facet-more:{facet.name}",
+            aria_expanded=str(not rest).lower(),
+        )  # fmt: skip
+    name = f"facet-{facet.name}"
+    return h.section(
+        h.h2(TITLES.get(facet.name, facet.title), id=f"{name}-name", title=hint("facet")),
+        h.div((_value(facet, v, most) for v in shown), role="group", aria_labelledby=f"{name}-name"),
+        more,
+        id=name, cls="facet",
+    )  # fmt: skip
+
+
+def _value(facet: Facet, value: FacetValue, most: int) -> Element:
+    name, color = value.name, COLORS.get(value.name)
+    if facet.name == "change":
+        name = CHANGES.get(name, name)
+    said = hint(name) if name in glossary() and facet.name in EXPLAINED else name
+    on = {1: "true", -1: "mixed"}.get(value.state, "false")
+    css = {"--v": f"{value.count / most:.3f}"} | ({} if color is None else {"--c": hex_color(color)})
+    row = h.button(
+        h.span(cls="box"), h.span(name, cls="which"), h.span(f"{value.count:,}", cls="n"), do=f"facet:{value.term}",
+        role="checkbox", aria_checked=on, css=css, title=said, cls="value",
+    )  # fmt: skip
+    leave = None
+    if not facet.ranges:
+        leave = h.button(
+            "−", cls="not", do=f"facet-not:{value.term}", title=f"without {name}", aria_label=f"without {name}",
+            aria_pressed=str(value.state < 0).lower(),
+        )  # fmt: skip
+    return h.div(row, leave, cls="valuerow")
+
+
+# ---- the search and what is done with what it finds
+
+
+def search_html(query: str) -> Element:
+    """The search field."""
+    return h.input(
+        cls="find runs", field="find", value=query, title=SYNTAX_HINT, spellcheck="false", autocomplete="off",
+        placeholder="search, such as verdict:SRM class:chair margin<0.1   ( / )",
+        aria_label="Search the expressions of the run",
+    )  # fmt: skip
+
+
+def offers_html(offered: Sequence[str]) -> Element | None:
+    """Words that the last one of the search may become, and how a search is written."""
+    if not offered:
+        return None
+    words = (
+        h.button(word, role="option", aria_selected=str(not k).lower(), tabindex="-1", local=f"take:{word}")
+        for k, word in enumerate(offered)
+    )
+    return h.div(
+        h.div(words, cls="cmp", role="listbox", aria_label="Words to go on with"),
+        h.div(SYNTAX, cls="syntax dim", title=SYNTAX_HINT), cls="offered",
+    )  # fmt: skip
+
+
+def filters_html(listing: Listing, notes: Notes, first: str, second: bool, view: str) -> Element:
+    """Searches that are kept under a name, the few that everybody needs, and how what they find is shown."""
+    ready = {"failures": first, "all": ""} | ({"what the second run broke": "change:broken"} if second else {})
+    chips = [_filter(name, query, listing.query) for name, query in ready.items()]
+    for name, query in notes.filters.items():
+        drop = h.button(
+            "×", cls="drop", do=f"filter-drop:{name}", title=f"forget “{name}”", aria_label=f"forget {name}"
+        )
+        chips.append(h.span(_filter(name, query, listing.query), drop, cls="kept"))
+    known = listing.query in (*ready.values(), *notes.filters.values())
+    keep = None if known or listing.error else h.input(
+        cls="naming", field="naming", enter="filter-keep", value="", placeholder="keep as …", maxlength=40,
+        autocomplete="off", aria_label="Keep this search under a name", title="a name, then Enter: kept with the run",
+    )  # fmt: skip
+    shown_as = segments("rows-view", VIEWS, view, "Show as")
+    return h.div(
+        h.div(chips, keep, cls="filters", role="group", aria_label="Kept searches"), h.span(cls="grow"), shown_as,
+        cls="filtersrow",
+    )  # fmt: skip
+
+
+def _filter(name: str, query: str, now: str) -> Element:
+    return h.button(
+        name, cls="try", title=query or "every expression", aria_pressed=str(query == now).lower(), **searches(query)
+    )
+
+
+def bar_html(
+    listing: Listing, view: str, second: bool, selected: int, marks: Mapping[str, int], notes: Notes
+) -> Element:
+    """How many were found, how they are shown, and what can be done with the selected ones."""
+    found = h.h2(h.span(h.b(f"{listing.count:,}"), f" of {listing.total:,} found", role="status"), cls="count")
+    if listing.error:
+        return h.div(note(listing.error, BAD), cls="foundbar")
+    lines = (*LEGEND, SECOND_LEGEND) if second else LEGEND
+    legend = (h.span(h.i(cls=f"stroke {style}", css={"--c": color}), name) for name, color, style in lines)
+    own: Child = (
+        h.div(legend, cls="lines") if view == "grid" else None,
+        button(f"select all {listing.count:,}", "choose-all", "all that the search finds (Ctrl+A in the list)")
+        if listing.count
+        else None,
+    )
+    if selected:
+        own = h.div(
+            h.b(f"{selected:,} selected"),
+            h.input(
+                cls="naming", field="naming", enter="mark-rows", value="", placeholder="mark as …", maxlength=40,
+                list="known-marks",
+                aria_label="Mark the selected", title="one word, then Enter", autocomplete="off",
+            ),
+            h.datalist((h.option(value=name) for name in notes.marks), id="known-marks"),
+            (
+                button(
+                    f"#{name} ×", f"unmark-rows:{name}", f"take the mark from the selected: {n:,} have it",
+                    aria_label=f"take the mark {name} from the selected",
+                )
+                for name, n in marks.items()
+            ),
+            button("make cases", "row-cases", "keep each of the selected as a small folder that `replay` runs again"),
+            button("none", "choose-none", "select nothing (Escape)"),
+            cls="chosen", role="group", aria_label="The selected",
+        )  # fmt: skip
+    return h.div(found, h.span(cls="grow"), own, cls="foundbar")
+
+
+# ---- rows
+
+COLUMNS = {
+    "text": ("expression", ""), "verdict": ("verdict", ""), "second_verdict": ("second run", ""),
+    "margin": ("margin", hint("margin")),
+    "p_relation": ("P(relation)", "the probability of the asked relation for the answer"),
+    "object_distance": ("distance", "of the labelled target, metres"), "frame": ("frame", ""),
+}  # fmt: skip
+"""Of the table: by the column what it is called, and what it means."""
+NUMBERS = ("margin", "p_relation", "object_distance")
+
+
+def heads_html(query: str, second: bool) -> Element:
+    """The heads of the table: a press sorts by the column, another turns the order round, a third leaves it."""
+    words = query.split()
+    plain = [word for word in words if not word.startswith("sort:")]
+    now = next((word for word in words if word.startswith("sort:")), "")
+    cells = [
+        h.div(role="columnheader", aria_label=label, cls=f"c-{name}")
+        for name, label in (("tick", "selected"), ("shot", "picture"))
+    ]
+    for name, (title, said) in COLUMNS.items():
+        if name == "second_verdict" and not second:
+            continue
+        up, down = f"sort:{name}", f"sort:-{name}"
+        then, order, mark = {up: (down, "ascending", " ↑"), down: ("", "descending", " ↓")}.get(now, (up, "none", ""))
+        press = h.button(f"{title}{mark}", title=said or None, **searches(" ".join([*plain, then]).strip()))
+        numeric = " n" if name in NUMBERS else ""
+        cells.append(h.div(press, role="columnheader", aria_sort=order, cls=f"c-{name}{numeric}"))
+    cells.append(h.div("marks", role="columnheader", cls="c-marks"))
+    return h.div(h.div(cells, role="row", aria_rowindex="1", cls="expr"), role="rowgroup", cls="columns")
+
+
+def row_html(row: Mapping[str, Any], view: str) -> Element:
+    """One expression as a card of the grid, or as a line of the table."""
+    verdict = verdict_chip(row["verdict"], "lucky" if row["lucky"] else row["detail"])
+    marks = [h.span(f"#{name}", cls="tagged") for name in row[MARKS]]
+    image = h.img(alt="", decoding="async", draggable="false")
+    margin = "" if row["margin"] is None else f"{row['margin']:+.2f}".replace("-", "−")
+    second, change = _second(row), row.get("change", "same")
+    changed = None if change in (None, "same") else h.i(CHANGES[change], cls=f"change {change}")
+    if view == "grid":
+        facts = (row["frame"], f"margin {margin}" if margin else None)
+        return h.div(
+            h.div(image, h.span(cls="tick"), h.span(marks, cls="marks"), cls="snap"),
+            h.div(verdict, second, cls="says"),
+            h.div(row["text"], cls="asked"),
+            h.div(joined(filter(None, (changed, *facts))), cls="dim"),
+            cls="expr card", role="option", title=_hint(row), aria_label=_label(row),
+        )  # fmt: skip
+    numbers = {name: "" if row[name] is None else f"{row[name]:.2f}" for name in ("p_relation", "object_distance")}
+    other = (changed, " ", second) if second else h.span(CHANGES["same"], cls="dim")
+    cells: dict[str, Child] = {
+        "tick": h.span(cls="tick"), "shot": image, "text": h.div(row["text"], cls="asked"), "verdict": verdict,
+        **({"second_verdict": other} if "change" in row else {}), "margin": margin, **numbers, "frame": row["frame"],
+        "marks": marks,
+    }  # fmt: skip
+    looks = {"shot": " snap", "frame": " dim cut", "marks": " marks"} | dict.fromkeys(NUMBERS, " n")
+    return h.div(
+        (h.div(cell, role="gridcell", cls=f"c-{name}{looks.get(name, '')}") for name, cell in cells.items()),
+        cls="expr", role="row", title=_hint(row),
+    )  # fmt: skip
+
+
+def _second(row: Mapping[str, Any]) -> Element | None:
+    """The verdict of the second run, where anything of it is another one."""
+    if row.get("change", "same") == "same":
+        return None
+    if row["second_verdict"] is None:
+        return h.span("not in the second run", cls="dim")
+    return h.span("→ ", verdict_chip(row["second_verdict"], "lucky" if row["second_lucky"] else row["second_detail"]))
+
+
+def _hint(row: Mapping[str, Any]) -> str:
+    other = row.get("second_said")
+    return f"{row['said']}\nSecond run: {other}" if other and row.get("change") != "same" else row["said"] or ""
+
+
+def _label(row: Mapping[str, Any]) -> str:
+    parts = [row["text"], row["verdict"], row["frame"], *(f"marked {name}" for name in row[MARKS])]
+    if row.get("change") not in (None, "same"):
+        parts.insert(2, f"{CHANGES[row['change']]} in the second run: {row['second_verdict']}")
+    return ", ".join(parts)

@@ -1,0 +1,318 @@
+"""The figures of a run: where its accuracy goes, what a second run changed, slices, the confusion of relations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.comparing import CHANGES, Comparison
+from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
+from pipeline.evaluation.search_words import quote
+from pipeline.evaluation.shared_makers import Share, title_of
+from pipeline.evaluation.slices import Slice, Slices
+from pipeline.evaluation.summary import RunSummary, residual_words
+from pipeline.geometry.palette import VERDICTS as COLORS
+from pipeline.geometry.palette import hex_color
+from pipeline.language.counted import counted
+from pipeline.language.relation_names import PHRASE
+from pipeline.metrics.intervals import Estimate
+from spatialviz.app.answer import verdict_chip
+from spatialviz.app.evaluate_html import hint, searches
+from spatialviz.app.markup import Child, Element, h, heading, note, panel, segments
+from spatialviz.app.run_figures import STANDS_IN, RunFigures
+
+CUTS = {
+    "relation": "relation", "class": "class", "distance": "distance", "size": "size", "occlusion": "occlusion",
+    "same_class": "same class",
+}  # fmt: skip
+"""Dimensions that a run is cut by here, and what they are called in the choice."""
+COST_COLORS = {
+    "PARSE": COLORS["PARSE"], "RECALL": COLORS["OPM-TARGET"], "LIFT": COLORS["LIFT"], "SRM": COLORS["SRM"],
+    "CONF": COLORS["OPM-CONF"], "ATTRIBUTE": COLORS["ATTRIBUTE"], "residual": COLORS["LABEL"],
+}  # fmt: skip
+SHORT = {"PARSE": "reading the sentence", "RECALL": "finding the things", "LIFT": "from pixels to 3D",
+         "SRM": "judging relations", "ATTRIBUTE": "judging looks", "CONF": "trusting detections",
+         "residual": "what nothing mends"}  # fmt: skip
+AXIS = 10
+"""The scale begins at a multiple of so many percent."""
+
+
+def summary_html(figures: RunFigures) -> Element:
+    """Where the accuracy goes, and the verdicts with their intervals."""
+    summary = figures.summary
+    name = h.h2(h.b(figures.run.name), h.span(figures.run.folder.name if isinstance(summary, str) else
+                                             counted(summary.expressions, "expression")), cls="runhead")  # fmt: skip
+    shares = shares_html(figures.run.shares)
+    if isinstance(summary, str):
+        return panel(name, shares, note(summary))
+    return panel(name, shares, _waterfall(summary), _verdicts(summary))
+
+
+def shares_html(shares: Sequence[Share]) -> Element | None:
+    """What the figures below can show and cannot, in a line; in full where the mouse rests."""
+    if not shares:
+        return None
+    told = "\n".join(share.sentence for share in shares)
+    title = title_of(shares)
+    if title:
+        return note(title[:1].upper() + title[1:]).with_(title=told)
+    return h.div(shares[0].sentence, cls="small dim oneline", title=told)
+
+
+def percent(e: Estimate) -> str:
+    """An estimate in percent with one digit."""
+    return f"{100 * e.value:.1f}" if math.isfinite(e.value) else "–"
+
+
+def between(e: Estimate) -> str:
+    """Its interval in percent."""
+    # Whole percents say nothing of a share of a few.
+    digits = 1 if e.value < 0.02 else 0
+    return f"[{100 * e.low:.{digits}f}, {100 * e.high:.{digits}f}]" if math.isfinite(e.low + e.high) else ""
+
+
+def signed(value: float) -> str:
+    """Points with their sign."""
+    return f"{100 * value:+.1f}".replace("-", "−")
+
+
+def _along(start: float, width: float) -> dict[str, str]:
+    """Styles of a mark on a scale from 0 to 1."""
+    return {"left": f"{start:.2%}", "width": f"{width:.2%}"}
+
+
+def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
+    """From the accuracy as it is, module by module, to 100: each bar begins where the one above ends."""
+    shares = {"PARSE": summary.parse, **summary.deltas.shapley, "residual": summary.residual}
+    alone = {"PARSE": summary.parse, **summary.deltas.single}
+    base = summary.accuracy.value
+    low = math.floor(max(0.0, base + min(0.0, *(e.value for e in alone.values())) - 0.02) * 100 / AXIS) * AXIS / 100
+    span = 1 - low
+
+    def scaled(start: float, stop: float) -> dict[str, str]:
+        a, b = sorted(((start - low) / span, (stop - low) / span))
+        return _along(a, max(b - a, 0.004))
+
+    first = h.div(
+        h.span(h.b("as it is"), " ", between(summary.accuracy), cls="module"), h.b(percent(summary.accuracy), cls="n"),
+        h.span(), h.span(h.i(css=scaled(low, base), cls="base"), cls="track"),
+        cls="fall", title=f"{hint('accuracy')}\n{between(summary.accuracy)}: {hint('interval')}",
+    )  # fmt: skip
+    rows, at = [first], base
+    for name, e in shares.items():
+        single = alone.get(name)
+        mark = None if single is None else h.u(css={"left": f"{(base + single.value - low) / span:.2%}"})
+        bar = h.i(css=scaled(at, at + e.value), cls="less" if e.value < 0 else "")
+        reached = h.span("" if single is None else f"alone {100 * (base + single.value):.1f}", cls="n dim")
+        said = f"{name}: {hint(name)}\nFair share {e.formatted(signed=True)} points."
+        if single is not None:
+            said += f" With it alone {100 * (base + single.value):.1f} in place of {100 * base:.1f}."
+        query = {"PARSE": "verdict:PARSE", "residual": _causes(summary)}.get(
+            name, f"-verdict:CORRECT,LABEL mends:{name}"
+        )
+        rows.append(
+            h.button(
+                h.span(h.b(name), " ", SHORT[name], cls="module"), h.b(signed(e.value), cls="n"), reached,
+                h.span(bar, mark, cls="track", css={"--c": hex_color(COST_COLORS[name])}),
+                cls="fall", title=said, **searches(query),
+            )
+        )  # fmt: skip
+        at += e.value
+    ends = (h.span(f"{100 * (low + part * span):.0f}") for part in (0, 0.5, 1))
+    axis = h.div(
+        h.span(), h.span("share", cls="n", title=hint("Shapley")), h.span("alone", cls="n", title=hint("alone")),
+        h.span(ends, cls="track"), cls="fall axis",
+    )  # fmt: skip
+    return heading("Where the accuracy goes", "% right, of all expressions"), _in_words(summary, shares), h.div(
+        axis, rows, cls="falls"
+    ), h.p(
+        "Each bar is a module's fair share of what is lost; all add up to 100. ",
+        h.u(cls="key"), " the accuracy with this module alone replaced by the truth.", cls="small dim",
+    )  # fmt: skip
+
+
+def _in_words(summary: RunSummary, shares: dict[str, Estimate]) -> Element:
+    """The picture in a sentence."""
+    lost = 1 - summary.accuracy.value
+    worst = sorted(shares, key=lambda name: -shares[name].value)[:2]
+    parts = [f"{SHORT[name]} ({name}) {100 * shares[name].value:.1f}" for name in worst if shares[name].value > 0]
+    most = f" Most of them by {' and '.join(parts)}." if parts else ""
+    return h.p(
+        f"Of 100 expressions {100 * summary.accuracy.value:.1f} are answered rightly, {100 * lost:.1f} are not.{most}",
+        cls="lead", title=f"{hint('accuracy')} {residual_words(summary)}.",
+    )  # fmt: skip
+
+
+def _causes(summary: RunSummary) -> str:
+    """The search for what all oracles together do not mend."""
+    verdicts = dict.fromkeys(v for v, _ in summary.residual_causes)
+    return f"verdict:{','.join(verdicts)}" if verdicts else "verdict:LABEL"
+
+
+def _verdicts(summary: RunSummary) -> tuple[Child, ...]:
+    rows = []
+    for verdict, share in summary.verdicts.items():
+        if not share.count:
+            continue
+        e = share.estimate
+        whisker = h.u(css=_along(e.low, e.high - e.low)) if math.isfinite(e.low + e.high) else None
+        said = f"{hint(verdict)}\n{e.formatted()} %, 95 % interval over {summary.unit}s"
+        details = ", ".join(
+            f"{d.lower().replace('_', ' ')} {s.count}" for (v, d), s in summary.details.items() if v == verdict
+        )
+        if verdict == "CORRECT" and summary.lucky.count:
+            details = f"lucky {summary.lucky.count}: {hint('lucky')}"
+        said += f"\n{details}" if details else ""
+        bar = h.span(
+            h.i(css={"width": f"{e.value:.2%}"}), whisker, cls="t", css={"--c": hex_color(COLORS[verdict])}
+        )  # fmt: skip
+        rows.append(
+            h.button(
+                verdict_chip(verdict), bar, h.span(share.count, cls="n dim"), h.span(h.b(percent(e)), cls="n"),
+                h.span(between(e), cls="n dim"), cls="vrow", title=said, **searches(f"verdict:{verdict}"),
+            )
+        )  # fmt: skip
+    unit = h.span(f"% · 95 % over {summary.unit}s", title=hint("interval"))
+    return heading("Verdicts", unit), rows
+
+
+# ---- a second run
+
+
+def comparison_html(figures: RunFigures) -> Element | None:
+    """What the second run fixed and broke; each number lists its expressions."""
+    found = figures.comparison
+    if found is None or figures.second is None:
+        return None
+    names = h.p(h.span("first ", cls="dim"), figures.run.name, h.span(" → second ", cls="dim"), figures.second.name)
+    title = heading("Second run", h.span(names.text, title=names.text))
+    if isinstance(found, str):
+        return panel(title, note(found))
+    facet = next(f for f in figures.rows.facets("") if f.name == "change")
+    counts = {v.name: v.count for v in facet.values}
+    boxes = (
+        h.button(
+            h.b(f"{counts.get(name, 0):,}"), h.span(CHANGES[name]), cls=f"change {name}", title=hint(CHANGES[name]),
+            **searches(f"change:{name}"),
+        )
+        for name in ("fixed", "broken", "verdict", "other_reason")
+    )  # fmt: skip
+    gained, test = found.differences[found.measure], found.tests[found.measure]
+    few = [counted(n, "expression") + which for n, which in (
+        (found.only_before, " only in the first"), (found.only_after, " only in the second")) if n]  # fmt: skip
+    said = h.p(
+        "Accuracy ", h.b(f"{gained.formatted(signed=True)} points"),
+        f" on {counted(found.shared, 'shared expression')}; ",
+        h.span(_by_chance(test.p_value), title=f"p = {test.p_value:.2g}. {hint('chance')}"),
+        f". {', '.join(few)}." if few else ".",
+    )  # fmt: skip
+    return panel(title, said, h.div(boxes, cls="changes"), _transitions(found))
+
+
+def _by_chance(p: float) -> str:
+    if p < 0.01:
+        return f"so uneven by chance less than once in 100 (p {p:.1g})"
+    return f"{'hardly chance' if p < 0.05 else 'may well be chance'} (p {p:.2f})"
+
+
+def _transitions(found: Comparison) -> Child:
+    """From which verdict to which: before in rows, after in columns; those that stay are left pale."""
+    if found.verdicts is None:
+        return None
+    after = [v for v in VERDICTS if any(v in line for line in found.verdicts.values())]
+    rows = []
+    for before, line in found.verdicts.items():
+        cells = []
+        for v in after:
+            n = line.get(v, 0)
+            if not n:
+                cells.append(h.td("·", cls="o"))
+            else:
+                kind = "o" if v == before else "b" if before == "CORRECT" else "g" if v == "CORRECT" else "q"
+                press = h.button(n, title=f"{before} → {v}: {n}", **searches(f"verdict:{before} second_verdict:{v}"))
+                cells.append(h.td(press, cls=f"c {kind}", css={"--a": "0.5" if v != before else "0.1"}))
+        rows.append(h.tr(h.th(before, scope="row", cls="a"), cells))
+    head = h.tr(h.td(), (h.th(h.span(v), scope="col", title=hint(v)) for v in after))
+    return h.details(
+        h.summary("verdict by verdict: first ↓ second →"), h.div(h.table(head, rows), cls="cmx"), id="transitions"
+    )
+
+
+# ---- slices and confusion
+
+
+def slices_html(figures: RunFigures, cut: str) -> Element:
+    """The run cut by one dimension; a row, or a part of its bar, searches for its expressions."""
+    found = figures.slices(cut)
+    chosen = h.div(segments("cut", CUTS, cut, "Cut the run by"), cls="cuts")
+    if isinstance(found, str):
+        return panel(heading("Slices"), chosen, note(found))
+    head = h.tr(h.td(), h.th("n", cls="n"), h.th("right", cls="n", title=hint("accuracy")), h.td())
+    table = h.table(head, (_slice(s, found) for s in found.slices), cls="slices")
+    return panel(heading("Slices", f"by {found.dimension.title}"), chosen, table)
+
+
+def _slice(s: Slice, found: Slices) -> Element:
+    parts = []
+    for verdict in VERDICTS:
+        count = s.counts.get(verdict, 0)
+        if not count:
+            continue
+        told = f"{verdict}: {count} of {s.n} ({s.verdicts[verdict].value:.1%})"
+        way = {} if s.query is None else searches(f"{s.query} verdict:{verdict}".strip())
+        style = {"--c": hex_color(COLORS[verdict]), "width": f"{count / s.n:.2%}"}
+        parts.append(h.i(css=style, title=told, **way, tabindex="-1", aria_hidden="true"))
+    told = f"{s.name}: accuracy {s.set_correct.formatted()} over {found.unit}s"
+    name: Child = s.name
+    if s.query is not None:
+        name = h.button(s.name, cls="plain", title=f"{told}; search: {s.query}", **searches(s.query))
+    return h.tr(
+        h.th(name, cls="w", scope="row"), h.td(s.n, cls="n dim"), h.td(percent(s.set_correct), cls="n", title=told),
+        h.td(h.div(parts, cls="stack"), cls="bars"),
+    )  # fmt: skip
+
+
+def confusion_html(figures: RunFigures) -> Element:
+    """Which relation was asked, and in which the answer stands, as a heat map."""
+    found = figures.confusion
+    if isinstance(found, str):
+        return panel(heading("Relations"), note(found))
+    shown = [k for k, name in enumerate(found.columns) if name not in OTHERS or found.counts[:, k].any()]
+    heads = (h.th(h.span(_phrase(found.columns[k])), scope="col", title=_phrase(found.columns[k])) for k in shown)
+    body = (_line(found, r, shown) for r in range(len(found.rows)) if found.counts[r].any())
+    return panel(
+        heading("Relations", "asked ↓ · the answer stands in →"),
+        h.div(h.table(h.tr(h.td(), heads), body), cls="cmx"),
+        h.div(
+            "Expressions, shaded by their share of the row. Green: the asked relation holds of the answer's two "
+            "objects.",
+            cls="small dim", title=found.note,
+        ),
+    )  # fmt: skip
+
+
+def _phrase(name: str) -> str:
+    return str(PHRASE.get(name, name))
+
+
+def _line(found: Confusion, r: int, shown: list[int]) -> Element:
+    total = max(1, int(np.sum(found.counts[r])))
+    row, cells = found.rows[r], []
+    for k in shown:
+        count, name = int(found.counts[r, k]), found.columns[k]
+        if not count:
+            cells.append(h.td("·", cls="o"))
+            continue
+        kind = "g" if name == row else "q" if name in OTHERS and name != NO_ANSWER else "b"
+        told = f"asked {_phrase(row)}, stands in {_phrase(name)}: {count} of {total} ({count / total:.1%})"
+        press = h.button(_few(count), title=told, **searches(f"relation:{row} {STANDS_IN}={quote(name)}"))
+        cells.append(h.td(press, cls=f"c {kind}", css={"--a": f"{0.12 + 0.8 * count / total:.2f}"}))
+    ask = h.button(_phrase(row), cls="plain", **searches(f"relation:{row}"))
+    return h.tr(h.th(ask, cls="a", scope="row"), cells)
+
+
+def _few(count: int) -> str:
+    return str(count) if count < 1000 else f"{count / 1000:.1f}k" if count < 9950 else f"{count / 1000:.0f}k"

@@ -1,0 +1,180 @@
+"""What is worked out of a run once for all clients: its rows, its figures, and small pictures of its answers."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pipeline.datasets.base import load_picture
+from pipeline.evaluation.browsing import RunRows, labelled_boxes
+from pipeline.evaluation.comparing import Comparison, compare
+from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
+from pipeline.evaluation.loss_plots import MOST_SHOWN
+from pipeline.evaluation.run_folder import Run
+from pipeline.evaluation.search import Field, completions
+from pipeline.evaluation.slices import Slices, slice_by
+from pipeline.evaluation.summary import RunSummary, summarise_run
+from pipeline.geometry.palette import ON_DARK
+from pipeline.system.errors import InputError, require
+from pipeline.system.recent import Recent
+from spatialviz.app.frames import IMAGES, jpeg
+from spatialviz.report.crop import Outline, answer_crop
+
+STANDS_IN = "stands_in"
+"""The column, and the field of a search, that says in which relation an answer stands."""
+FAILED = (236, 72, 78)
+FRAMES, PICTURES = 8, 3000
+"""Decoded frames, and addresses of pictures, that are kept."""
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The expressions of a run that match a search.
+
+    Attributes
+    ----------
+    query : str
+    error : str
+        Why the search cannot be carried out; what was found before stays.
+    count, total : int
+        Expressions that match, and those of the run.
+    at : (str, str, str) or None
+        Frame, id and text of the one that is open.
+    place : int or None
+        Where it is among those that match.
+    """
+
+    total: int
+    query: str = ""
+    error: str = ""
+    count: int = 0
+    at: tuple[str, str, str] | None = None
+    place: int | None = None
+
+
+class RunFigures:
+    """The figures of one run; each is made when it is first read, or says why it cannot be.
+
+    Parameters
+    ----------
+    run : Run
+    second : Run or None
+        To compare with.
+
+    Raises
+    ------
+    InputError
+        The run has no verdicts, or the two have no expression in common.
+    """
+
+    def __init__(self, run: Run, second: Run | None) -> None:
+        self.run, self.second = run, second
+        require(
+            "verdict" in run.records.column_names, "the run has no verdicts",
+            cause="made by an earlier release? run `eval` again", path=run.folder,
+        )  # fmt: skip
+        self.rows = RunRows(run.records, run.folder, None if second is None else second.records)
+        self._slices: dict[str, Slices | str] = {}
+        self._frames: Recent[str, np.ndarray] = Recent(FRAMES)
+        self._pictures: OrderedDict[int, str] = OrderedDict()
+
+    @cached_property
+    def summary(self) -> RunSummary | str:
+        """Verdicts, and what each module costs."""
+        return _or_why(lambda: summarise_run(self.run.records))
+
+    @cached_property
+    def comparison(self) -> Comparison | str | None:
+        """What the second run changed."""
+        other = self.second
+        return None if other is None else _or_why(lambda: compare(self.run.records, other.records))
+
+    def slices(self, dimension: str) -> Slices | str:
+        """The run cut by a dimension; of texts the most frequent ones."""
+        if dimension not in self._slices:
+            of_run = {self.run.name: self.run.records}
+            self._slices[dimension] = _or_why(lambda: slice_by(of_run, dimension, most=MOST_SHOWN))
+        return self._slices[dimension]
+
+    @cached_property
+    def confusion(self) -> Confusion | str:
+        """The relation that was asked against the one in which the answer stands; from then on rows can be searched
+        by that, too."""
+        found = _or_why(self._standings)
+        if isinstance(found, str):
+            return found
+        self.rows.add_column(STANDS_IN, found.column())
+        return count_standings(found)
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """What the run can be searched by, with the values that occur."""
+        _ = self.confusion
+        return self._fields
+
+    @cached_property
+    def _fields(self) -> tuple[Field, ...]:
+        return completions(self.rows.records)
+
+    def _standings(self) -> Standings:
+        made_with = self.run.manifest.get("labels") or {}
+        return answer_standings(self.run.records, self.run.labels, made_with.get("content_hash"))
+
+    # ---- pictures -------------------------------------------------------------------
+
+    @cached_property
+    def _labelled(self) -> np.ndarray | str:
+        return _or_why(lambda: labelled_boxes(self.run.records, self.run.labels))
+
+    def picture(self, number: int, row: Mapping[str, Any], make: bool = False) -> str:
+        """Where the page finds the picture of a row; "" where it is not made yet, and unless it should be, or where
+        its frame is broken."""
+        kept = self._pictures.get(number)
+        if kept is not None and (not kept or IMAGES.get(kept.rpartition("/")[2]) is not None):
+            return kept
+        if not make:
+            return ""
+        dataset = self.run.source.dataset
+        try:
+            rgb = self._frames.get(row["frame"], lambda: load_picture(dataset, row["frame"]).rgb)
+            url = IMAGES.url(jpeg(answer_crop(rgb, self._outlines(number, row)), 80), "jpg")
+        except InputError:
+            url = ""
+        self._pictures[number] = url
+        while len(self._pictures) > PICTURES:
+            self._pictures.popitem(last=False)
+        return url
+
+    def _outlines(self, number: int, row: Mapping[str, Any]) -> list[Outline]:
+        """The labelled pair where the answer is another one; the answer over it; the second run's where it differs."""
+        found = []
+        if not isinstance(self._labelled, str) and not row["set_correct"]:
+            target, reference = self._labelled[number]
+            found = [Outline(reference, ON_DARK["truth"], "dashed"), Outline(target, ON_DARK["truth"], "dashed")]
+        if row.get("change") not in (None, "same"):
+            other = (row["second_reference_box"], row["second_box"])
+            found += [Outline(np.array(box), ON_DARK["edited"], "dashed") for box in other if box is not None]
+        if row["reference_box"] is not None:
+            found.append(Outline(np.array(row["reference_box"]), ON_DARK["reference"], "thin"))
+        if row["box"] is not None:
+            found.append(Outline(np.array(row["box"]), ON_DARK["target"] if row["set_correct"] else FAILED))
+        return found
+
+
+def _or_why(find: Callable[[], Found]) -> Found | str:
+    try:
+        return find()
+    except InputError as error:
+        return str(error)
+
+
+@lru_cache(maxsize=8)
+def figures_of(run: Run, second: Run | None = None) -> RunFigures:
+    """The figures of a run, the same for every client."""
+    return RunFigures(run, second)
