@@ -8,10 +8,12 @@ from typing import Any
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.corrections.audit.labels import audit_labels
-from pipeline.corrections.audit.report import AuditReport
+from pipeline.corrections.audit.questions import audit_questions
+from pipeline.corrections.audit.report import LIKELY, AuditReport
 from pipeline.corrections.audit.sentences import audit_sentences
 from pipeline.corrections.audit.systems import read_answers
 from pipeline.corrections.review.queue import QueueConfig
+from pipeline.evaluation.robospatial import is_robospatial, read_question_answers, read_questions, score_table
 from pipeline.evaluation.sentences import read_sentence_file
 from pipeline.labels.reading import MANIFEST_FILE, open_labels
 from pipeline.system.errors import needed, require
@@ -31,10 +33,11 @@ def audit(
     Parameters
     ----------
     target : Path
-        A labels folder; or, about the frames of `dataset`, a file of sentences as `eval --sentences` takes it.
+        A labels folder; RoboSpatial-Home's; or, about the frames of `dataset`, a file of sentences as `eval
+        --sentences` takes it.
     dataset : str, optional
     runs : sequence of Path
-        Run folders of systems that answered the same items.
+        Run folders of systems that answered the same items; of RoboSpatial-Home files of answers in its form.
     options : dict, optional
         Arguments of `open_pipeline`.
     queue : QueueConfig, optional
@@ -47,6 +50,8 @@ def audit(
     InputError
         Something cannot be read, or --dataset is missing.
     """
+    if is_robospatial(target):
+        return _of_questions(target, dataset, runs, options or {}, progress)
     systems = [read_answers(run) for run in runs]
     if (target / MANIFEST_FILE).is_file():
         labels = open_labels(target)
@@ -57,3 +62,20 @@ def audit(
     source = open_pipeline(where, **(options or {}))
     asked = read_sentence_file(target, source, where if where == "demo" else None)
     return AuditReport.ranked(where, audit_sentences(source, asked, systems, progress))
+
+
+def _of_questions(
+    root: Path,
+    dataset: str | None,
+    runs: Sequence[Path],
+    options: dict[str, Any],
+    progress: Callable[[int, int], None] | None,
+) -> AuditReport:
+    where = dataset or str(root)
+    questions = read_questions(root)
+    systems = [read_question_answers(run, questions) for run in runs]
+    source = open_pipeline(where, **options) if options.get("detector") else None
+    items = list(audit_questions(questions, systems, source, progress))
+    doubted = {item.id for item in items if item.score >= LIKELY}
+    table = score_table(questions, systems, doubted) if systems else None
+    return AuditReport.ranked(where, items, table)
