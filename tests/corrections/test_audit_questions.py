@@ -99,7 +99,7 @@ def hosted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_frames_ask_for_the_camera_and_the_unit(downloaded: Path, hosted: Path) -> None:
     for root in (downloaded, hosted):
-        with pytest.raises(InputError, match="--intrinsics .* and --depth-scale"):
+        with pytest.raises(InputError, match=r"--intrinsics .* and --depth-scale"):
             open_dataset(root)
         dataset = open_dataset(root, **CAMERA)
         questions = read_questions(root)
