@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import chain, islice
+
 from pipeline.corrections.audit.job import audit
 from pipeline.corrections.audit.report import AuditReport
 from pipeline.corrections.review.queue import QueueConfig
 from pipeline.language.counted import counted
 from pipeline.system.errors import require
 from spatialviz.cli_labels import Audit
-from spatialviz.options import print_json
 from spatialviz.printing import print_rows, print_table, rate_bar, say
 
 
@@ -22,12 +23,7 @@ def run_audit(command: Audit) -> None:
         )  # fmt: skip
     if command.out is not None:
         report.write(command.out)
-    if command.json:
-        print_json(report.record())
-        for _, record in zip(range(command.limit), report.records(), strict=False):
-            print_json(record)
-        return
-    print_audit(report, command)
+    command.write(chain([report.record()], islice(report.records(), command.limit)), print_audit, report, command)
 
 
 def print_audit(report: AuditReport, command: Audit) -> None:

@@ -33,9 +33,9 @@ VQA = ("configuration", "compatibility")
 COLUMNS = ("answered", *VQA, "VQA", POINTING, "total", "ours", "ours, undoubted")
 NOTE = (
     "RoboSpatial-Home's own metric, in percent: configuration and compatibility by the first word, context by the "
-    "first point in the answer's polygon; VQA and total are means over categories. Ours: yes or no as the words mean it, and "
-    "the share of all points in the mask, as a mean over categories; undoubted: without items whose truth is more "
-    "probably wrong than not. Missing answers count as wrong."
+    "first point in the answer's polygon; VQA and total are means over categories. Ours: yes or no as the words mean "
+    "it, and the share of all points in the mask, as a mean over categories; undoubted: without items whose truth is "
+    "more probably wrong than not. Missing answers count as wrong."
 )
 _NUMBER = r"\s*(\d+\.?\d*)\s*"
 _TUPLE, _LIST = re.compile(rf"\({_NUMBER},{_NUMBER}\)"), re.compile(rf"\[{_NUMBER},{_NUMBER}\]")

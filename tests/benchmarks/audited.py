@@ -113,44 +113,49 @@ def sentences_of(frame: Frame, states: np.ndarray, rng: np.random.Generator) -> 
     yield from found
 
 
-def planted_sentences(source: Pipeline, seed: int) -> Iterator[Planted]:
-    """Sentences with their truth, a tenth of them made wrong, in turn in each of WAYS that a sentence allows."""
+def planted_sentences(source: Pipeline, seed: int, frames: Sequence[str], per_frame: int) -> Iterator[Planted]:
+    """Sentences with their truth, a tenth of them made wrong in one of WAYS."""
     rng = np.random.default_rng(seed)
-    line = turn = 0
-    for frame_id in source.dataset.frame_ids:
+    line = 0
+    for frame_id in frames:
         frame = source.dataset.load(frame_id)
         numbers = np.array([a.index for a in frame.annotations])
         alike = same_names([a.label for a in frame.annotations])
-        kept = 0
+        plain = several = 0
         for text, relation, right in sentences_of(frame, exact_states(source, frame), rng):
-            if kept == PER_FRAME:
-                break
-            way = WAYS[turn % len(WAYS)] if rng.random() < PLANTED * (3 if len(right) > 1 else 1) else None
+            way: str | None = None
             said = text
-            if (way == "several") != (len(right) > 1):
-                # Sentences of which several things are right are only there to be planted.
-                if len(right) > 1:
+            if len(right) > 1:
+                # Of these each is planted: one of several right things is said to be the only one.
+                several += 1
+                way, right = "several", right[:1]
+                if several > max(1, round(per_frame * PLANTED / len(WAYS))):
                     continue
-                way = None if way == "several" else way
-            others = np.flatnonzero(alike[right[0]] if way == "same class" else ~alike[right[0]])
-            others = np.setdiff1d(others, right)
-            if way in ("same class", "other class") and len(others):
-                right = rng.choice(others, 1)
-            elif way == "word" and INVERSE.get(relation, relation) != relation:
-                said = text.replace(f" {PHRASE[relation]} ", f" {PHRASE[INVERSE[relation]]} ")
-            elif way == "several":
-                right = right[:1]
             else:
-                way = None
-            turn += way is not None
-            line, kept = line + 1, kept + 1
+                plain += 1
+                if plain > per_frame:
+                    continue
+                others = np.setdiff1d(np.arange(len(alike)), right)
+                alternatives = {
+                    "same class": others[alike[right[0]][others]],
+                    "other class": others[~alike[right[0]][others]],
+                    "word": others if INVERSE.get(relation, relation) != relation else others[:0],
+                }
+                possible = [name for name in WAYS if len(alternatives.get(name, ()))]
+                if rng.random() < PLANTED and possible:
+                    way = str(rng.choice(possible))
+                    if way == "word":
+                        said = text.replace(f" {PHRASE[relation]} ", f" {PHRASE[INVERSE[relation]]} ")
+                    else:
+                        right = rng.choice(alternatives[way], 1)
+            line += 1
             yield Planted(Sentence(line, frame_id, said, way or "sound", targets=tuple(numbers[right].tolist())), way)
 
 
 def system_answers(source: Pipeline, asked: Sequence[Planted], seed: int) -> SystemAnswers:
     """A pipeline with a simulated detector, asked all sentences."""
     options = SimulationOptions(seed=seed, recall=0.9, cross_class=0.4, corrupted=0.2)
-    detector = SimulatedDetector(options, source.dataset.class_names, source.synonyms)
+    detector = SimulatedDetector(options, class_names=source.dataset.class_names, synonyms=source.synonyms)
     own = replace(source, detector=detector)
     found: dict[tuple[str, str], tuple[float, ...]] = {}
     contexts = {frame: own.prepare(frame) for frame in dict.fromkeys(p.sentence.frame for p in asked)}
@@ -186,16 +191,19 @@ RANKED: dict[str, Callable[[Evidence], bool]] = {
 }
 
 
-def audited(root: Path, seed: int) -> tuple[list[AuditItem], list[str | None]]:
+def audited(
+    root: Path, seed: int, frames: slice = slice(None), per_frame: int = PER_FRAME, systems: int = SYSTEMS
+) -> tuple[list[AuditItem], list[str | None]]:
     """Every item with its evidence, and in which way it was planted."""
     dataset = open_dataset(root)
     source = open_pipeline(dataset)
-    asked = list(planted_sentences(source, seed))
-    systems = [system_answers(source, asked, seed * 100 + k) for k in range(SYSTEMS)]
+    ids = dataset.frame_ids[frames]
+    asked = list(planted_sentences(source, seed, ids, per_frame))
+    answered = [system_answers(source, asked, seed * 100 + k) for k in range(systems)]
     rng = np.random.default_rng(seed + 1)
-    seen = InMemoryDataset(noisy(dataset.load(frame_id), rng) for frame_id in dataset.frame_ids)
+    seen = InMemoryDataset(noisy(dataset.load(frame_id), rng) for frame_id in ids)
     file = SentenceFile(root, tuple(p.sentence for p in asked), {})
-    return list(audit_sentences(open_pipeline(seen), file, systems)), [p.way for p in asked]
+    return list(audit_sentences(open_pipeline(seen), file, answered)), [p.way for p in asked]
 
 
 def main() -> None:

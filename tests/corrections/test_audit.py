@@ -22,6 +22,7 @@ from pipeline.corrections.audit.sentences import audit_sentences
 from pipeline.corrections.audit.suspicion import PRIOR, AuditItem, Evidence, agreement_weight, wrong_probability
 from pipeline.corrections.audit.systems import SystemAnswers, read_answers
 from pipeline.datasets.base import InMemoryDataset
+from pipeline.diagnosis.whatif.state import decode
 from pipeline.evaluation.sentences import Sentence, SentenceFile
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
@@ -198,7 +199,10 @@ def test_sentences_need_their_dataset(tmp_path: Path) -> None:
         audit(path)
     report = audit(path, "demo")
     assert report.items[0].reasons
-    assert report.look(report.items[0]) == "spatialviz ask demo 000001/000000 'the mug left of the laptop'"
+    *command, view = report.look(report.items[0]).split(" ")
+    assert command == ["spatialviz", "view", "demo", "--state"]
+    opened = decode(view)
+    assert (opened.dataset, opened.frame, opened.expression) == ("demo", "000001/000000", "the mug left of the laptop")
     with pytest.raises(InputError, match="nothing to audit"):
         audit(tmp_path / "absent", "demo")
 
@@ -210,6 +214,6 @@ def test_the_files_hold_every_item_by_rank(tmp_path: Path) -> None:
     report.write(tmp_path / "a.csv")
     report.write(tmp_path / "a.jsonl")
     lines = (tmp_path / "a.csv").read_text().splitlines()
-    assert lines[1].startswith('1,0.9,strong,f,"a, ""b""",x,,because of strong,"spatialviz ask D f')
+    assert lines[1].startswith('1,0.9,strong,f,"a, ""b""",x,,because of strong,spatialviz view D --state sv1:')
     assert [json.loads(line)["id"] for line in (tmp_path / "a.jsonl").read_text().splitlines()] == ["strong", "weak"]
     assert report.record()["expected_wrong"] == 1.2

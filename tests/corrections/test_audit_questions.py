@@ -12,11 +12,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image
+from scenes import frame_of, upright
 
+from pipeline.answering.opening import open_pipeline
 from pipeline.corrections.audit.job import audit
+from pipeline.corrections.audit.questions import audit_questions
 from pipeline.corrections.audit.report import AuditReport
 from pipeline.datasets import open_dataset
+from pipeline.datasets.base import InMemoryDataset
 from pipeline.evaluation.robospatial import (
+    Question,
     inside,
     own_right,
     published_right,
@@ -178,6 +183,26 @@ def test_what_is_wrong_comes_first_with_its_evidence(downloaded: Path, answers: 
     assert row["ours"] == pytest.approx((1 + 0 + 0.25) / 3)
     assert row["ours, undoubted"] == pytest.approx((1 + 0 + 0.5) / 3)
     check_files(report, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "answer", "kind", "wrong"),
+    [
+        ("Is the mug left of the vase? Answer yes or no.", "Yes", None, False),
+        ("Is the mug left of the vase? Answer yes or no.", "No", "geometry", True),
+        ("Is the mug right of the vase? Answer yes or no.", "Yes", "geometry", True),
+        ("Is the mug left of the chair? Answer yes or no.", "No", "frame", True),
+        ("Is the zebra left of the chair? Answer yes or no.", "No", "frame", False),
+    ],
+)
+def test_detected_objects_judge_yes_and_no(downloaded: Path, text: str, answer: str, kind: str, wrong: bool) -> None:
+    boxes = [upright((x, 1.0, 2.5), (0.2, 0.2, 0.2)) for x in (-0.7, 0.1, 0.6)]
+    source = open_pipeline(InMemoryDataset([frame_of(boxes, ["mug", "vase", "chair"], name="room")]), srm="rule")
+    picture = downloaded / "images" / "img_context_0.png"
+    question = Question("configuration_0", "room", "configuration", text, answer, picture)
+    (item,) = audit_questions([question], (), source)
+    assert [e.kind for e in item.reasons] == ([] if kind is None else [kind])
+    assert (item.score >= 0.5) == wrong
 
 
 def check_files(report: AuditReport, folder: Path) -> None:

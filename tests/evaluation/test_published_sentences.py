@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dataset_writers import write_votenet
 from scenes import frame_of, upright
 
 from pipeline.answering.opening import Pipeline, open_pipeline
@@ -85,6 +86,23 @@ def test_sun_spot_comes_with_boxes_of_its_instances(source: Pipeline, tmp_path: 
     assert (sentence.id, sentence.frame, sentence.kind) == ("12", "000104", "SUN-Spot test")
     assert sentence.boxes == ((10.0, 20.0, 40.0, 60.0),)
     assert sentence.text == "The desk behind the chair"
+
+
+def test_objects_are_lines_of_votenets_labels(tmp_path: Path) -> None:
+    root = tmp_path / "sunrgbd_trainval"
+    write_votenet(root, ["000104"])
+    label = root / "label" / "000104.txt"
+    label.write_text("desk 2 2 5 5 0.5 2.5 -0.4 0.3 0.5 0.4 0.6 -0.8\n" + label.read_text())
+    own = open_pipeline(root)
+    path = tmp_path / "SUNREFER_v2.json"
+    path.write_text(json.dumps([{**REFER[0], "object_id": "1", "sentence": "the chair"}]))
+    (sentence,) = read_sentence_file(path, own).sentences
+    (right,) = [a for a in own.dataset.load("000104").annotations if a.index in (sentence.targets or ())]
+    assert right.label == "chair"
+    assert right.box is not None
+    (judged,) = evaluate_sentences(path, own).judged
+    assert judged.right
+    assert judged.iou_3d is not None
 
 
 class _Evil:

@@ -23,11 +23,11 @@ from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
 
 HOLDS, UNDECIDED = 0.02, 0.08
 """Weights where the rule says that the relation holds of what is right, or that it is too close to call."""
-NARROWLY, FAR, SCALE_M = 0.3, 0.92, 0.06
+NARROWLY, FAR, SCALE_M = 0.3, 0.8, 0.06
 """Weights where it does not, by a hair and by far; the metres over which the one becomes the other."""
 NOTHING_FITS = 0.25
 """Where a longer sentence is true of nothing in the frame: it may be misread, too."""
-SEVERAL, SEVERAL_A = 0.5, 0.1
+SEVERAL, SEVERAL_A = 0.7, 0.1
 """Where other things are right as well, and the sentence says “the”, or does not."""
 OWN_SIDES, TWO_FRAMES = 0.55, 0.1
 """Where the truth is right by the reference's own sides alone, and where these would make another thing right."""

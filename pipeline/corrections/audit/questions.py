@@ -90,7 +90,9 @@ def _contradictions(questions: Sequence[Question]) -> dict[str, list[Evidence]]:
             if other[1] != truth:
                 for one, rival in ((question, other[0]), (other[0], question)):
                     text = f"{rival.id} of the same picture says {rival.answer} to “{rival.text}”"
-                    found[one.id].append(Evidence("contradiction", ONE_OF_TWO, text))
+                    piece = Evidence("contradiction", ONE_OF_TWO, text)
+                    # Both say it again of the mirrored statement.
+                    found[one.id] += [piece] if piece not in found[one.id] else []
     return found
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.corrections.audit.suspicion import KINDS, PRIOR, AuditItem
+from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.metrics.tables import Row, Table
 from pipeline.system.whole_files import write_whole
 
@@ -54,15 +55,16 @@ class AuditReport:
 
     @property
     def kinds(self) -> Table:
-        """How many items each kind of evidence speaks against, and is the strongest of."""
-        every = Counter(kind for item in self.items for kind in {e.kind for e in item.reasons})
-        first = Counter(item.reasons[0].kind for item in self.items if item.reasons)
+        """How many suspicious items each kind of evidence speaks against, and is the strongest of."""
+        every = Counter(kind for item in self.suspicious for kind in {e.kind for e in item.reasons})
+        first = Counter(item.reasons[0].kind for item in self.suspicious)
         rows = tuple(Row(kind, (every[kind], first[kind], words)) for kind, words in KINDS.items() if every[kind])
         return Table("audit", "What speaks against the truth", ("items", "foremost", "what it says"), rows)
 
     def look(self, item: AuditItem) -> str:
-        """The command that shows an item."""
-        return shlex.join(["spatialviz", "ask", self.dataset, item.frame, item.text])
+        """The command that opens the page on an item."""
+        view = encode(ViewState(Path(self.dataset).name, item.frame, item.text))
+        return shlex.join(["spatialviz", "view", self.dataset, "--state", view])
 
     def record(self) -> dict[str, Any]:
         """What is counted, as JSON."""

@@ -23,7 +23,7 @@ from pipeline.language.relation_names import HORIZONTAL
 from pipeline.relations.pair_measures import F, T, U
 from pipeline.system.errors import InputError
 
-OTHER_CLASS = 0.75
+OTHER_CLASS = 0.9
 """The weight of an annotation whose name is not what the sentence asks for."""
 NOTHING_RIGHT = 0.6
 """The weight where nothing is said to be right, and something is."""
