@@ -73,6 +73,18 @@ def test_each_kind_of_wrong_truth(source: Pipeline, text: str, right: int | None
     assert (found.score > PRIOR) == (kind is not None)
 
 
+def test_attributes_are_no_part_of_the_name(source: Pipeline) -> None:
+    assert "class" not in [e.kind for e in item(source, "the small mug left of the vase", LEFT).evidence]
+    assert [e.kind for e in item(source, "the small mug left of the vase", BOOK).reasons] == ["class"]
+
+
+def test_a_frame_that_cannot_be_used_leaves_its_items_to_the_systems(source: Pipeline) -> None:
+    asked = SentenceFile(Path("x"), (Sentence(1, "absent", "the mug", "plain", targets=(1,)),), {})
+    (found,) = audit_sentences(source, asked)
+    assert "no frame 'absent'" in (found.unjudged or "")
+    assert (found.truth, found.score) == ("targets [1]", pytest.approx(PRIOR))
+
+
 def test_words_say_how_far_the_rule_is_from_the_truth(source: Pipeline) -> None:
     (reason,) = item(source, "the mug left of the vase", RIGHT).reasons
     assert reason.text.startswith("mug·1 is not left of the vase by ")

@@ -27,8 +27,9 @@ NARROWLY, FAR, SCALE_M = 0.3, 0.8, 0.06
 """Weights where it does not, by a hair and by far; the metres over which the one becomes the other."""
 NOTHING_FITS = 0.25
 """Where a longer sentence is true of nothing in the frame: it may be misread, too."""
-SEVERAL, SEVERAL_A = 0.7, 0.1
-"""Where other things are right as well, and the sentence says “the”, or does not."""
+SEVERAL, SEVERAL_LONGER, SEVERAL_A = 0.7, 0.4, 0.1
+"""Where other things are right as well: the sentence says “the” and is one relation of two names, says more (colours
+and the like are judged by pixels), or says “a”."""
 OWN_SIDES, TWO_FRAMES = 0.55, 0.1
 """Where the truth is right by the reference's own sides alone, and where these would make another thing right."""
 
@@ -149,11 +150,12 @@ def geometry_evidence(
         # That it holds of what is right is no answer to this.
         found = []
     if others:
+        weight = (SEVERAL if plain else SEVERAL_LONGER) if definite else SEVERAL_A
         text = (
             f"{counted(len(others), 'other thing')} fit as well: {', '.join(names[k] for k in others)}"
             f"{', and the sentence says “the”' if definite else ''}"
         )
-        found.append(Evidence("several", SEVERAL if definite else SEVERAL_A, text, (("others", float(len(others))),)))
+        found.append(Evidence("several", weight, text, (("others", float(len(others))),)))
     for way, one in own.items():
         instead = np.setdiff1d(np.flatnonzero(one.states == T), right)
         if len(instead) and (one.states[right] == F).all():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -44,19 +43,17 @@ def audit_sentences(
     asked : SentenceFile
     systems : sequence of SystemAnswers
     progress : callable, optional
-
-    Raises
-    ------
-    InputError
-        A frame cannot be used.
     """
     by_frame: dict[str, list[Sentence]] = {}
     for sentence in asked.sentences:
         by_frame.setdefault(sentence.frame, []).append(sentence)
     done = 0
     for frame, sentences in by_frame.items():
-        context = source.prepare(frame)
-        truth = annotated_truth(context, source)
+        try:
+            context = source.prepare(frame)
+            truth: FrameCases | str | None = annotated_truth(context, source)
+        except InputError as error:
+            context, truth = None, str(error)
         for sentence in sentences:
             yield audited(sentence, source, context, truth, systems)
             done += 1
@@ -67,32 +64,35 @@ def audit_sentences(
 def audited(
     sentence: Sentence,
     source: Pipeline,
-    context: PreparedFrame,
-    truth: FrameCases | None,
+    context: PreparedFrame | None,
+    known: FrameCases | str | None,
     systems: Sequence[SystemAnswers] = (),
 ) -> AuditItem:
-    """One sentence; `truth` are the frame's annotations."""
+    """One sentence; `known` are the frame's annotations, or why they cannot be had."""
+    truth = known if isinstance(known, FrameCases) else None
     names = [] if truth is None else object_names(truth)
     right = np.zeros(0, np.int64) if truth is None else sentence.among(truth)
-    boxes = np.array(sentence.boxes or (), np.float64).reshape(-1, 4) if truth is None else truth.boxes[right]
     said = ", ".join(names[k] for k in right) or ("nothing" if sentence.nothing else _places(sentence))
-    item = AuditItem(sentence.id or str(sentence.line), sentence.frame, sentence.text, said)
-    seems: str | None = None
-    try:
-        if truth is None:
-            raise InputError("the frame has no annotations")
-        if not len(right) and not sentence.nothing:
-            raise InputError("no annotated object is what is right")
-        evidence, seems = _geometry(sentence, source, context, truth, right, names)
-        item = replace(item, evidence=tuple(evidence), seems=seems)
-    except InputError as error:
-        item = replace(item, unjudged=str(error))
+    evidence: list[Evidence] = []
+    seems = unjudged = None
+    if truth is None or context is None:
+        unjudged = known if isinstance(known, str) else "the frame has no annotations"
+    elif not len(right) and not sentence.nothing:
+        unjudged = "no annotated object is what is right"
+    else:
+        try:
+            evidence, seems = _geometry(sentence, source, context, truth, right, names)
+        except InputError as error:
+            unjudged = str(error)
+    boxes = np.array(sentence.boxes or (), np.float64).reshape(-1, 4) if truth is None else truth.boxes[right]
     if len(boxes) and systems:
         labelled = [] if truth is None else list(zip(names, truth.boxes, strict=True))
         told = system_evidence(systems, (sentence.frame, sentence.text), boxes, labelled)
         if told is not None:
-            item = replace(item, evidence=(*item.evidence, told[0]), seems=seems or told[1])
-    return item
+            evidence.append(told[0])
+            seems = seems or told[1]
+    item_id = sentence.id or str(sentence.line)
+    return AuditItem(item_id, sentence.frame, sentence.text, said, seems, tuple(evidence), unjudged)
 
 
 def object_names(truth: FrameCases) -> list[str]:
@@ -101,7 +101,8 @@ def object_names(truth: FrameCases) -> list[str]:
 
 
 def _places(sentence: Sentence) -> str:
-    return f"points {list(sentence.points)}" if sentence.points else f"boxes {list(sentence.boxes or ())}"
+    given = {name: getattr(sentence, name) for name in ("targets", "points", "boxes") if getattr(sentence, name)}
+    return "; ".join(f"{name} {list(value)}" for name, value in given.items())
 
 
 def _geometry(
@@ -110,8 +111,8 @@ def _geometry(
     """The evidence, and what seems right where that is something else; InputError where geometry says nothing."""
     trace = source.ask(context, sentence.text)
     root, top = trace.root, trace.root.pairwise
-    targets = of_name(truth, root.label, source) if not root.anything else np.ones(len(truth.labels), np.bool_)
-    reference = top.nodes[0].label if top is not None and top.nodes else ""
+    targets = of_name(truth, root.name, source) if not root.anything else np.ones(len(truth.labels), np.bool_)
+    reference = top.nodes[0].name if top is not None and top.nodes else ""
     sided = top is not None and top.relation in HORIZONTAL and has_front(reference)
     own = {way: _fit(trace, source, context, one, targets) for way, one in by_own_sides(truth).items()} if sided else {}
     fit = _fit(trace, source, context, truth, targets)
@@ -121,13 +122,9 @@ def _geometry(
         return ([Evidence("geometry", NOTHING_RIGHT, text)] if len(sure) else []), _listed(sure, names)
     strange = right[~targets[right]]
     if len(strange):
-        text = f"the sentence asks for a {root.label}, and what is right is annotated as {names[int(strange[0])]}"
+        text = f"the sentence asks for a {root.name}, and what is right is annotated as {names[int(strange[0])]}"
         return [Evidence("class", OTHER_CLASS, text)], _listed(sure, names)
-    words = (
-        root.label,
-        top.relation if trace.query.default.root.triple is not None and top is not None else "",
-        reference,
-    )
+    words = (root.name, trace.relation if trace.query.default.root.triple is not None else "", reference)
     definite = says_the(sentence.text, [root.label])[0]
     evidence = geometry_evidence(fit, right, own, definite, words, names)
     wrong = any(e.kind in ("geometry", "several") and e.weight > PRIOR for e in evidence)
