@@ -259,6 +259,8 @@ def print_replay(result: Result) -> None:
         say(f"  after  {in_words(replay.after)}")
         for change in replay.changes:
             say(f"         {change}", style="yellow" if result.status == "updated" else "red")
+        if replay.moved is not None:
+            say(f"         the first module that gives something else: {replay.moved}")
     for warning in replay.warnings:
         say(f"         warning: {warning}", style="yellow")
 
@@ -288,6 +290,6 @@ def replay_record(result: Result) -> dict[str, Any]:
         return {"case": str(result.path), "status": result.status, "problem": result.problem}
     return {
         "case": str(result.path), "name": replay.name, "status": result.status, "changes": list(replay.changes),
-        "warnings": list(replay.warnings), "before": replay.before.model_dump(mode="json"),
+        "warnings": list(replay.warnings), "moved": replay.moved, "before": replay.before.model_dump(mode="json"),
         "after": replay.after.model_dump(mode="json"),
     }  # fmt: skip
