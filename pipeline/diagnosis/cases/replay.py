@@ -27,6 +27,7 @@ Status = Literal["same", "changed", "updated", "damaged"]
 
 TOLERANCE = 1e-4
 """By how much a probability may move without a word."""
+RANKED = ("target", "reference", "product")
 SAME_PLACE = 1e-3
 """By how much the numbers of a 3D box may move: metres, and the entries of a rotation."""
 SAME_BOX_PIXELS = 0.05
@@ -130,7 +131,7 @@ def _first_moved(before: dict[str, Any], after: dict[str, Any], tolerance: float
         ("OPM", of_objects("bbox"), SAME_BOX_PIXELS),
         ("LIFT", of_objects("center", "size", "R"), SAME_PLACE),
         ("SRM", lambda record: record.get("relations"), tolerance),
-        ("PRM", lambda record: [[p["target"], p.get("reference")] for p in record.get("pairs", ())], 0),
+        ("PRM", lambda record: [[p.get(k) for k in RANKED] for p in record.get("pairs", ())], tolerance),
     )
     return next((name for name, of, near in outputs if not _alike(of(before), of(after), near)), None)
 
