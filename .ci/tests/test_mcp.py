@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from pipeline.datasets.demo import demo_path, demo_run
 from pipeline.labels.reading import Labels
 from spatialviz.cli import main
 
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "agents.md"
 TEXT = "mug left of the laptop"
 READING = {"contents", "ask", "why", "whatif", "failures", "query", "replay"}
 WRITING = {"correct", "confirm", "undo", "redo"}
@@ -95,7 +97,10 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def agent(cases: Path) -> Iterator[Agent]:
-    with served("demo", cases) as found:
+    (block,) = re.findall(r"```json\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
+    told = json.loads(block)["mcpServers"]["spatialviz"]
+    assert (told["command"], told["args"][0]) == ("spatialviz", "mcp")
+    with served(*told["args"][1:], cases) as found:
         yield found
 
 
@@ -113,6 +118,16 @@ def printed(capsys: pytest.CaptureFixture[str]) -> Callable[..., list[dict[str, 
 
 def without_times(record: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in record.items() if key != "timings_ms"}
+
+
+def test_the_document_names_the_tools_and_their_arguments(agent: Agent) -> None:
+    rows = dict(re.findall(r"^\| `(\w+)` \| ([^|]+) \|", DOCUMENT.read_text(), re.MULTILINE))
+    tools = agent.tools()
+    assert rows.keys() == tools.keys()
+    for name, takes in rows.items():
+        named = set(re.findall(r"`(\w+)`", takes))
+        assert named <= tools[name].input_schema["properties"].keys()
+        assert set(tools[name].input_schema.get("required", ())) <= named
 
 
 def test_tools_are_those_of_what_was_named_and_say_what_there_is(agent: Agent) -> None:

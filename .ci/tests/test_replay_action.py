@@ -108,6 +108,20 @@ def test_other_actions_are_pinned_to_commits() -> None:
     assert [step for step in ACTION["runs"]["steps"] if "${{" in step.get("run", "")] == []
 
 
+def test_the_document_gives_inputs_that_there_are() -> None:
+    text = (FOLDER.parents[2] / "docs" / "agents.md").read_text()
+    (block,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    (step,) = (step for step in yaml.safe_load(block)["jobs"]["replay"]["steps"] if "replay@" in step["uses"])
+    assert step["uses"].split("/", 2)[2].startswith(".github/actions/replay@")
+    (listed,) = re.findall(r"Inputs are (.*?); outputs (.*?)\.", text, re.DOTALL)
+    assert (
+        set(step["with"])
+        <= set(ACTION["inputs"])
+        == {word for word in re.findall(r"`([\w-]+)`", listed[0]) if word not in ("replay", "--detector live")}
+    )
+    assert set(re.findall(r"`(\w+)`", listed[1])) == set(ACTION["outputs"])
+
+
 def test_the_comment_names_the_module_that_regressed(regressed: Job, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     assert main(["replay", str(regressed.workspace / "cases"), "--srm", "rule", "--json"]) == 1
@@ -152,7 +166,7 @@ def test_the_last_step_fails_as_the_replay_did(regressed: Job) -> None:
 
 def test_another_detection_is_the_detectors_regression(job: Job) -> None:
     """The same network, and a detector that sees otherwise."""
-    (job.temp / "other.toml").write_text("seed = 11\nmiss = 0.5\n")
+    (job.temp / "other.toml").write_text(re.sub(r"recall = [\d.]+", "recall = 0.2", demo_detector().read_text()))
     options = f"--detector simulated --model '{job.temp / 'other.toml'}'"
     assert job.step("Replay", cases="cases/shelf cases/mug", options=options).returncode == 0
     assert job.outputs["regressed"] == "OPM"
