@@ -65,8 +65,10 @@ def tool_of(name: str, kind: type[Verb], session: Session) -> Tool | None:
     for of in names.keys() & schema["properties"].keys():
         if not names[of] and name != "contents":
             return None
-        about = schema["properties"][of]["description"]
-        schema["properties"][of] = {"type": "string", "enum": names[of], "description": about}
+        argument = schema["properties"].pop(of)
+        if names[of]:
+            about = argument["description"]
+            schema["properties"][of] = {"type": "string", "enum": names[of], "description": about}
     return Tool(
         name=name,
         description=inspect.getdoc(kind),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -70,22 +70,20 @@ class OpenRun:
 
     def why(self, id: str) -> Answer:
         """An expression of the run answered and judged again as the run did; InputError where it has none such."""
-        opened, found = self.opened, self.run.records.select(["id", "frame", "text"])
-        row = needed(
-            next((row for row in found.to_pylist() if row["id"] == id), None),
-            "the run has no such expression",
-            got=id,
-            expected="an id of failures or query",
+        opened = self.opened
+        rows = self.database.select("SELECT frame, text FROM records WHERE id = ?", [id]).rows
+        frame, text = needed(
+            next(rows, None), "the run has no such expression", got=id, expected="an id of failures or query"
         )
-        context = opened.pipeline.prepare(row["frame"])
+        context = opened.pipeline.prepare(frame)
         truth = known_truth(opened.pipeline, context, opened.labels)
         return answer(
             opened.pipeline,
             context,
-            row["text"],
+            text,
             truth=truth,
             case=None if truth is None else next((case for case in truth.cases if case.id == id), None),
-            mark=self.run.spec.marks.get((row["frame"], id)),
+            mark=self.run.spec.marks.get((frame, id)),
             confidence=self.run.spec.confidence,
         )
 
@@ -121,11 +119,8 @@ class Session:
 
     def source(self, name: str | None) -> Opened:
         """What answers under a name; InputError where nothing has it."""
-        openers: dict[str, Callable[[], Opened]] = {
-            **{name: lambda opened=opened: opened for name, opened in self.datasets.items()},
-            **{name: lambda run=run: run.opened for name, run in self.runs.items()},
-        }
-        return chosen(openers, name, "dataset or run")()
+        found = chosen({**self.datasets, **self.runs}, name, "dataset or run")
+        return found.opened if isinstance(found, OpenRun) else found
 
 
 def chosen(of: Mapping[str, Thing], name: str | None, what: str) -> Thing:

@@ -18,7 +18,7 @@ from spatialviz.options import SourceOptions
 
 
 def run_mcp(command: Mcp) -> None:
-    extra_module("mcp", "a server for agents", "mcp")
+    extra_module("mcp.server.mcpserver", "a server for agents", "mcp")
     from spatialviz.agent_server import serve  # Of the extra.
 
     with ExitStack() as keep:

@@ -102,6 +102,8 @@ def test_other_actions_are_pinned_to_commits() -> None:
     used = [step["uses"] for step in ACTION["runs"]["steps"] if "uses" in step]
     assert len(used) == 2
     assert [one for one in used if not re.fullmatch(r"actions/[\w-]+@[0-9a-f]{40}", one)] == []
+    # What is installed by default is the checkout that the action came with.
+    assert (FOLDER / "../../.." / "pyproject.toml").is_file()
     text = (FOLDER / "action.yml").read_text()
     assert re.findall(r"@[0-9a-f]{40} # v\d+\.\d+\.\d+\n", text)
     # What a caller writes reaches the shell as a variable alone, never as its text.
@@ -130,7 +132,7 @@ def test_the_comment_names_the_module_that_regressed(regressed: Job, capsys: pyt
     verdicts = {one["case"]: [one[when]["judgement"]["verdict"] for when in ("before", "after")] for one in changed}
     assert len(changed) == 2 == sum(before == "CORRECT" != after for before, after in verdicts.values())
     comment = regressed.comment
-    assert comment.startswith("<!-- spatialviz replay -->\n### spatialviz replay: 2 of 3 cases changed\n")
+    assert comment.startswith("<!-- spatialviz-replay -->\n### spatialviz replay: 2 of 3 cases changed\n")
     assert "**Regressed: SRM (2)**" in comment
     assert regressed.outputs == {"status": "1", "regressed": "SRM"}
     for case, (before, after) in verdicts.items():
@@ -253,7 +255,7 @@ def api() -> Iterator[Api]:
 def with_comment(job: Job, api: Api, title: str, number: int | None = 5) -> Job:
     """A job whose replay said something, on a pull request or not."""
     job.out.mkdir(exist_ok=True)
-    (job.out / "comment.md").write_text(f"<!-- spatialviz replay -->\n### spatialviz replay: {title}\n")
+    (job.out / "comment.md").write_text(f"<!-- spatialviz-replay -->\n### spatialviz replay: {title}\n")
     (job.temp / "event").write_text(json.dumps({} if number is None else {"pull_request": {"number": number}}))
     job.environment = {"GITHUB_EVENT_PATH": str(job.temp / "event"), "GITHUB_API_URL": api.address}
     return job

@@ -26,7 +26,9 @@ from urllib.parse import quote
 
 from pipeline.diagnosis.verdict import MODULE_OF
 
-MARK = "<!-- spatialviz replay -->"
+ARTIFACT = os.environ.get("ARTIFACT", "spatialviz-replay")
+MARK = f"<!-- {ARTIFACT} -->"
+"""By this line a comment is found again; of several jobs each has its own."""
 MOST_ROWS = 40
 """Cases that a comment lists; GitHub takes 65,536 characters."""
 MOST_PAGES = 20
@@ -156,8 +158,7 @@ def repository() -> str:
 
 def run_link() -> str:
     number = os.environ.get("GITHUB_RUN_ID")
-    artifact = plain(os.environ.get("ARTIFACT", "spatialviz-replay"))
-    return artifact if number is None else f"[{artifact}]({repository()}/actions/runs/{number}#artifacts)"
+    return ARTIFACT if number is None else f"[{ARTIFACT}]({repository()}/actions/runs/{number}#artifacts)"
 
 
 def add_to(variable: str, text: str) -> None:
@@ -175,15 +176,16 @@ def comment(body: Path) -> None:
         print("no pull request: no comment")
         return
     text = body.read_text(encoding="utf-8")
+    mark, title = text.splitlines()[:2]
     comments = f"/repos/{os.environ['GITHUB_REPOSITORY']}/issues/{number}/comments"
     try:
         page, own = 1, None
         while found := api("GET", f"{comments}?per_page=100&page={page}"):
-            own = next((one["url"] for one in found if one["body"].startswith(MARK)), own)
+            own = next((one["url"] for one in found if one["body"].startswith(mark)), own)
             page += 1
         if own is not None:
             api("PATCH", own, {"body": text})
-        elif text.splitlines()[1] != f"### spatialviz replay: {NOTHING_CHANGED}":
+        elif title != f"### spatialviz replay: {NOTHING_CHANGED}":
             api("POST", comments, {"body": text})
     except (urllib.error.URLError, TimeoutError) as error:
         print(f"::notice::no comment was written: {error}; the summary of the job says the same")
