@@ -50,6 +50,11 @@ class Agent:
         assert not answer.is_error, text
         return json.loads(text)
 
+    def at_once(self, *calls: tuple[str, dict[str, Any]]) -> list[CallToolResult]:
+        """Answers of calls that do not wait for each other."""
+        running = [self._portal.start_task_soon(self._client.call_tool, *call) for call in calls]
+        return [one.result() for one in running]
+
     def refused(self, tool: str, **arguments: Any) -> str:
         """The one line of an error."""
         answer = self.call(tool, **arguments)
@@ -158,6 +163,15 @@ def test_an_answer_is_that_of_the_command_line_with_a_picture(agent: Agent, prin
                            "simulated", "--model", demo_run().parent / "simulated.toml")  # fmt: skip
     of_run = agent.ask("ask", frame=0, expression=TEXT, source="demo-run", limit=1000)
     assert without_times(of_run) == without_times(simulated)
+
+
+def test_calls_at_once_have_each_its_own_answer(agent: Agent) -> None:
+    asked = [(frame, source) for frame in range(5) for source in ("demo", "demo-run")]
+    answers = agent.at_once(
+        *(("ask", {"frame": k, "expression": TEXT, "source": s, "picture": False}) for k, s in asked)
+    )
+    alone = [agent.ask("ask", frame=k, expression=TEXT, source=s, picture=False) for k, s in asked]
+    assert [without_times(json.loads(text_of(one))) for one in answers] == [without_times(one) for one in alone]
 
 
 def test_why_is_the_verdict_of_the_answer_and_of_a_runs_expression(agent: Agent) -> None:

@@ -38,6 +38,7 @@ class Job:
     workspace: Path
     temp: Path
     environment: dict[str, str] = field(default_factory=dict)
+    uploaded: str = ""
 
     @property
     def out(self) -> Path:
@@ -58,6 +59,7 @@ class Job:
 
         def filled(text: str) -> str:
             text = re.sub(r"\$\{\{ inputs\.([\w-]+) \}\}", lambda found: values[found[1]], text)
+            text = text.replace("${{ steps.upload.outputs.artifact-url }}", self.uploaded)
             return re.sub(r"\$\{\{ steps\.replay\.outputs\.(\w+) \}\}", lambda found: self.outputs[found[1]], text)
 
         files = {"GITHUB_OUTPUT": self.temp / "output", "GITHUB_STEP_SUMMARY": self.temp / "summary"}
@@ -250,6 +252,17 @@ def api() -> Iterator[Api]:
     server.shutdown()
     thread.join()
     server.server_close()
+
+
+def test_the_comment_leads_to_the_artifact_itself(regressed: Job, job: Job, api: Api) -> None:
+    with_comment(job, api, "")
+    shutil.copy(regressed.out / "comment.md", job.out)
+    job.uploaded = "https://github.com/lab/rooms/actions/runs/77/artifacts/3"
+    assert job.step("Comment", token="t0ken").returncode == 0
+    assert f"[spatialviz-replay]({job.uploaded})" in api.comments[-1]
+    assert "#artifacts" not in api.comments[-1]
+    assert api.comments[-1] == regressed.comment.replace(f"{job.uploaded.removesuffix('/artifacts/3')}#artifacts",
+                                                         job.uploaded)  # fmt: skip
 
 
 def with_comment(job: Job, api: Api, title: str, number: int | None = 5) -> Job:

@@ -119,7 +119,7 @@ def comment_of(
             lines += ["", f"and {len(changed) - MOST_ROWS} more"]
     for result in damaged[:MOST_ROWS]:
         lines += ["", f"damaged: {linked(result['case'])}: {plain(result['problem'])}"]
-    pages = f"The pages that show why are in the artifact of {run_link()}." if changed else ""
+    pages = f"The pages that show why are in the artifact [{ARTIFACT}]({run_address()})." if changed else ""
     return "\n".join([*lines, "", f"{totals['same']} unchanged. {pages}".strip(), ""])
 
 
@@ -156,9 +156,9 @@ def repository() -> str:
     return f"{os.environ.get('GITHUB_SERVER_URL', 'https://github.com')}/{os.environ.get('GITHUB_REPOSITORY', '')}"
 
 
-def run_link() -> str:
-    number = os.environ.get("GITHUB_RUN_ID")
-    return ARTIFACT if number is None else f"[{ARTIFACT}]({repository()}/actions/runs/{number}#artifacts)"
+def run_address() -> str:
+    """Where the artifacts of this run are; the address of one is only known once it is there."""
+    return f"{repository()}/actions/runs/{os.environ.get('GITHUB_RUN_ID', '')}#artifacts"
 
 
 def add_to(variable: str, text: str) -> None:
@@ -175,7 +175,7 @@ def comment(body: Path) -> None:
     if number is None:
         print("no pull request: no comment")
         return
-    text = body.read_text(encoding="utf-8")
+    text = body.read_text(encoding="utf-8").replace(run_address(), os.environ.get("ARTIFACT_URL") or run_address())
     mark, title = text.splitlines()[:2]
     comments = f"/repos/{os.environ['GITHUB_REPOSITORY']}/issues/{number}/comments"
     try:
