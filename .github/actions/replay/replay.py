@@ -29,8 +29,9 @@ from pipeline.diagnosis.verdict import MODULE_OF
 ARTIFACT = os.environ.get("ARTIFACT", "spatialviz-replay")
 MARK = f"<!-- {ARTIFACT} -->"
 """By this line a comment is found again; of several jobs each has its own."""
+LONGEST = 65_536
+"""Characters of a comment that GitHub takes."""
 MOST_ROWS = 40
-"""Cases that a comment lists; GitHub takes 65,536 characters."""
 MOST_PAGES = 20
 CORRECT = "CORRECT"
 NOTHING = "no verdict"
@@ -119,21 +120,24 @@ def comment_of(
             lines += ["", f"and {len(changed) - MOST_ROWS} more"]
     for result in damaged[:MOST_ROWS]:
         lines += ["", f"damaged: {linked(result['case'])}: {plain(result['problem'])}"]
-    pages = f"The pages that show why are in the artifact [{ARTIFACT}]({run_address()})." if changed else ""
+    place = f"the artifact [{ARTIFACT}]({run_address()})" if "GITHUB_RUN_ID" in os.environ else "index.html"
+    pages = f"The pages that show why are in {place}." if changed else ""
     return "\n".join([*lines, "", f"{totals['same']} unchanged. {pages}".strip(), ""])
 
 
 def index_of(changed: list[Changed], damaged: list[dict[str, Any]], problem: str | None) -> str:
     """A page that leads to the others."""
     rows = [
-        f"<tr><td>{html.escape(one.name)}<td>{html.escape(one.moved)}<td>"
+        f"<tr><td>{html.escape(one.name)}<td>{one.module}<td>{html.escape(one.moved)}<td>"
         + (f'<a href="{quote(one.page)}">why</a>' if one.page else "")
         for one in changed
     ]
-    rows += [f"<tr><td>{html.escape(r['case'])}<td>damaged<td>{html.escape(r['problem'])}" for r in damaged]
+    rows += [f"<tr><td>{html.escape(r['case'])}<td>damaged<td colspan=2>{html.escape(r['problem'])}" for r in damaged]
     rows += [f"<tr><td>{html.escape(problem)}"] if problem else []
     table = "\n".join(rows) or "<tr><td>nothing has changed"
-    return f"<!doctype html><meta charset=utf-8><title>spatialviz replay</title>\n<table>\n{table}\n</table>\n"
+    style = ":root{color-scheme:light dark}body{font:15px system-ui;margin:2rem}td{padding:.3rem 1.2rem .3rem 0}"
+    head = f"<!doctype html><meta charset=utf-8><title>spatialviz replay</title><style>{style}</style>"
+    return f"{head}\n<table>\n{table}\n</table>\n"
 
 
 def plain(text: str) -> str:
@@ -177,6 +181,7 @@ def comment(body: Path) -> None:
         return
     text = body.read_text(encoding="utf-8").replace(run_address(), os.environ.get("ARTIFACT_URL") or run_address())
     mark, title = text.splitlines()[:2]
+    text = text[:LONGEST]
     comments = f"/repos/{os.environ['GITHUB_REPOSITORY']}/issues/{number}/comments"
     try:
         page, own = 1, None
