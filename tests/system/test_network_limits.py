@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from pipeline.system.onnx_contents import declared_tensors, weight_files
 from pipeline.system.onnx_session import model_hash, open_session, run_session
 from pipeline.system.time_limit import stopped_after
 
-onnx = pytest.importorskip("onnx")
+onnx: Any = pytest.importorskip("onnx")
 FLOAT, BOOL, INT64 = onnx.TensorProto.FLOAT, onnx.TensorProto.BOOL, onnx.TensorProto.INT64
 
 
@@ -27,16 +28,16 @@ def written(path: Path, nodes: list, constants: list) -> Path:
     return path
 
 
-def constant(name: str, value: object, kind: type = np.float32) -> onnx.TensorProto:
+def constant(name: str, value: object, kind: type = np.float32) -> Any:
     return onnx.numpy_helper.from_array(np.array(value, kind), name)
 
 
-def added(path: Path, tensor: onnx.TensorProto) -> Path:
+def added(path: Path, tensor: Any) -> Path:
     """A network that adds a tensor."""
     return written(path, [onnx.helper.make_node("Add", ["x", tensor.name], ["out"])], [tensor])
 
 
-def elsewhere(location: str) -> onnx.TensorProto:
+def elsewhere(location: str) -> Any:
     tensor = onnx.TensorProto(name="w", data_type=FLOAT, dims=[1], data_location=onnx.TensorProto.EXTERNAL)
     tensor.external_data.add(key="location", value=location)
     return tensor
