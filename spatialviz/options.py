@@ -164,6 +164,9 @@ class CameraOptions:
     level_at: str | None = None
     """U,V (column, row): the surface at this pixel of the frame that is asked, else of the first one, is level;
     FRAME:U,V says which frame. The poses carry it to the whole scene."""
+    depth_model: str | None = None
+    """Estimate depth of the colour, where there is none or in place of it: NAME, NAME=FILE.onnx, FILE.onnx or an id of
+    the model hub; `spatialviz models` lists the names."""
 
     def camera(self, frame: str | None = None) -> dict[str, Any]:
         """The same as arguments of `open_dataset`; `frame` is the one that a bare --level-at is of."""
@@ -174,7 +177,8 @@ class CameraOptions:
             level_at = f"{frame}:{level_at}"
         if self.intrinsics is not None:
             found = numbers(self.intrinsics, "fx,fy,cx,cy", float, "--intrinsics must be four numbers")
-        return {"intrinsics": found, "depth_scale": self.depth_scale, "up": self.up, "level_at": level_at}
+        told = {"depth_scale": self.depth_scale, "up": self.up, "level_at": level_at, "depth_model": self.depth_model}
+        return {"intrinsics": found, **told}
 
 
 @dataclass(frozen=True)

@@ -252,7 +252,7 @@ def pair_files(naming: Naming, colors: list[str], depths: list[str], root: Path)
     require(
         not depths or color.keys() & depth.keys(),
         "colour and depth do not pair: no number or name in common",
-        got=lambda: f"{stem_of(colors[0])} ... {stem_of(colors[-1])} and {stem_of(depths[0])} ... {stem_of(depths[-1])}",
+        got=lambda: " and ".join(f"{stem_of(names[0])} ... {stem_of(names[-1])}" for names in (colors, depths)),
         path=root,
     )
     keys = color.keys() | depth.keys()

@@ -378,6 +378,7 @@ def labelled_dataset(
     depth_scale: float | None = None,
     up: str | None = None,
     level_at: str | None = None,
+    depth_model: str | None = None,
 ) -> Dataset:
     """Open it where it was when it was labelled, or where it is now; its camera is the one that was declared then.
 
@@ -391,7 +392,7 @@ def labelled_dataset(
         fx, fy, cx, cy in pixels, instead of what was declared then.
     depth_scale : float, optional
         Depth units in one metre, instead of what was declared then.
-    up, level_at : str, optional
+    up, level_at, depth_model : str, optional
         As for `open_dataset`, instead of what was declared then.
 
     Raises
@@ -410,8 +411,9 @@ def labelled_dataset(
     if depth_scale is None and options.get("depth_scale") is not None:
         (depth_scale,) = _numbers(options["depth_scale"], 1, "depth scale")
     return open_dataset(
-        where, intrinsics=intrinsics, depth_scale=depth_scale, **labelled_up(manifest, {"up": up, "level_at": level_at})
-    )
+        where, intrinsics=intrinsics, depth_scale=depth_scale, depth_model=depth_model or options.get("depth_model"),
+        **labelled_up(manifest, {"up": up, "level_at": level_at}),
+    )  # fmt: skip
 
 
 def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -34,16 +34,21 @@ def _red(height: int, width: int) -> np.ndarray:
 
 
 def write_picture(
-    path: Path, *, height: int = HEIGHT, width: int = WIDTH, mm: int | None = None, turned: int = 1
+    path: Path,
+    *,
+    height: int = HEIGHT,
+    width: int = WIDTH,
+    mm: int | None = None,
+    turned: int = 1,
 ) -> None:
-    """A picture of the plane; with `mm` its EXIF states this focal length as of 35 mm film, `turned` its orientation."""
+    """A picture of the plane; its EXIF states the focal length `mm`, as of 35 mm film, and that it is `turned`."""
     rgb = np.full((height, width, 3), 90, np.uint8)
     rgb[..., 0] = _red(height, width)
     exif = Image.Exif()
     if turned != 1:
         exif[0x0112] = turned
     if mm is not None:
-        exif.get_ifd(0x8769)[0xA405] = mm
+        exif[0x8769] = {0xA405: mm}
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(rgb).save(path, exif=exif)
 
@@ -118,8 +123,9 @@ def write_network(
         depth = str(contract.output.depth)
         if name == "depth-anything-3-metric":
             graph("Unsqueeze", metres, graph.constant(np.array([1], np.int64)), out=depth)
-            sky = np.zeros((1, 1, *sides), np.float32)
-            sky[:, :, : sides[0] // 8] = 0.9
+            assert size is not None
+            sky = np.zeros((1, 1, *size), np.float32)
+            sky[:, :, : size[0] // 8] = 0.9
             graph("Identity", graph.constant(sky), out="sky")
             outputs = {depth: [1, 1, *sides], "sky": [1, 1, *sides]}
         else:
