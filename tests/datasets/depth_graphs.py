@@ -101,7 +101,7 @@ def write_network(
     """
     contract, graph = known_contract(name), _Graph()
     sides = contract.input.size or size or ("height", "width")
-    inputs = [helper.make_tensor_value_info(contract.input.name, TensorProto.FLOAT, [1, 3, *sides])]
+    inputs = [helper.make_tensor_value_info(str(contract.input.name), TensorProto.FLOAT, [1, 3, *sides])]
     metres = graph.metres(contract, str(contract.input.name))
     metres = graph("Mul", metres, graph.constant(np.float32(np.nan if nan else factor)))
     outputs: dict[str, list[Any]] = {}

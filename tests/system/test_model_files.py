@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from model_hub import Hub, running_hub
 
-from pipeline.answering.model_catalogue import describe_file
+from pipeline.answering.model_catalogue import depth_contracts, describe_file
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import _read_spec, spec_record
 from pipeline.labels.plan import SourceSpec
@@ -192,6 +192,7 @@ def test_manifests_keep_an_id_as_an_id(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_the_table_of_public_files_is_sound() -> None:
     options = {c.option for c in (*DETECTORS, *SEGMENTERS)} | {"--detector boxes"}
+    options |= {c.option for c in depth_contracts()}
     assert {m.option for m in known_models()} == options
     for model in known_models():
         assert model.name

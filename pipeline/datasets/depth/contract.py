@@ -159,13 +159,18 @@ def _fetched(name: str) -> Path:
     return resolve_model(public.repo)
 
 
+def recognised(session: Any) -> str | None:
+    """The known network whose outputs an open file has, and no other has."""
+    outputs = {o.name for o in session.get_outputs()}
+    found = (n for n in network_names() if (by := known_contract(n).recognised_by) and outputs.issuperset(by))
+    return next(found, None)
+
+
 def _recognised(path: Path) -> str:
     """The network whose outputs no other has; InputError where it is none."""
     session = open_session(path)
-    outputs = {o.name for o in session.get_outputs()}
-    found = (n for n in network_names() if (by := known_contract(n).recognised_by) and outputs.issuperset(by))
     return needed(
-        next(found, None),
+        recognised(session),
         "nothing says how this depth model's output becomes metres",
         got=signature(session)[:240],
         expected=f"{OPTION} NAME=FILE.onnx of {', '.join(network_names())}, or {path.stem}.toml beside it",

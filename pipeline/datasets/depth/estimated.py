@@ -53,10 +53,10 @@ class EstimatedDepth(ChangedFrames):
         untold, notes = (INTRINSICS,) if made_up else (), frame.notes
         if made_up:
             notes = (*notes, f"nothing can be measured, sizes are made up: {INTRINSICS}")
-        whose = "made up" if made_up else "the network's" if K is None else "the camera's"
+        focal = "is made up" if made_up else "by the network" if K is None else "of the camera"
         name, file = self.model.name, self.model.path.name
         camera = replace(camera, K=camera.K if found.K is None else found.K, untold=untold)
-        source = f"estimated by {name} ({file}), {self.model.metres_by}, focal length {camera.fx:.0f} px {whose}"
+        source = f"estimated by {name} ({file}): {self.model.metres_by}, focal length {focal}"
         try:
             return replace(
                 frame, depth=found.depth, camera=camera, depth_source=source, notes=(*notes, f"depth is {source}")

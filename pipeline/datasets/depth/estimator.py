@@ -71,7 +71,7 @@ class DepthModel:
     def metres_by(self) -> str:
         """Where the metres come from, in words."""
         by_focal = self.contract.output.canonical_focal is not None
-        return "metres by the focal length" if by_focal else "metres as the network learnt them"
+        return "metres by the focal length" if by_focal else "metres as it learnt them"
 
     def estimate(self, rgb: np.ndarray, K: np.ndarray | None) -> Estimate:
         """The depth of a picture.
