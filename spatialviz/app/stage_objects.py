@@ -105,9 +105,11 @@ def _missed(missed: Missed, name: str) -> str:
 
 def lift_evidence(state: State, trace: Trace) -> list[Child]:
     """The objects of the chosen pair, and the one that is selected; what rests on an assumed up or estimated depth."""
+    doubt = "" if state.loaded is None else state.loaded.doubt
     said = (
         (trace.viewer.up_source == "assumed", "The up vector is assumed to be image-up."),
         (trace.frame.depth_source, f"The depth is {trace.frame.depth_source}."),
+        (doubt, f"{doubt[:1].upper()}{doubt[1:]}"),
     )
     doubts: list[Child] = [note(text) for holds, text in said if holds]
     places = dict.fromkeys((*(state.pair or ()), *(() if state.selected is None else (state.selected,))))
