@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -26,6 +26,8 @@ Value = TypeVar("Value")
 SAME_SHAPE = 0.02
 """Colour and depth are of one camera where their aspect ratios differ by less than this share.
 ScanNet's own, 1296x968 and 640x480, differ by 0.4 %."""
+LONGEST_ALONE = 1600
+"""A picture without depth is made so long at most: networks look at less, and points cost time."""
 BROWSED_MEDIAN_M = 2.0
 """The median depth that is shown where nothing tells the unit."""
 
@@ -122,7 +124,11 @@ class Recording:
         if whole != metres.shape:
             rgb = _resized(rgb, metres, found, notes, frame_id == self.frame_ids[0])
         size = (metres.shape[1], metres.shape[0])
-        stated = found.stated if self._settings.intrinsics is None else NOTHING
+        told = self._settings.intrinsics
+        alone = found.depth is None and whole != metres.shape
+        stated = found.stated if told is None else NOTHING
+        if told is not None and alone:
+            stated = Stated(intrinsics(*told), (whole[1], whole[0]))
         K = stated.scaled(size, (whole[1], whole[0]))
         if K is None and found.documented is not None and self._settings.intrinsics is None:
             whose = self.rule.whose.removesuffix(" own")
@@ -131,15 +137,18 @@ class Recording:
             K = _exif_intrinsics(found.color, metres.shape, notes)
         annotations = found.annotate(metres.shape, notes) if annotated and found.annotate is not None else ()
         source, depth = found.stated.path or found.color, found.depth or found.color
-        return self._frame(frame_id, (rgb, metres), K, found.pose, source, depth, annotations, notes, found.up, untold)
+        return self._frame(
+            frame_id, (rgb, metres), K, found.pose, source, depth, annotations, notes, found.up, untold, fits=alone
+        )
 
     def _metres(self, found: Listed, rgb: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
         """(H, W) float32 depth, and the option that would tell its unit where nothing does.
 
-        A stand-in of one metre where it is to be estimated.
+        A stand-in of one metre where it is to be estimated, smaller than a large picture that nothing is drawn on.
         """
         if found.depth is None:
-            return np.ones(rgb.shape[:2], np.float32), ()
+            shrink = 1.0 if found.annotate is not None else min(1.0, LONGEST_ALONE / max(rgb.shape[:2]))
+            return np.ones((round(rgb.shape[0] * shrink), round(rgb.shape[1] * shrink)), np.float32), ()
         rule = self.rule
         units = self._settings.depth_scale or found.stated.units_per_metre or rule.units_per_metre
         if units is None and self._settings.browse:
@@ -184,9 +193,14 @@ class Recording:
         notes: Sequence[str] = (),
         up: np.ndarray | None = None,
         untold: tuple[str, ...] = (),
+        fits: bool = False,
     ) -> Frame:
-        """A Frame; `source` is to blame for the intrinsics, `up` ((3,), camera frame) is what the dataset declares."""
-        camera = make_camera(K, pair[1].shape, pose, self._settings, source, untold)
+        """A Frame; `source` is to blame for the intrinsics, `up` ((3,), camera frame) is what the dataset declares.
+
+        Where K `fits`, it is made for this size of whatever intrinsics were told.
+        """
+        settings = replace(self._settings, intrinsics=None) if fits else self._settings
+        camera = make_camera(K, pair[1].shape, pose, settings, source, untold)
         if camera.untold and not self._settings.estimated:
             notes = [*notes, f"nothing can be measured, sizes are made up: {' and '.join(camera.untold)}"]
         if up is not None:
@@ -202,8 +216,10 @@ def _resized(rgb: np.ndarray, metres: np.ndarray, found: Listed, notes: list[str
     (height, width), whole = metres.shape, rgb.shape[:2]
     if found.depth is not None and abs(whole[1] * height / (whole[0] * width) - 1) > SAME_SHAPE:
         raise differ_in_size(rgb, metres, found.color, found.depth)
-    if first:
-        notes.append(f"colour of {whole[1]}x{whole[0]} is resized to the depth's {width}x{height} everywhere")
+    if first or found.depth is None:
+        what = "everywhere" if found.depth is not None else "before its depth is estimated"
+        of_depth = "" if found.depth is None else "the depth's "
+        notes.append(f"colour of {whole[1]}x{whole[0]} is resized to {of_depth}{width}x{height} {what}")
     # OpenCV's average over areas becomes nearest-neighbour where the image grows.
     return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if whole[0] > height else cv2.INTER_LINEAR)
 

@@ -109,7 +109,8 @@ def depth_doubt(frame: Frame, root: Path) -> str:
     """What speaks against the depth of a frame of the dataset in `root`, with the command that looks into it."""
     # Of a camera that is made up nothing can be said, and what a network estimates has no unit that could be wrong.
     found = None if frame.camera.untold or frame.depth_source else plausibility(frame)
-    return "" if found is None else f"{found.text}: spatialviz doctor {shlex.quote(str(root))}"
+    command = "`spatialviz doctor"
+    return "" if found is None else found.text.replace(command, f"{command} {shlex.quote(str(root))}")
 
 
 @dataclass(eq=False)

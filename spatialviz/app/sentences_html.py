@@ -10,7 +10,7 @@ from pipeline.language.relation_names import PHRASE
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, button, chosen, dot, h, heading, joined, note, panel
 from spatialviz.app.state import State
-from spatialviz.app.toolbar import depth_chip, up_chip
+from spatialviz.app.toolbar import chips
 
 ORIGINS = {"auto": "auto", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
 MARKED = {"BAD_LABEL": "label wrong", "BAD_BOX": "box wrong"}
@@ -22,7 +22,7 @@ def sentence_html(state: State) -> Element | None:
     view = state.labels
     if view is None:
         return None
-    chip = h.div(h.span(), up_chip(state), depth_chip(state), cls="under")
+    chip = h.div(h.span(), chips(state), cls="under")
     card = view.sentence
     if card is None:
         what = (

@@ -266,6 +266,11 @@ def depth_chip(state: State) -> Element | None:
     return h.span(f"depth {'estimated' if source else 'odd'}", cls="upchip loud", css={"--c": DOUBT}, title=title)
 
 
+def chips(state: State) -> Element:
+    """What all geometry rests on."""
+    return h.span(up_chip(state), depth_chip(state), cls="chips")
+
+
 def level_html(state: State) -> Element | None:
     """What to click while a level surface is asked for; afterwards, how to keep what was said."""
     if state.picking == "level":

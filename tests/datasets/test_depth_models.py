@@ -103,6 +103,17 @@ def test_a_picture_stands_upright(tmp_path: Path, indoor: str) -> None:
     assert only(tmp_path / "room.png", depth_model=indoor).depth.shape == (WIDTH, HEIGHT)
 
 
+def test_a_large_picture_is_made_smaller_with_its_camera(tmp_path: Path, indoor: str) -> None:
+    write_picture(tmp_path / "room.png", height=120, width=4000, mm=26)
+    stated = only(tmp_path / "room.png", depth_model=indoor)
+    told = only(tmp_path / "room.png", depth_model=indoor, intrinsics=(4000, 4000, 1999.5, 59.5))
+    assert (told.width, told.height) == (1600, 48)
+    assert (told.camera.fx, told.camera.cx) == pytest.approx((1600, 799.5))
+    assert stated.camera.fx == pytest.approx(26 * np.hypot(1600, 48) / np.hypot(36, 24), rel=1e-4)
+    assert "colour of 4000x120 is resized to 1600x48 before its depth is estimated" in told.notes
+    assert np.abs(told.depth / plane(48, 1600) - 1).max() < 0.01
+
+
 def test_depth_of_another_focal_length_is_in_proportion(picture: Path, tmp_path: Path) -> None:
     file = write_network(tmp_path / "net.onnx", "depth-pro", focal=FOCAL * 1536 / WIDTH)
     own = only(picture, depth_model=str(file))
