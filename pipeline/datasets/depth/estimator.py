@@ -142,8 +142,8 @@ class DepthModel:
         scale = 1.0
         if given.shortest is not None:
             scale = given.shortest / min(height, width)
-        elif given.longest is not None:
-            scale = min(1.0, given.longest / max(height, width))
+        if given.longest is not None:
+            scale = min(scale, given.longest / max(height, width))
         step = given.multiple
         fixed_height, fixed_width = self._sides
         return (
