@@ -98,7 +98,8 @@ def run_frames(command: Frames) -> int:
 def _survey_frames(command: Frames, dataset: Dataset, camera: dict[str, Any], named: dict[str, str]) -> int:
     """Tell what is in one dataset; returns how many of its frames can be used."""
     if command.remember:
-        write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset))
+        more = {key: camera[key] for key in ("poses", "registration")}
+        write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset), **more)
     if command.plan is not None:
         frame = one_frame(dataset.frame_ids, command.plan, dataset.root)
         plan = needed(

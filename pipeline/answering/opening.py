@@ -152,6 +152,8 @@ def open_pipeline(
     up: str | None = None,
     level_at: str | None = None,
     depth_model: str | None = None,
+    poses: str | None = None,
+    registration: tuple[float, ...] | None = None,
     detector: str | Detector | None = None,
     model: Path | None = None,
     model_config: Path | None = None,
@@ -172,7 +174,7 @@ def open_pipeline(
 ) -> Pipeline:
     """Open a dataset and the models for it; the path "demo" is the built-in one, and a dataset may be open already.
 
-    `intrinsics`, `depth_scale`, `up`, `level_at`, `depth_model` and `browse` are those of `open_dataset`. `detector`,
+    The camera's options, from `intrinsics` to `registration`, and `browse` are those of `open_dataset`. `detector`,
     `segmenter` and `srm` are names, as on the command line, or objects of one's own; a detector of one's own takes no
     `model`, `model_config`, `min_score` and `fuse`.
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
@@ -193,7 +195,8 @@ def open_pipeline(
         calibration of another detector.
     """
     camera: dict[str, Any] = {
-        "intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, "level_at": level_at, "depth_model": depth_model
+        "intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, "level_at": level_at,
+        "depth_model": depth_model, "poses": poses, "registration": registration,
     }  # fmt: skip
     if isinstance(path, str | Path):
         if str(path) == DEMO_NAME and not Path(path).exists():

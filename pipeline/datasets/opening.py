@@ -74,6 +74,8 @@ def open_dataset(
     up: str | None = None,
     level_at: str | None = None,
     depth_model: str | None = None,
+    poses: str | None = None,
+    registration: tuple[float, ...] | None = None,
     browse: bool = False,
 ) -> Dataset:
     """Open a folder of RGB-D frames without decoding an image.
@@ -98,6 +100,10 @@ def open_dataset(
     depth_model : str, optional
         A network that estimates depth: NAME, NAME=FILE.onnx, FILE.onnx or an id of the model hub. It stands in for
         depth that is missing, and replaces what was measured.
+    poses : str, optional
+        What the pose files mean, one of `pose_convention.CONVENTIONS`.
+    registration : (fx, fy, cx, cy, tx, ty, tz), optional
+        The colour camera as the depth camera sees it, pixels and metres; see `Settings`.
     browse : bool
         Frames are only looked at: where nothing tells the camera or the depth's unit, that is no error but a note and
         `Camera.untold`, and what measures refuses.
@@ -114,7 +120,7 @@ def open_dataset(
     told = None if up is None else GivenUp.parse(up)
     model = None if depth_model is None else open_depth_model(str(depth_model))
     settings = replace(
-        read_settings(root).overridden(intrinsics, depth_scale, told),
+        read_settings(root).overridden(intrinsics, depth_scale, told, poses=poses, registration=registration),
         # What is missing of measured depth does not matter where none is used.
         browse=browse or model is not None, estimated=model is not None,
     )  # fmt: skip

@@ -29,7 +29,7 @@ MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
 SHARDS_WANTED = 32
 """Small datasets get small shards, so that workers share them and progress shows."""
-CAMERA = ("intrinsics", "depth_scale", "up", "level_at", "depth_model")
+CAMERA = ("intrinsics", "depth_scale", "up", "level_at", "depth_model", "poses", "registration")
 """The options that say what the camera is, how it stands, and where depth comes from."""
 
 

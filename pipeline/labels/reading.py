@@ -379,6 +379,8 @@ def labelled_dataset(
     up: str | None = None,
     level_at: str | None = None,
     depth_model: str | None = None,
+    poses: str | None = None,
+    registration: tuple[float, ...] | None = None,
 ) -> Dataset:
     """Open it where it was when it was labelled, or where it is now; its camera is the one that was declared then.
 
@@ -392,7 +394,7 @@ def labelled_dataset(
         fx, fy, cx, cy in pixels, instead of what was declared then.
     depth_scale : float, optional
         Depth units in one metre, instead of what was declared then.
-    up, level_at, depth_model : str, optional
+    up, level_at, depth_model, poses, registration : optional
         As for `open_dataset`, instead of what was declared then.
 
     Raises
@@ -410,8 +412,11 @@ def labelled_dataset(
         intrinsics = fx, fy, cx, cy
     if depth_scale is None and options.get("depth_scale") is not None:
         (depth_scale,) = _numbers(options["depth_scale"], 1, "depth scale")
+    if registration is None and options.get("registration"):
+        registration = tuple(_numbers(options["registration"], 7, "registration"))
     return open_dataset(
         where, intrinsics=intrinsics, depth_scale=depth_scale, depth_model=depth_model or options.get("depth_model"),
+        poses=poses or options.get("poses"), registration=registration,
         **labelled_up(manifest, {"up": up, "level_at": level_at}),
     )  # fmt: skip
 
