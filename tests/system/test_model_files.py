@@ -185,6 +185,13 @@ def test_manifests_keep_an_id_as_an_id(tmp_path: Path, monkeypatch: pytest.Monke
         "model": f"{REPO}:m.onnx",
         "segmenter_model": [f"{REPO}:e.onnx", str(tmp_path / "d.onnx")],
     }
+    for given, kept in (
+        ("moge-2", "moge-2"),
+        ("net.onnx", f"{tmp_path}/net.onnx"),
+        ("moge-2=net.onnx", f"moge-2={tmp_path}/net.onnx"),
+        (REPO, REPO),
+    ):
+        assert SourceSpec("demo", {"depth_model": given}).absolute().options == {"depth_model": kept}
     options = {"detector": "owlv2", "model": Path(f"{REPO}:m.onnx@v1"), "model_config": tmp_path / "c.toml"}
     record = spec_record(EvalSpec("demo", str(tmp_path / "labels"), options, "pipeline"), tmp_path / "run")
     assert _read_spec(record, tmp_path / "run").options == options
