@@ -228,10 +228,12 @@ def _declared(options: dict[str, Any]) -> dict[str, str]:
 
 
 def files_hash(root: Path, leave_out: Path | None = None) -> str:
-    """Hash of all files below a folder by relative path, size and time of change; nothing is read.
+    """Hash of all files below a folder, or of one file, by relative path, size and time of change; nothing is read.
 
     Links are not followed; hidden files are left out, and so is the folder `leave_out`.
     """
+    if root.is_file():
+        return canonical_hash((root.name, root.stat().st_size, root.stat().st_mtime_ns))
     return canonical_hash(sorted(_files(root, "", None if leave_out is None else leave_out.resolve())))
 
 
