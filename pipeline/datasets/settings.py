@@ -118,8 +118,9 @@ class Settings:
 
 
 def unit_notes(settings: Settings, units_per_metre: float, whose: str) -> tuple[str, ...]:
-    """What to say where the depth's unit is known from the format alone: nothing where a person told it."""
-    if settings.depth_scale is not None:
+    """What to say where the depth's unit is known from the format alone: nothing where a person told it or it
+    is estimated."""
+    if settings.depth_scale is not None or settings.estimated:
         return ()
     return (
         f"the depth's unit is {whose}, {units_per_metre:g} to a metre, which no file states: "

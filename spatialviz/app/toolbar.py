@@ -266,9 +266,9 @@ def depth_chip(state: State) -> Element | None:
     return h.span(f"depth {'estimated' if source else 'odd'}", cls="upchip loud", css={"--c": DOUBT}, title=title)
 
 
-def chips(state: State) -> Element:
+def ground_chips(state: State) -> Element:
     """What all geometry rests on."""
-    return h.span(up_chip(state), depth_chip(state), cls="chips")
+    return h.span(up_chip(state), depth_chip(state), cls="upchips")
 
 
 def level_html(state: State) -> Element | None:

@@ -177,7 +177,7 @@ def test_measured_depth_is_replaced_and_that_is_said(tmp_path: Path, indoor: str
     assert measured.load("1").depth_source == ""
     dataset = open_dataset(tmp_path, intrinsics=CAMERA, depth_model=indoor)
     assert near(dataset.load("1"))
-    assert dataset_notes(dataset) == ("depth is estimated, and what a sensor measured is not used",)
+    assert dataset_notes(dataset) == ("depth is estimated: none that a sensor measured is used",)
 
 
 def test_the_option_is_named_where_it_would_help(tmp_path: Path, moge: str) -> None:

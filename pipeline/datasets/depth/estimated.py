@@ -39,7 +39,7 @@ class EstimatedDepth(ChangedFrames):
     def __init__(self, inner: Dataset, model: DepthModel, browse: bool) -> None:
         super().__init__(inner)
         self.model, self.browse = model, browse
-        measured = () if inner.format == "pictures" else ("depth is estimated, and what a sensor measured is not used",)
+        measured = () if inner.format == "pictures" else ("depth is estimated: none that a sensor measured is used",)
         self.notes = (*dataset_notes(inner), *measured)
         if not browse and not model.contract.gives_focal:
             for frame in readable_frames(inner.load, inner.frame_ids[:1]):
