@@ -15,6 +15,7 @@ from pipeline.datasets import (
     pictures,
     reconstructions,
     redwood,
+    robospatial,
     saved_case,
     scannet,
     semantic_abstraction,
@@ -36,6 +37,7 @@ from pipeline.system.plugins import load_plugins
 
 FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,
+    robospatial.FORMAT,
     bop.FORMAT,
     apc.FORMAT,
     seven_scenes.FORMAT,
