@@ -75,7 +75,7 @@ def read_description(path: Path, kind: type[Model], what: str) -> Model:
         raise InputError(
             f"the {what}'s TOML file is wrong at {location}",
             got="a key that there is not" if unknown else first["msg"],
-            expected="one of " + ", ".join(inside.model_fields) if unknown else None,
+            expected="one of " + ", ".join(inside.model_fields) if unknown and inside else None,
             path=path,
         ) from error
 
