@@ -41,6 +41,7 @@ OWN = {
     "corrections/journal/": "the journal, which has checks of its own",
     "corrections/journal_location.py .open": "tries whether a folder can be written",
     "corrections/review/": "keys of items that were made here",
+    "datasets/depth/estimated.py np.load": "the cache",
     "datasets/scene_mesh.py": "the cache",
     "diagnosis/whatif/changes.py": "keys that were made here",
     "evaluation/job.py json.loads": "options that were made here",

@@ -21,6 +21,7 @@ FILE_NAME = "spatialviz.toml"
 KEYS = ("name", "intrinsics", "depth_scale", "poses", "registration", "world_up", "up", "frame_up")
 INTRINSICS = "--intrinsics fx,fy,cx,cy"
 DEPTH_SCALE = "--depth-scale UNITS_PER_METRE"
+OR_ESTIMATED = "or --depth-model NAME, which estimates it"
 """The options that tell what a recording may not."""
 TABLE = "frame_up"
 """The one key that is a table and is written."""
@@ -53,6 +54,8 @@ class Settings:
         The dataset's name for people.
     limits : dict of str to int or str
         Limits that are raised for what is read below the dataset's folder: `system.limits.Limits`.
+    estimated : bool
+        Depth is estimated: frames of colour alone open, with a stand-in for their depth.
     browse : bool
         Pictures are only looked at: what nothing tells of the camera is made up, and said to be (`Camera.untold`).
     """
@@ -65,6 +68,7 @@ class Settings:
     frame_up: Mapping[str, Vector] = field(default_factory=dict)
     browse: bool = False
     limits: Mapping[str, Any] = field(default_factory=dict)
+    estimated: bool = False
     poses: str | None = None
     registration: tuple[float, ...] | None = None
 
@@ -120,8 +124,9 @@ class Settings:
 
 
 def unit_notes(settings: Settings, units_per_metre: float, whose: str) -> tuple[str, ...]:
-    """What to say where the depth's unit is known from the format alone: nothing where a person told it."""
-    if settings.depth_scale is not None:
+    """What to say where the depth's unit is known from the format alone: nothing where a person told it or it
+    is estimated."""
+    if settings.depth_scale is not None or settings.estimated:
         return ()
     return (
         f"the depth's unit is {whose}, {units_per_metre:g} to a metre, which no file states: "
