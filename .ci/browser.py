@@ -6,6 +6,7 @@ The content policy of the page forbids `eval`, and with it `page.wait_for_functi
 
 import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from playwright.sync_api import Browser, Locator, Page, sync_playwright
 CHROMIUM = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 1440, "height": 900}
 SLOW = 30.0
+ENDS_WITHIN = 30.0
 # viser's client always makes the sorter of its Gaussian splats, a WebAssembly module whose glue (Emscripten's embind)
 # builds its functions from strings. The page shows no splats, so nothing is missing where that is forbidden.
 SORTER = "Evaluating a string as JavaScript violates the following Content Security Policy directive"
@@ -47,7 +49,7 @@ class Server:
         self.started = time.monotonic()
         # What was corrected in the demo before is not what a check begins with, and what it corrects is nobody's.
         self._home = tempfile.TemporaryDirectory()
-        own = {**os.environ, "XDG_DATA_HOME": self._home.name}
+        own = {**os.environ, "XDG_DATA_HOME": self._home.name, "PYTHONFAULTHANDLER": "1"}
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=own)
 
     def served(self, within: float = 30.0) -> float:
@@ -65,10 +67,15 @@ class Server:
     def end(self) -> list[str]:
         """Stop it; the lines that it has said."""
         self.process.terminate()
-        return self.process.communicate(timeout=20)[0].decode().splitlines()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return self.process.communicate(timeout=ENDS_WITHIN)[0].decode().splitlines()
+        # What holds it up is said by the fault handler.
+        self.process.send_signal(signal.SIGABRT)
+        said = self.process.communicate(timeout=ENDS_WITHIN)[0].decode()
+        raise SystemExit(f"the page did not end within {ENDS_WITHIN} s:\n{said}")
 
     def __enter__(self) -> "Server":
-        self.served()
+        self.served(90)
         return self
 
     def __exit__(self, *_: object) -> None:

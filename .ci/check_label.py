@@ -51,8 +51,8 @@ def settle_by_keys(tab: Tab, journal: Path, labels: Path) -> None:
     assert tab.page.locator("#review-item .upcoming button").count() == 5
 
 
-def drag_an_edge(tab: Tab, journal: Path, labels: Path) -> None:
-    """An edge of a side view is drawn outwards: the box of the labels grows by as much; one undo takes it back."""
+def object_shown(tab: Tab) -> None:
+    """Open an item about an object, and wait until its three views have its points."""
     tab.click("queue-kind:object")
     # The queue may be renewed by what a detector has found meanwhile; what is wanted is an item about an object.
     shown = f"document.querySelector('#crop figcaption b')?.textContent === {CLAIM}"
@@ -66,13 +66,24 @@ def drag_an_edge(tab: Tab, journal: Path, labels: Path) -> None:
     # The points may come after the words.
     tab.poll("document.getElementById('sides').dataset.of === document.querySelector('#crop figcaption b').textContent")
     tab.page.wait_for_timeout(1000)
+
+
+def drawn_edge(tab: Tab) -> tuple[float, float]:
+    """Where an edge of the box is drawn in the view from above."""
+    edge = tab.page.evaluate("import('/app/sides.mjs').then(m => m.sideEdge('top', 0, 1))")
+    return edge["x"], edge["y"]
+
+
+def drag_an_edge(tab: Tab, journal: Path, labels: Path) -> None:
+    """An edge of a side view is drawn outwards: the box of the labels grows by as much; one undo takes it back."""
+    object_shown(tab)
     size = "[...document.querySelectorAll('#sides .side-view figcaption span')].map(e => e.textContent)[0]"
     before = tab.poll(size)
-    edge = tab.page.evaluate("import('/app/sides.mjs').then(m => m.sideEdge('top', 0, 1))")
+    x, y = drawn_edge(tab)
     mouse = tab.page.mouse
-    mouse.move(edge["x"], edge["y"])
+    mouse.move(x, y)
     mouse.down()
-    mouse.move(edge["x"] + 18, edge["y"], steps=4)
+    mouse.move(x + 18, y, steps=4)
     assert tab.poll(f"was => {size} !== was && {size}", before), "the box does not follow the hand"
     mouse.up()
     tab.see("#side .note", "3D box")

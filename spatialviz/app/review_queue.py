@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, set_status, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.review.bulk import MOST, Pace, accept_all, found_items, pace_of, say_of_item
@@ -222,8 +222,9 @@ class ReviewQueue(LabelPart):
         places = [] if work is None or not self._find else self._found(work)
         if work is None or not places:
             return
-        self.save(lambda _: accept_all([work.keys[k] for k in places[:MOST]], self.editor.frame, self.editor.author))
-        self.ctx.page.toast("Accepted", f"{counted(min(len(places), MOST), 'item')}: one undo takes all of them back")
+        items = [work.keys[k] for k in places[:MOST]]
+        if isinstance(self.save(lambda _: accept_all(items, self.editor.frame, self.editor.author)), Saved):
+            self.ctx.toast("Accepted", f"{counted(len(items), 'item')}: one undo takes all of them back")
 
     @command("item")
     def open_row(self, place: int) -> None:

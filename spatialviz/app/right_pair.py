@@ -33,7 +33,7 @@ class RightPair(LabelPart):
         outcome = editor.save(right_pair(editor, state.trace, pair))
         said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
         self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
-        self.ctx.page.toast("Not saved" if bad else "This pair is right", said, bad)
+        self.ctx.toast("Not saved" if bad else "This pair is right", said, bad)
         self.ctx.ask(state.text)
 
     @command("right-undo")
@@ -42,7 +42,7 @@ class RightPair(LabelPart):
         if self._kept != (self.state.frame_id, self.state.text):
             return
         outcome, self._kept = self.editor.undo(), ("", "")
-        self.ctx.page.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
+        self.ctx.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
         self.ctx.ask(self.state.text)
 
     @command("right-objects")

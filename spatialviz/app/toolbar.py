@@ -136,7 +136,7 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
 
 
 TOOLS = (
-    ("share", "Copy link", "the address of this view, into the clipboard", {"local": "share"}),
+    ("share", "Copy link", "the address of this view, into the clipboard (Ctrl+C)", {"local": "share"}),
     ("copy-state", "Copy view", "the view with its edits as a string (Shift+C)", {"do": "copy-state"}),
     ("paste-state", "Open view", "open a view from its string (Shift+V)", {"do": "paste-state"}),
     ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)", {"do": "keep-case"}),
