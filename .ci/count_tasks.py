@@ -85,6 +85,7 @@ def ask(c: Counted) -> None:
 
 
 def share(c: Counted) -> None:
+    c.tab.poll("asked => new URLSearchParams(location.search).get('ask') === asked", QUESTION)
     c.press("Control+c")
     c.tab.see("#toasts", "the address of this view")
     address = c.tab.page.evaluate("navigator.clipboard.readText()")
