@@ -5,6 +5,7 @@ The content policy of the page forbids `eval`, and with it `page.wait_for_functi
 """
 
 import contextlib
+import json
 import os
 import signal
 import socket
@@ -14,7 +15,7 @@ import tempfile
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from playwright.sync_api import Browser, Locator, Page, sync_playwright
@@ -161,6 +162,23 @@ class Tab:
         """Press a key where no field is being typed into."""
         self.page.evaluate("document.activeElement.blur()")
         self.page.keyboard.press(key)
+
+
+class Timed:
+    """Runs checks, and says of each how long it took."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, int] = {}
+
+    def __call__(self, check: Callable[..., Any], *given: object) -> Any:
+        started = time.monotonic()
+        try:
+            return check(*given)
+        finally:
+            self.seconds[check.__name__] = round(time.monotonic() - started)
+
+    def __str__(self) -> str:
+        return json.dumps(self.seconds)
 
 
 @contextlib.contextmanager

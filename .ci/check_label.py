@@ -7,13 +7,12 @@ import json
 import subprocess
 import sys
 import tempfile
-import time
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
 from bare_recording import write_recording
-from browser import Server, Tab, chromium, new_tab
+from browser import Server, Tab, Timed, chromium, new_tab
 from playwright.sync_api import Browser
 
 CLAIM = "document.querySelector('#review-item .claim')?.textContent"
@@ -209,11 +208,12 @@ def check_bare(browser: Browser, home: Path) -> dict[str, str]:
 
 
 def main() -> None:
+    timed = Timed()
     with tempfile.TemporaryDirectory() as folder, chromium() as browser:
         for check in (check_demo, check_bare):
             if not sys.argv[1:] or check.__name__ in sys.argv:
-                started = time.monotonic()
-                print(check.__name__, check(browser, Path(folder)), f"{time.monotonic() - started:.0f} s", flush=True)
+                print(timed(check, browser, Path(folder)), flush=True)
+    print(timed)
 
 
 if __name__ == "__main__":

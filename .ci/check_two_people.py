@@ -6,6 +6,7 @@ other. What each of them did is written down here, and the journal must hold exa
 
 import json
 import random
+import re
 import subprocess
 import sys
 import tempfile
@@ -21,7 +22,6 @@ from playwright.sync_api import Browser
 
 LABELS = Path(__file__).parents[1] / "assets" / "demo_run" / "labels"
 WIDTH = "#edit label.field[title^='width'] input"
-ITEM = "new URLSearchParams(location.search).get('item')"
 Done = tuple[str, str, float]
 """What is done, to what, and with a box its width in metres."""
 
@@ -50,8 +50,8 @@ class Person:
         self.tab.poll("!document.getElementById('working').textContent")
 
     def accept(self) -> Iterator[None]:
-        was, item = self.tab.poll(CLAIM), self.tab.poll(ITEM)
-        frame = self.tab.frame
+        was, frame = self.tab.poll(CLAIM), self.tab.frame
+        item = sorted(map(int, re.findall(r"·(\d+)", was)))
         self.tab.press("y")
         yield
         self.tab.poll(f"was => {CLAIM} !== was", was)
@@ -108,12 +108,11 @@ def enter(browser: Browser, address: str, name: str, seed: int) -> Person:
     tab = new_tab(browser)
     tab.page.add_init_script(f"localStorage.setItem('author', {name!r})")
     tab.open(address)
-    tab.click("task:label")
     tab.poll("document.querySelector('#review-list .queue .q')", seconds=120)
-    tab.click("queue-kind:object")
+    tab.send("queue-kind:relation")
     tab.press("j")
-    tab.see("#review-item .claim")
-    tab.drawer("Edit")
+    tab.poll("document.querySelector('#review-item .claim')")
+    tab.page.evaluate("import('/app/core.mjs').then(m => m.locals.tab(null, 'Edit'))")
     return Person(name, tab, random.Random(seed))
 
 
@@ -131,7 +130,7 @@ def journal_says(journal: Path, name: str) -> tuple[Counter[Done], Counter[Done]
         if first["field"] == "box":
             done = ("box", f"{first['frame']} {first['key']}", round(value["size"][0], 3) if value else -1.0)
         else:
-            done = ("accept", f"{first['frame']} {first['key']}", 0.0)
+            done = ("accept", f"{first['frame']} {sorted(json.loads(first['key'])[2:4])}", 0.0)
         (back if first["action"] == "undo" else saved)[done] += 1
     return saved, back, twice
 

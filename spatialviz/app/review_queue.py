@@ -421,19 +421,18 @@ class ReviewQueue(LabelPart):
             if after is None or place is None or after == item or any(u.place == place for u in found):
                 break
             row = work.row(after)
-            shot = self._shot(queue, after) if after.a >= 0 else ""
             reason = plain_reason(row["reasons"][0]) if row["reasons"] else ""
-            found.append(Upcoming(place, said(row, queue.names), reason, after.frame, shot))
+            found.append(Upcoming(place, said(row, queue.names), reason, after.frame, self._shot(after)))
         return found
 
-    def _shot(self, queue: SourceQueue, key: ItemKey) -> str:
-        """A small picture of an item's object, where its frame is loaded."""
+    def _shot(self, key: ItemKey) -> str:
+        """A small picture of an item's object; of its frame, while that is not loaded or the object is none."""
         loaded = self.ctx.shared.store.kept(self.state.source, key.frame)
         with suppress(InputError):
             row = None if loaded is None else self.editor.corrector.index.rows(key.frame).objects.get(key.a)
             if loaded is not None and row is not None:
                 return loaded.thumb(np.array(row["bbox"], np.float32))
-        return ""
+        return self.ctx.shared.pictures.url(self.state.source, key.frame)
 
     def _paced(self) -> Pace | None:
         """How fast this person worked today; None while the journal is away."""

@@ -161,11 +161,18 @@ def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list
     return [dataset, field, offered, frame_nav_html(at, len(ids))]
 
 
+TASK_HINTS = {
+    "explain": "one answer, and why it is right or wrong",
+    "evaluate": "all answers of a run: which fail, and where the accuracy goes",
+    "label": "review and correct labels, one item at a time",
+}
+
+
 def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | None:
     """What the page is for: only what it can be for here."""
     possible = {"explain": True, "evaluate": with_run, "label": with_labels}
     tasks = {name: name.capitalize() for name, is_so in possible.items() if is_so}
-    return segments("task", tasks, state.task, "What the page is for") if len(tasks) > 1 else None
+    return segments("task", tasks, state.task, "What the page is for", TASK_HINTS) if len(tasks) > 1 else None
 
 
 def tools_html() -> Element:
