@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,8 +20,13 @@ from browser import Server, Tab, chromium, new_tab
 from check_label import CLAIM, events
 from playwright.sync_api import Browser
 
+from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal_location import JournalLocation
+from pipeline.labels.reading import open_labels
+
 LABELS = Path(__file__).parents[1] / "assets" / "demo_run" / "labels"
 WIDTH = "#edit label.field[title^='width'] input"
+EDITED = "document.querySelector('#edit h2 b, #edit .name b')?.textContent"
 Done = tuple[str, str, float]
 """What is done, to what, and with a box its width in metres."""
 
@@ -33,11 +38,30 @@ class Person:
     name: str
     tab: Tab
     chance: random.Random
+    location: JournalLocation
     done: list[Done] = field(default_factory=list)
     """That stands, in order: the last one is what an undo takes back."""
     saved: Counter[Done] = field(default_factory=Counter)
     back: Counter[Done] = field(default_factory=Counter)
     told: Counter[str] = field(default_factory=Counter)
+    last: int = 0
+    """Of the journal's events, how far they have been looked at."""
+    blocked: int = 0
+    """So many of `done` the other has changed since: they are not taken back."""
+
+    def saves(self, what: str, wanted: Callable[[Event], bool]) -> bool:
+        """Wait until the journal has something from this person; False where the page asks whose value it is to be."""
+        until = time.monotonic() + 60
+        while time.monotonic() < until:
+            journal = self.location.to_read()
+            for event in [] if journal is None else journal.events(author=self.name, after=self.last):
+                self.last = event.id
+                if wanted(event):
+                    return True
+            if self.tab.page.locator("#dialog-window").count():
+                return False
+            self.tab.page.wait_for_timeout(100)
+        raise AssertionError(f"{self.name}: lost: {what}; {self.tab.page.locator('#side .note').all_inner_texts()}")
 
     def keep(self, done: Done) -> None:
         self.done.append(done)
@@ -59,53 +83,52 @@ class Person:
 
     def resize(self, row: int) -> Iterator[None]:
         page = self.tab.page
-        self.tab.send(f"object:{row}")
-        name = "document.querySelector('#objects [aria-current] b')?.textContent"
-        if not self.tab.page.evaluate(name):
+        name = self.tab.poll("row => document.querySelector(`#object-${row} b`)?.textContent", row)
+        if page.evaluate(EDITED) != name:
             self.tab.send(f"object:{row}")
-        name = self.tab.poll(name)
+            self.tab.poll(f"name => {EDITED} === name", name)
         width = round(self.chance.uniform(0.2, 0.6), 3)
-        entry = self.tab.see(WIDTH)
+        entry = page.locator(WIDTH)
         entry.fill(f"{width:.3f}")
         entry.press("Enter")
         yield
         done = ("box", f"{self.tab.frame} {name.partition('·')[2]}", width)
-        shown = f"+document.querySelector(\"{WIDTH}\")?.defaultValue"
-        self.tab.poll(f"width => document.getElementById('dialog-window') || {shown} === width", width)
-        if page.locator("#dialog-window").count():
+
+        def wanted(e: Event) -> bool:
+            return e.ref.field == "box" and bool(e.after) and abs(e.after["size"][0] - width) < 1e-6
+
+        if not self.saves(str(done), wanted):
             mine = self.chance.random() < 0.5
             self.told["mine" if mine else "theirs"] += 1
             page.keyboard.press("m" if mine else "t")
             self.tab.poll("!document.getElementById('dialog-window')")
             if not mine:
                 return
-            self.tab.poll(f"width => {shown} === width", width)
+            assert self.saves(str(done), wanted), "asked again"
         self.keep(done)
 
     def undo(self) -> Iterator[None]:
-        note = "document.querySelector('#side .note')?.textContent"
-        before = self.tab.page.evaluate(note)
         self.tab.press("Control+z")
         yield
-        self.tab.poll(f"before => {note} !== before", before)
-        if "taken back" in self.tab.page.evaluate(note):
+        if self.saves("an undo", lambda e: e.action == "undo"):
             self.back[self.done.pop()] += 1
         else:
-            # What the other has changed since is not taken back.
             self.told["not taken back"] += 1
             self.tab.page.keyboard.press("t")
             self.tab.poll("!document.getElementById('dialog-window')")
-            self.done.pop()
+            self.blocked = len(self.done)
 
     def act(self, row: int) -> Iterator[None]:
         which = self.chance.random()
-        if which < 0.2 and self.done:
+        if which < 0.2 and len(self.done) > self.blocked:
             return self.undo()
         return self.resize(row) if which < 0.6 else self.accept()
 
 
-def enter(browser: Browser, address: str, name: str, seed: int) -> Person:
+def enter(browser: Browser, address: str, journal: Path, name: str, seed: int) -> Person:
     tab = new_tab(browser)
+    # The scene is left out: it is drawn in software here, which takes most of the time, and no label depends on it.
+    tab.page.route("**/scene/**", lambda route: route.abort("aborted"))
     tab.page.add_init_script(f"localStorage.setItem('author', {name!r})")
     tab.open(address)
     tab.poll("document.querySelector('#review-list .queue .q')", seconds=120)
@@ -113,7 +136,7 @@ def enter(browser: Browser, address: str, name: str, seed: int) -> Person:
     tab.press("j")
     tab.poll("document.querySelector('#review-item .claim')")
     tab.page.evaluate("import('/app/core.mjs').then(m => m.locals.tab(null, 'Edit'))")
-    return Person(name, tab, random.Random(seed))
+    return Person(name, tab, random.Random(seed), JournalLocation(open_labels(LABELS), journal))
 
 
 def journal_says(journal: Path, name: str) -> tuple[Counter[Done], Counter[Done], int]:
@@ -154,7 +177,7 @@ def check(seconds: float) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as home, chromium() as browser:
         journal = Path(home) / "journal.sqlite"
         with Server("demo", "--labels", LABELS, "--journal", journal) as server:
-            people = [enter(browser, server.address, name, seed) for seed, name in enumerate(("ann", "bob"))]
+            people = [enter(browser, server.address, journal, name, seed) for seed, name in enumerate(("ann", "bob"))]
             rounds = work(people, seconds)
             for person in people:
                 person.settled()
