@@ -22,7 +22,8 @@ from playwright.sync_api import Browser, Locator, Page, sync_playwright
 
 CHROMIUM = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 1440, "height": 900}
-SLOW = 30.0
+SLOW = float(os.environ.get("SPATIALVIZ_CHECK_PATIENCE", "30"))
+"""Seconds that something may take to appear; more on a machine that is busy with other things."""
 ENDS_WITHIN = 30.0
 # viser's client always makes the sorter of its Gaussian splats, a WebAssembly module whose glue (Emscripten's embind)
 # builds its functions from strings. The page shows no splats, so nothing is missing where that is forbidden.
@@ -90,6 +91,7 @@ class Tab:
     def __init__(self, page: Page) -> None:
         self.page = page
         self.problems: list[str] = []
+        page.set_default_timeout(SLOW * 1000)
         page.on("pageerror", lambda error: self._problem(str(error)))
         page.on("console", lambda said: self._problem(said.text) if said.type == "error" else None)
         page.on("requestfailed", lambda request: self._problem(f"{request.url}: {request.failure}"))
