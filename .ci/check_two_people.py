@@ -31,6 +31,10 @@ Done = tuple[str, str, float]
 """What is done, to what, and with a box its width in metres."""
 
 
+class Refused(Exception):
+    """A number that was typed for an object that is selected no longer."""
+
+
 @dataclass
 class Person:
     """One of them: a browser, and what it has saved and taken back."""
@@ -60,6 +64,9 @@ class Person:
                     return True
             if self.tab.page.locator("#dialog-window").count():
                 return False
+            if (refused := self.tab.page.locator(".toast.bad", has_text="another object is selected")).count():
+                refused.locator(".close").first.evaluate("close => close.click()")
+                raise Refused
             self.tab.page.wait_for_timeout(100)
         raise AssertionError(f"{self.name}: lost: {what}; {self.tab.page.locator('#side .note').all_inner_texts()}")
 
@@ -97,7 +104,13 @@ class Person:
         def wanted(e: Event) -> bool:
             return e.ref.field == "box" and bool(e.after) and abs(e.after["size"][0] - width) < 1e-6
 
-        if not self.saves(str(done), wanted):
+        try:
+            saved = self.saves(str(done), wanted)
+        except Refused:
+            # The page was still on its way to the next item when the width was typed.
+            self.told["refused"] += 1
+            return
+        if not saved:
             mine = self.chance.random() < 0.5
             self.told["mine" if mine else "theirs"] += 1
             page.keyboard.press("m" if mine else "t")
