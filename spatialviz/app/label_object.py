@@ -163,8 +163,10 @@ class LabelObject(LabelPart):
         if loaded is None or box is None:
             return
         of, what, *numbers = said.split(":")
-        own = box_command(self.state.frame_id, needed(self.number, SELECT)) == f"box-set:{of}"
-        require(own, "another object is selected by now: nothing was changed")
+        require(
+            f"box-set:{of}" == box_command(self.state.frame_id, needed(self.number, SELECT)),
+            "another object is selected by now: nothing was changed",
+        )
         least, value = SMALLEST_SIDE if what == "size" else -FARTHEST, number_of(numbers[-1:])
         require(
             what == "yaw" or least <= value <= FARTHEST,
