@@ -5,7 +5,9 @@ The content policy of the page forbids `eval`, and with it `page.wait_for_functi
 """
 
 import contextlib
+import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -13,14 +15,16 @@ import tempfile
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from playwright.sync_api import Browser, Locator, Page, sync_playwright
 
 CHROMIUM = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 1440, "height": 900}
-SLOW = 30.0
+SLOW = float(os.environ.get("SPATIALVIZ_CHECK_PATIENCE", "30"))
+"""Seconds that something may take to appear; more on a machine that is busy with other things."""
+ENDS_WITHIN = 30.0
 # viser's client always makes the sorter of its Gaussian splats, a WebAssembly module whose glue (Emscripten's embind)
 # builds its functions from strings. The page shows no splats, so nothing is missing where that is forbidden.
 SORTER = "Evaluating a string as JavaScript violates the following Content Security Policy directive"
@@ -47,7 +51,7 @@ class Server:
         self.started = time.monotonic()
         # What was corrected in the demo before is not what a check begins with, and what it corrects is nobody's.
         self._home = tempfile.TemporaryDirectory()
-        own = {**os.environ, "XDG_DATA_HOME": self._home.name}
+        own = {**os.environ, "XDG_DATA_HOME": self._home.name, "PYTHONFAULTHANDLER": "1"}
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=own)
 
     def served(self, within: float = 30.0) -> float:
@@ -65,10 +69,15 @@ class Server:
     def end(self) -> list[str]:
         """Stop it; the lines that it has said."""
         self.process.terminate()
-        return self.process.communicate(timeout=20)[0].decode().splitlines()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return self.process.communicate(timeout=ENDS_WITHIN)[0].decode().splitlines()
+        # What holds it up is said by the fault handler.
+        self.process.send_signal(signal.SIGABRT)
+        said = self.process.communicate(timeout=ENDS_WITHIN)[0].decode()
+        raise SystemExit(f"the page did not end within {ENDS_WITHIN} s:\n{said}")
 
     def __enter__(self) -> "Server":
-        self.served()
+        self.served(90)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -82,6 +91,7 @@ class Tab:
     def __init__(self, page: Page) -> None:
         self.page = page
         self.problems: list[str] = []
+        page.set_default_timeout(SLOW * 1000)
         page.on("pageerror", lambda error: self._problem(str(error)))
         page.on("console", lambda said: self._problem(said.text) if said.type == "error" else None)
         page.on("requestfailed", lambda request: self._problem(f"{request.url}: {request.failure}"))
@@ -154,6 +164,23 @@ class Tab:
         """Press a key where no field is being typed into."""
         self.page.evaluate("document.activeElement.blur()")
         self.page.keyboard.press(key)
+
+
+class Timed:
+    """Runs checks, and says of each how long it took."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, int] = {}
+
+    def __call__(self, check: Callable[..., Any], *given: object) -> Any:
+        started = time.monotonic()
+        try:
+            return check(*given)
+        finally:
+            self.seconds[check.__name__] = round(time.monotonic() - started)
+
+    def __str__(self) -> str:
+        return json.dumps(self.seconds)
 
 
 @contextlib.contextmanager

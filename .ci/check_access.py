@@ -1,13 +1,11 @@
 """Everybody can use the page: axe-core (WCAG 2.2 AA) in both themes, words that explain themselves, what is announced,
 Tab and Escape, a window that is magnified to 200 %, other people's colours, no motion."""
 
-import json
-import time
-from collections.abc import Callable, Iterator
 from importlib import resources
 from typing import Any
 
-from browser import Server, Tab, chromium, new_tab
+from browser import Server, Tab, Timed, chromium, new_tab
+from looks import explained, others
 from playwright.sync_api import Browser
 
 AXE = """async rules => {
@@ -76,51 +74,6 @@ def axe(tab: Tab, *rules: str) -> list[str]:
         tab.page.evaluate(f"() => {{ {SOURCE} }}")
     found: Any = tab.page.evaluate(AXE, list(rules))
     return [f"{v['id']}: {v['help']}: {node['html'][:160]}" for v in found for node in v["nodes"][:4]]
-
-
-def explained(tab: Tab) -> Iterator[str]:
-    """Brings the page into one state of Explain after the other, and names it."""
-    yield "an answer that failed"
-    for name in ("PARSE", "OPM", "LIFT", "SRM", "PRM", "LABEL"):
-        opened = f"#head-{name.lower()}[aria-expanded=true]"
-        if not tab.page.locator(opened).count():
-            tab.click(f"stage:{name}")
-            tab.see(opened)
-        yield f"stage {name}"
-    tab.drawer("Edit")
-    yield "what if"
-    tab.drawer("Objects")
-    tab.ask("unicorn left of the mug")
-    tab.see("#ask-problem", "unicorn")
-    yield "refusal"
-    tab.press("x")
-    tab.poll("document.getElementById('ask-text').value === ''")
-    tab.poll("!document.querySelector('#answer .heads')")
-    yield "no question"
-    tab.see(".menu>summary").click()
-    yield "menu"
-    tab.page.keyboard.press("Escape")
-    tab.press("h")
-    tab.see("#dialog-window")
-    yield "keys"
-    tab.page.keyboard.press("Escape")
-    tab.poll("!document.getElementById('dialog-window')")
-    tab.press("Shift+W")
-    tab.see("#frame-grid .shot")
-    yield "all frames"
-    tab.page.keyboard.press("Escape")
-    tab.click("frames-of:failed")
-    yield "frames with failures"
-
-
-def others(tab: Tab) -> Iterator[str]:
-    """The same of the other tasks."""
-    tab.click("task:evaluate")
-    tab.poll("document.body.dataset.mode === 'evaluate'")
-    yield "evaluate"
-    tab.click("task:label")
-    tab.see("#review-list .q")
-    yield "label"
 
 
 def check_axe(browser: Browser, address: str) -> None:
@@ -292,13 +245,7 @@ def check_preferences(browser: Browser, address: str) -> None:
 
 
 def main() -> None:
-    seconds: dict[str, int] = {}
-
-    def timed(check: Callable[..., None], *given: object) -> None:
-        started = time.monotonic()
-        check(*given)
-        seconds[check.__name__] = round(time.monotonic() - started)
-
+    timed = Timed()
     with chromium() as browser:
         with Server() as server:
             for check in (
@@ -313,7 +260,7 @@ def main() -> None:
                 timed(check, browser, server.address)
         with Server("demo", "--host", "0.0.0.0") as server:
             timed(check_refused, browser, server.address)
-    print(json.dumps(seconds))
+    print(timed)
 
 
 if __name__ == "__main__":

@@ -7,16 +7,15 @@ import shutil
 import sys
 import tempfile
 import threading
-import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit
 
-from browser import Server, Tab, chromium, new_tab
+from browser import Server, Tab, Timed, chromium, new_tab
 from looks import check_looks
 from playwright.sync_api import Browser
 from websockets import Origin, Subprotocol
@@ -370,13 +369,7 @@ def check_keys(tab: Tab) -> None:
 
 
 def main() -> None:
-    seconds: dict[str, int] = {}
-
-    def timed(check: Callable[..., None], *given: object) -> None:
-        started = time.monotonic()
-        check(*given)
-        seconds[check.__name__] = round(time.monotonic() - started)
-
+    timed = Timed()
     with chromium() as browser:
         with Server() as server:
             timed(check_foreign, browser, server)
@@ -392,7 +385,7 @@ def main() -> None:
                 timed(check_looks, browser, server.address)
         for check in (check_hostile, check_tokens, check_lost):
             timed(check, browser)
-    print(json.dumps(seconds))
+    print(timed)
 
 
 if __name__ == "__main__":

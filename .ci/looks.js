@@ -51,9 +51,9 @@ const overlap = () => {
   const groups = [
     [...document.querySelectorAll('button, input, select, textarea, summary, [data-do]')].filter(e => !e.closest('#toasts, #tags, #ask-problem')),
   ];
-  const dialog = document.querySelector('dialog[open]');
+  const dialog = document.querySelector('dialog[open], .menu[open]');
   for (const group of groups) {
-    const shown = group.filter(e => e.checkVisibility({visibilityProperty: true, opacityProperty: true}) && (!dialog || dialog.contains(e))).map(e => [e, clipped(e)])
+    const shown = group.filter(e => e.checkVisibility({visibilityProperty: true, opacityProperty: true}) && (!dialog || dialog.contains(e)) && !e.closest('[inert]')).map(e => [e, clipped(e)])
       .filter(([, b]) => b[2] - b[0] > 1 && b[3] - b[1] > 1);
     shown.forEach(([e, a], i) => {
       for (const [f, b] of shown.slice(i + 1)) {

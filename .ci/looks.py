@@ -1,4 +1,4 @@
-"""What a script can see of how the page looks: what is cut or overlaps (looks.js)."""
+"""The states of the page one after the other, and what a script can see of how they look: what is cut or overlaps."""
 
 import time
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ SIZES = ((1440, 900), (1920, 1080), (1024, 768))
 def explained(tab: Tab) -> Iterator[str]:
     """Brings the page into one state of Explain after the other, and names it."""
     yield "answer with verdict"
-    for name in ("SRM", "PRM"):
+    for name in ("PARSE", "OPM", "LIFT", "SRM", "PRM", "LABEL"):
         opened = f"#head-{name.lower()}[aria-expanded=true]"
         if not tab.page.locator(opened).count():
             tab.click(f"stage:{name}")
@@ -25,14 +25,25 @@ def explained(tab: Tab) -> Iterator[str]:
     tab.drawer("Objects")
     tab.ask("unicorn left of the mug")
     tab.see("#ask-problem", "unicorn")
-    yield "error"
+    yield "refusal"
     tab.press("x")
     tab.poll("document.getElementById('ask-text').value === ''")
+    tab.poll("!document.querySelector('#answer .heads')")
+    yield "no question"
+    tab.see(".menu>summary").click()
+    yield "menu"
+    tab.page.keyboard.press("Escape")
     tab.press("h")
     tab.see("#dialog-window")
     yield "keys"
     tab.page.keyboard.press("Escape")
     tab.poll("!document.getElementById('dialog-window')")
+    tab.press("Shift+W")
+    tab.see("#frame-grid .shot")
+    yield "all frames"
+    tab.page.keyboard.press("Escape")
+    tab.click("frames-of:failed")
+    yield "frames with failures"
 
 
 def others(tab: Tab) -> Iterator[str]:
@@ -46,9 +57,10 @@ def others(tab: Tab) -> Iterator[str]:
     yield "evaluate, table"
     tab.click("task:label")
     tab.see("#review-list .queue .q")
+    yield "label"
     tab.press("j")
     tab.see("#review-item .task-item")
-    yield "label"
+    yield "label, an item"
 
 
 def check_looks(browser: Browser, address: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.corrections.journal.edits import Edits, add_object, add_sentence
+from pipeline.corrections.journal.edits import Edits, add_object, add_sentence, new_numbers
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import new_ulid
 from pipeline.corrections.label_editor import NOT_IN_THE_JOURNAL, LabelEditor
@@ -44,11 +44,11 @@ def right_pair(editor: LabelEditor, trace: Trace, pair: ScoredPair) -> Edits:
     ends = (words[0], trace.objects[pair.target]), (words[2], trace.objects[reference])
     numbers: list[int] = []
     new: Edits = ()
-    for name, entry in ends:
+    for (name, entry), free in zip(ends, new_numbers(frame, 2), strict=True):
         number = _labelled(name, entry, frame)
         if number is None:
-            made = add_object(frame, name, mask=entry.mask)
-            number, new = made[0].ref.numbers[0], (*new, *made)
+            made = add_object(frame, name, mask=entry.mask, number=free)
+            number, new = free, (*new, *made)
         numbers.append(number)
     if new:
         # The relation and the sentence are made on the frame with these objects in it.

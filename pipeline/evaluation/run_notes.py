@@ -9,15 +9,14 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from threading import Lock
 
 from platformdirs import user_data_path
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.datasets.demo import demo_run
 from pipeline.system.door import read_bytes
-from pipeline.system.errors import InputError, require
-from pipeline.system.whole_files import write_whole
+from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.whole_files import alone, write_whole
 
 MARKS = "marks"
 """The column, and the field of a search, of the marks of an expression."""
@@ -27,7 +26,6 @@ LONGEST_NAME = 40
 Key = tuple[str, str]
 """(frame, id) of an expression."""
 _MARK = re.compile(r"\w[\w.+-]*")
-_LOCK = Lock()
 
 
 @dataclass(frozen=True)
@@ -129,7 +127,10 @@ def keep_filter(path: Path, name: str, query: str | None) -> Notes:
 
 def _changed(path: Path, change: Callable[[Notes], Notes]) -> Notes:
     """What others have noted meanwhile stays."""
-    with _LOCK:
+    with (
+        as_input_error("the notes cannot be written", OSError, got=lambda e: e.strerror, path=path),
+        alone(path.parent),
+    ):
         notes = change(read_notes(path))
         text = json.dumps(_READ.dump_python(notes, mode="json"), ensure_ascii=False, indent=1)
         write_whole(path, f"{text}\n".encode(), "the notes")

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -24,10 +22,7 @@ from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error, require
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import temporary_folder
-
-if sys.platform != "win32":
-    import fcntl
+from pipeline.system.whole_files import alone, temporary_folder
 
 BY_HAND = "by-hand"
 """In place of the detector: nothing was found by a machine."""
@@ -142,14 +137,15 @@ def with_frames(labels: Labels, dataset: Dataset, names: Iterable[str] = ()) -> 
     require(absent is None, "the dataset has no such frame", got=absent, path=dataset.root)
     known = _on_disk(labels)
     rows = [_frame_row(dataset, name, labels) for name in names if name not in _names(known)]
-    with as_input_error("the labels cannot be written", OSError, got=lambda e: e.strerror, path=labels.root):
-        labels.root.mkdir(parents=True, exist_ok=True)
-        with _alone(labels.root):
-            known = _on_disk(labels)
-            there = _names(known)
-            new = [row for row in rows if row.column("frame")[0].as_py() not in there]
-            if new or isinstance(known, NewLabels):
-                _write(known, pa.concat_tables([known.frames, *new]).sort_by("frame_index"))
+    with (
+        as_input_error("the labels cannot be written", OSError, got=lambda e: e.strerror, path=labels.root),
+        alone(labels.root),
+    ):
+        known = _on_disk(labels)
+        there = _names(known)
+        new = [row for row in rows if row.column("frame")[0].as_py() not in there]
+        if new or isinstance(known, NewLabels):
+            _write(known, pa.concat_tables([known.frames, *new]).sort_by("frame_index"))
     return open_labels(labels.root)
 
 
@@ -192,13 +188,3 @@ def _write(labels: Labels, frames: pa.Table) -> None:
             final = labels.root / file.relative_to(staging)
             final.parent.mkdir(parents=True, exist_ok=True)
             os.replace(file, final)
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Nobody else, of any process of this machine, writes the tables of a folder meanwhile."""
-    with open(folder / ".lock", "w") as lock:
-        if sys.platform != "win32":
-            # On Windows the last writer wins, and what is lost is taken in again.
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        yield

@@ -8,17 +8,23 @@ import os
 import re
 import shutil
 import socket
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from threading import Lock
 from typing import IO, Any, TextIO
 from uuid import uuid4
 
 from pipeline.system.door import opened
 from pipeline.system.errors import InputError, require
 
+if sys.platform != "win32":
+    import fcntl
+
+_ALONE = Lock()
 _TEMPORARY = re.compile(r"\..*\.(?P<host>[^.]*)\.(?P<pid>\d+)\.[0-9a-f]{8}\.tmp")
 _ABANDONED_S = 86_400
 """A temporary name of another machine counts as left behind when it is as old as this."""
@@ -57,6 +63,19 @@ def is_abandoned(temporary: Path) -> bool:
         return time.time() - temporary.stat().st_mtime > _ABANDONED_S
     except OSError:
         return False
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Nobody else, of any process of this machine, changes the files of a folder meanwhile; it is made if missing.
+
+    On Windows only nobody else of this process: of others the last writer wins.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with _ALONE, open(folder / ".lock", "w") as lock:
+        if sys.platform != "win32":
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def write_whole(path: Path, data: bytes, what: str, make_folder: bool = True) -> None:

@@ -142,6 +142,11 @@ class Context:
         """Write a line of the log."""
         self.log = [*self.log, (datetime.now().strftime("%H:%M:%S"), text)][-LOG_LENGTH:]
 
+    def toast(self, title: str, text: str, bad: bool = False) -> None:
+        """Say something in the corner of the page, and in the log; what is bad stands until it is closed."""
+        self.note(f"{title}: {text}")
+        self.page.toast(title, text, bad)
+
     def fail(self, error: InputError) -> None:
         """Say why something cannot be done."""
         self.note(str(error))

@@ -307,7 +307,7 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str)
         status=_status_row(card, author),
         concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
         handles=row("Handles", segments("edit-mode", MODES, mode, "Handles"), title="Shift+E"),
-        box=h.div(_box_rows(card.numbers, "box-set", LENGTH_DIGITS, _FITS), cls="tight"),
+        box=h.div(_box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS), cls="tight"),
         sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
     )
 
@@ -362,10 +362,15 @@ def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child)
     return rows, row("Turn", h.div(turn, more, cls="fields"))
 
 
-def numbers_said(numbers: BoxNumbers) -> dict[str, str]:
+def box_command(frame: str, number: int) -> str:
+    """What the number fields of an object's box send: of which object, so that none that is selected since gets it."""
+    return "box-set:" + f"{frame}@{number}".replace(":", "_")
+
+
+def numbers_said(numbers: BoxNumbers, sends: str) -> dict[str, str]:
     """What the number fields say of a box, by what they send."""
-    return {"box-set:yaw": f"{numbers.yaw:.{TURN_DIGITS}f}"} | {
-        f"box-set:{kind}:{axis}": f"{getattr(numbers, kind)[axis]:.{LENGTH_DIGITS}f}"
+    return {f"{sends}:yaw": f"{numbers.yaw:.{TURN_DIGITS}f}"} | {
+        f"{sends}:{kind}:{axis}": f"{getattr(numbers, kind)[axis]:.{LENGTH_DIGITS}f}"
         for kind in ("center", "size")
         for axis in range(3)
     }

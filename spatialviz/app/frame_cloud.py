@@ -126,8 +126,7 @@ class FrameCloud(Part):
         try:
             mesh = fuse_context(self.ctx.source.dataset, room.context.frame)
         except (FrameUnusable, MissingExtra) as error:
-            self.ctx.note(str(error))
-            self.ctx.page.toast("No room to show", str(error))
+            self.ctx.toast("No room to show", str(error), bad=True)
             self.ctx.show(flags=replace(state.flags, context=False))
             return
         if mesh is not None and len(mesh.faces):

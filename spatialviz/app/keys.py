@@ -53,6 +53,7 @@ KEYS: Mapping[str, Rows] = {
         ("M", "Dark or light", "theme"),
     ),
     "Keeping": (
+        ("Ctrl+C", "Copy the address of this view, where no text is selected", ""),
         ("Shift+C", "Copy the view as a string", "copy-state"),
         ("Shift+V", "Open a view from its string", "paste-state"),
         ("Shift+K", "Save the answer as a case", "keep-case"),

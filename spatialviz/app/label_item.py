@@ -35,7 +35,7 @@ class Upcoming:
         In the queue.
     text, reason, frame : str
     shot : str
-        Where the page finds a small picture of it; "" while its frame is not loaded.
+        Where the page finds a small picture of it.
     """
 
     place: int
@@ -210,7 +210,7 @@ def upcoming_html(items: Sequence[Upcoming]) -> Element | None:
         return None
     rows = (
         h.button(
-            h.img(src=one.shot, alt="", cls="peek") if one.shot else h.i(cls="peek"),
+            h.img(src=one.shot, alt="", cls="peek"),
             h.span(one.text, h.small(one.reason or one.frame)),
             do=f"item:{one.place}",
             title=f"{one.text}\n{one.reason}\n{one.frame}",

@@ -21,7 +21,7 @@ from pipeline.geometry.palette import palette
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command
 from spatialviz.app.edit_messages import box_with, number_of
-from spatialviz.app.edit_panel import STATUS_WORDS, numbers_said, object_html, rejected_html, saved_html
+from spatialviz.app.edit_panel import STATUS_WORDS, box_command, numbers_said, object_html, rejected_html, saved_html
 from spatialviz.app.edit_scene import BoxGizmo
 from spatialviz.app.label_item import UNNAMED, digits_row
 from spatialviz.app.label_part import LabelPart
@@ -158,11 +158,15 @@ class LabelObject(LabelPart):
 
     @command("box-set")
     def _set_number(self, said: str) -> None:
-        """center:AXIS:METRES, size:AXIS:METRES, yaw:DEGREES."""
+        """Of an object, as `box_command` says it: OF:center:AXIS:METRES, OF:size:AXIS:METRES, OF:yaw:DEGREES."""
         loaded, box = self.state.loaded, self._box
         if loaded is None or box is None:
             return
-        what, *numbers = said.split(":")
+        of, what, *numbers = said.split(":")
+        require(
+            f"box-set:{of}" == box_command(self.state.frame_id, needed(self.number, SELECT)),
+            "another object is selected by now: nothing was changed",
+        )
         least, value = SMALLEST_SIDE if what == "size" else -FARTHEST, number_of(numbers[-1:])
         require(
             what == "yaw" or least <= value <= FARTHEST,
@@ -212,9 +216,10 @@ class LabelObject(LabelPart):
             self._held = number
         self._gizmo.show(None if box is None else self.ctx.scene.shown_box(box), state.mode)
         page.show("cost", saved_html(self.editor.author, view.said, view.bad, view.moved))
-        if (live or self._follows) and box is not None and state.loaded is not None:
+        if (live or self._follows) and number is not None and box is not None and state.loaded is not None:
             # A drag that comes to nothing leaves the tab as it was: the fields go back.
-            page.call("numbers", numbers_said(box_numbers(box, state.loaded.context.viewer)))
+            numbers, sends = box_numbers(box, state.loaded.context.viewer), box_command(state.frame_id, number)
+            page.call("numbers", numbers_said(numbers, sends))
         self._follows = live
         if live:
             if view.moved is not None and view.moved.card is not None:

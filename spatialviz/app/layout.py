@@ -76,7 +76,7 @@ class Page:
                 self._calls[name] = data
 
     def toast(self, title: str, text: str, bad: bool = False) -> None:
-        """Say something in the corner of the page, for some seconds."""
+        """Say something in the corner of the page: for some seconds, or until it is closed where it is bad."""
         self.call("toast", {"title": title, "text": text, "bad": bad})
 
     def download(self, name: str, data: bytes) -> None:

@@ -232,12 +232,21 @@ def chosen(is_so: bool, cls: str = "") -> dict[str, object]:
     return {"cls": f"{cls} sel".strip(), "aria_current": "true", "data_shown": True} if is_so else {"cls": cls}
 
 
-def segments(kind: str, options: Mapping[str, str], chosen: str, name: str = "") -> Element:
-    """One of several: a press sends "kind:key"; `name` is for those who do not see it."""
+def segments(
+    kind: str, options: Mapping[str, str], chosen: str, name: str = "", hints: Mapping[str, str] | None = None
+) -> Element:
+    """One of several: a press sends "kind:key"; `name` is for those who do not see it.
+
+    What is said of each is its hint, by default the glossary's.
+    """
     return h.div(
         (
             h.button(
-                label, role="radio", aria_checked=str(key == chosen).lower(), do=f"{kind}:{key}", title=hint_of(label)
+                label,
+                role="radio",
+                aria_checked=str(key == chosen).lower(),
+                do=f"{kind}:{key}",
+                title=hint_of(label) if hints is None else hints[key],
             )
             for key, label in options.items()
         ),

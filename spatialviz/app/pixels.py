@@ -29,7 +29,7 @@ from spatialviz.app.context import Context, command
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_item import UNNAMED
 from spatialviz.app.label_part import LabelPart
-from spatialviz.app.label_view import LabelView
+from spatialviz.app.label_view import LabelView, paired
 from spatialviz.app.pixels_html import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlines, told_of
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
@@ -194,7 +194,9 @@ class Pixels(LabelPart):
         finally:
             self._saving = False
         self._outlined = made[0].ref.numbers[0]
-        self.state = replace(self.state, selected=self.view.place(self._outlined))
+        state, place = self.state, self.view.place(self._outlined)
+        # Beside what was selected before it: their relations are there at once.
+        self.state = replace(state, selected=place, pair=paired(state.pair, place, state.selected))
         self._begin(self.view, self._outlined)
         self.ctx.draw()
 

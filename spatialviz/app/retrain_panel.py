@@ -77,8 +77,7 @@ class RetrainPanel(LabelPart):
         try:
             done = install_network(Path(training.seen.record["network"]), name.strip())
         except InputError as error:
-            self.ctx.page.toast("Not installed", str(error), bad=True)
-            self.ctx.note(f"not installed: {error}")
+            self.ctx.toast("Not installed", str(error), bad=True)
             return
         self.ctx.note(f"installed: --srm {done.name} is {done.path}")
         training.change(lambda now: replace(now, installed=done.name))

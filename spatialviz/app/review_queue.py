@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, set_status, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.review.bulk import MOST, Pace, accept_all, found_items, pace_of, say_of_item
@@ -222,8 +222,9 @@ class ReviewQueue(LabelPart):
         places = [] if work is None or not self._find else self._found(work)
         if work is None or not places:
             return
-        self.save(lambda _: accept_all([work.keys[k] for k in places[:MOST]], self.editor.frame, self.editor.author))
-        self.ctx.page.toast("Accepted", f"{counted(min(len(places), MOST), 'item')}: one undo takes all of them back")
+        items = [work.keys[k] for k in places[:MOST]]
+        if isinstance(self.save(lambda _: accept_all(items, self.editor.frame, self.editor.author)), Saved):
+            self.ctx.toast("Accepted", f"{counted(len(items), 'item')}: one undo takes all of them back")
 
     @command("item")
     def open_row(self, place: int) -> None:
@@ -420,19 +421,18 @@ class ReviewQueue(LabelPart):
             if after is None or place is None or after == item or any(u.place == place for u in found):
                 break
             row = work.row(after)
-            shot = self._shot(queue, after) if after.a >= 0 else ""
             reason = plain_reason(row["reasons"][0]) if row["reasons"] else ""
-            found.append(Upcoming(place, said(row, queue.names), reason, after.frame, shot))
+            found.append(Upcoming(place, said(row, queue.names), reason, after.frame, self._shot(after)))
         return found
 
-    def _shot(self, queue: SourceQueue, key: ItemKey) -> str:
-        """A small picture of an item's object, where its frame is loaded."""
+    def _shot(self, key: ItemKey) -> str:
+        """A small picture of an item's object; of its frame, while that is not loaded or the object is none."""
         loaded = self.ctx.shared.store.kept(self.state.source, key.frame)
         with suppress(InputError):
             row = None if loaded is None else self.editor.corrector.index.rows(key.frame).objects.get(key.a)
             if loaded is not None and row is not None:
                 return loaded.thumb(np.array(row["bbox"], np.float32))
-        return ""
+        return self.ctx.shared.pictures.url(self.state.source, key.frame)
 
     def _paced(self) -> Pace | None:
         """How fast this person worked today; None while the journal is away."""

@@ -7,7 +7,6 @@ from contextlib import suppress
 from pipeline.corrections.confirming import right_objects, right_pair, words_of
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.wording import outcome_text
-from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.language.tree import Query
 from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, command
@@ -33,7 +32,7 @@ class RightPair(LabelPart):
         outcome = editor.save(right_pair(editor, state.trace, pair))
         said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
         self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
-        self.ctx.page.toast("Not saved" if bad else "This pair is right", said, bad)
+        self.ctx.toast("Not saved" if bad else "This pair is right", said, bad)
         self.ctx.ask(state.text)
 
     @command("right-undo")
@@ -42,7 +41,7 @@ class RightPair(LabelPart):
         if self._kept != (self.state.frame_id, self.state.text):
             return
         outcome, self._kept = self.editor.undo(), ("", "")
-        self.ctx.page.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
+        self.ctx.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
         self.ctx.ask(self.state.text)
 
     @command("right-objects")
@@ -75,7 +74,7 @@ class RightPair(LabelPart):
         if self._kept == (state.frame_id, state.text):
             back = button("Undo", "right-undo", "this pair is not right after all")
             return h.div(h.span("This pair is kept as true.", cls="dim"), back, cls="rightpair panel")
-        known = isinstance(state.judged, Diagnosis)
+        known = state.judged is not None
         hint = "it is kept as true, with its objects, and the answer is judged by it at once"
         made = button("This pair is right", "right-pair", hint, cls="try" if known else "try go")
         return h.div(made, None if known else h.span("No truth is known here yet.", cls="dim"), cls="rightpair panel")

@@ -131,7 +131,7 @@ class Pointing(Part):
         try:
             depth_at(loaded.context.frame.depth, u, v)
         except InputError as error:
-            self.ctx.page.toast("Not measured", str(error), bad=True)
+            self.ctx.toast("Not measured", str(error), bad=True)
         else:
             self.ctx.show(marks=(*(marks if len(marks) < 2 else ()), (u, v)))
 
@@ -148,7 +148,7 @@ class LevelSurface(Part):
         try:
             x, y, z = level_normal_at(frame.depth, frame.camera, u, v).tolist()
         except InputError as error:
-            self._tell("Not a level surface", str(error))
+            self.ctx.toast("Not a level surface", str(error), bad=True)
             return
         self.ctx.shared.store.tell_up(self.state.source, ToldUp(frame.id, (u, v), (x, y, z)))
         self.ctx.note(f"frame {frame.id}: the surface at {u},{v} is level, up {x:.3f}, {y:.3f}, {z:.3f} in the camera")
@@ -162,9 +162,9 @@ class LevelSurface(Part):
         if told is not None:
             try:
                 require(root.resolve() != demo_path().resolve(), "the built-in demo stays as it is", path=root)
-                self._tell("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
+                self.ctx.toast("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
             except InputError as error:
-                self._tell("Up is not kept", str(error))
+                self.ctx.toast("Up is not kept", str(error), bad=True)
 
     @command("level-back")
     def take_back(self) -> None:
@@ -172,10 +172,6 @@ class LevelSurface(Part):
         if self.state.source in self.ctx.shared.store.told:
             self.ctx.shared.store.tell_up(self.state.source, None)
             self.ctx.reopen()
-
-    def _tell(self, title: str, text: str) -> None:
-        self.ctx.note(text)
-        self.ctx.page.toast(title, text)
 
 
 POINT_STEP = 1.25

@@ -428,6 +428,8 @@ class Session(Context):
         if correcting != self._correcting:
             # A drag that only tries something must not become one that is saved.
             self._correcting, self.state = correcting, replace(self.state, mode="off")
+            # What is asked is asked of the answers.
+            self.page.call("question", "" if correcting else self.state.text)
         filling.fill_page(self, self._suggestions)
         self._runs.follow()
         self._labels.follow()

@@ -136,7 +136,7 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
 
 
 TOOLS = (
-    ("share", "Copy link", "the address of this view, into the clipboard", {"local": "share"}),
+    ("share", "Copy link", "the address of this view, into the clipboard (Ctrl+C)", {"local": "share"}),
     ("copy-state", "Copy view", "the view with its edits as a string (Shift+C)", {"do": "copy-state"}),
     ("paste-state", "Open view", "open a view from its string (Shift+V)", {"do": "paste-state"}),
     ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)", {"do": "keep-case"}),
@@ -161,11 +161,18 @@ def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list
     return [dataset, field, offered, frame_nav_html(at, len(ids))]
 
 
+TASK_HINTS = {
+    "explain": "one answer, and why it is right or wrong",
+    "evaluate": "all answers of a run: which fail, and where the accuracy goes",
+    "label": "review and correct labels, one item at a time",
+}
+
+
 def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | None:
     """What the page is for: only what it can be for here."""
     possible = {"explain": True, "evaluate": with_run, "label": with_labels}
     tasks = {name: name.capitalize() for name, is_so in possible.items() if is_so}
-    return segments("task", tasks, state.task, "What the page is for") if len(tasks) > 1 else None
+    return segments("task", tasks, state.task, "What the page is for", TASK_HINTS) if len(tasks) > 1 else None
 
 
 def tools_html() -> Element:

@@ -337,7 +337,7 @@ class Keeping(Part):
         """Send the answer as one page that holds all it needs."""
         from spatialviz.report.scene import scene_html
 
-        self.ctx.page.toast("Report", "The page is being made.")
+        self.ctx.toast("Report", "The page is being made.")
         source, context, state = self._answered()
         answered = answer(source, context, state.text, **self._given(source, context))
         report = failure_page(answered, source, context, self._subject(answered), scene_html(answered, context))

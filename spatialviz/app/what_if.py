@@ -100,8 +100,7 @@ class WhatIf(Part):
             self._apply(edits)
         except InputError as error:
             self._live_since = None
-            self.ctx.note(f"not edited: {error}")
-            self.ctx.page.toast("Not edited", str(error))
+            self.ctx.toast("Not edited", str(error), bad=True)
         self.ctx.draw(live)
 
     @command("edit-remove")
@@ -161,7 +160,7 @@ class WhatIf(Part):
                 self._map = decision_map(self._base(), self.state.edits, key)
                 self.ctx.note(f"decision map of {self.state.named(key)}: {self._map.seconds * 1000:.0f} ms")
         except InputError as error:
-            self.ctx.page.toast("No decision map", str(error))
+            self.ctx.toast("No decision map", str(error), bad=True)
         self.ctx.draw()
 
     def _renewed_map(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from collections import Counter
 from pathlib import Path
@@ -160,6 +161,24 @@ def test_damaged_notes_are_said_in_a_line(tmp_path: Path, text: str) -> None:
         RunRows(TABLES[0], tmp_path)
     assert "notes" in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there the last of two processes wins")
+def test_notes_wait_for_those_of_another_process(tmp_path: Path) -> None:
+    """Another process holds the folder: what it writes meanwhile is not lost."""
+    import fcntl
+
+    path = tmp_path / FILE
+    mark(path, [("f", "first")], "seen")
+    with open(tmp_path / ".lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        waits = threading.Thread(target=mark, args=(path, [("f", "mine")], "seen"))
+        waits.start()
+        waits.join(0.2)
+        assert waits.is_alive()
+        path.write_text(path.read_text().replace("first", "theirs"))
+    waits.join(10)
+    assert read_notes(path).marks == {"seen": [("f", "theirs"), ("f", "mine")]}
 
 
 def test_what_came_with_the_program_is_noted_with_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

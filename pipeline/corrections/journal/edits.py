@@ -78,6 +78,16 @@ def set_box(frame: EffectiveFrame, number: int, box: Box3D | None, reason: str =
     return (_object_edit(frame, number, "box", None if box is None else box_value(box), reason),)
 
 
+def new_numbers(frame: EffectiveFrame, count: int) -> list[int]:
+    """Numbers of new objects, of five digits: people read them.
+
+    By chance, so that two people who add something at the same time do not get in each other's way.
+    """
+    taken = {*frame.objects, *frame.left_out}
+    free = [n for n in range(FIRST_NEW_OBJECT, 10 * FIRST_NEW_OBJECT) if n not in taken]
+    return random.SystemRandom().sample(free, count)
+
+
 def add_object(
     frame: EffectiveFrame,
     label: str,
@@ -93,12 +103,10 @@ def add_object(
     Parameters
     ----------
     number : int, optional
-        From FIRST_NEW_OBJECT on; by chance, so that two people who add
-        something at the same time do not get in each other's way.
+        From FIRST_NEW_OBJECT on; else one of `new_numbers`.
     """
     if number is None:
-        # Seven digits: people read them.
-        number = random.SystemRandom().randrange(FIRST_NEW_OBJECT, 10 * FIRST_NEW_OBJECT)
+        (number,) = new_numbers(frame, 1)
     require(
         number >= FIRST_NEW_OBJECT,
         "the number of a new object is too small",
@@ -127,7 +135,8 @@ def split_object(frame: EffectiveFrame, number: int, masks: Sequence[np.ndarray 
     label = _row(frame, number)["label"]
     note = reason or f"split off object {number}"
     first = _object_edit(frame, number, "mask", _code(frame, masks[0]), reason or f"split in {len(masks)}")
-    return (first, *(e for m in masks[1:] for e in add_object(frame, label, mask=m, reason=note)))
+    made = zip(masks[1:], new_numbers(frame, len(masks) - 1), strict=True)
+    return (first, *(e for m, n in made for e in add_object(frame, label, mask=m, number=n, reason=note)))
 
 
 def set_relation(frame: EffectiveFrame, a: int, b: int, relation: str, state: int | None, reason: str = "") -> Edits:

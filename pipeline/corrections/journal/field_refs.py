@@ -25,7 +25,7 @@ OF_ALL = ""
 """Stands for the author in the key of a judgement that is not one person's: see `corrections.journal.replay`."""
 STATUSES = ("accepted", "corrected", "rejected", "unsure")
 """What a reviewer says of something; null is unreviewed. A rejected object or expression is left out."""
-FIRST_NEW_OBJECT = 1_000_000
+FIRST_NEW_OBJECT = 10_000
 """Objects that people add are numbered from here, so that labels made again never take their numbers."""
 LONGEST_NAME, LONGEST_TEXT = 200, 2_000
 TOLERANCE = 1e-6

@@ -102,7 +102,7 @@ class Pace:
     minutes : float
         Of work, without rests.
     per_hour : float or None
-        None before there are two items.
+        What is accepted at once counts as one item; None before there are two.
     """
 
     items: int
@@ -127,4 +127,5 @@ def pace_of(events: Iterable[Event], author: str, now: datetime) -> Pace:
         gap = None if before is None else after - before
         spent += FIRST if gap is None or gap > REST else gap
     hours = spent.total_seconds() / 3600
-    return Pace(len(items), round(60 * hours, 2), len(items) / hours if len(items) > 1 and hours > 0 else None)
+    actions = len({group for *_, group in items})
+    return Pace(len(items), round(60 * hours, 2), actions / hours if actions > 1 and hours > 0 else None)

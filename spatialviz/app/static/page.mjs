@@ -63,6 +63,7 @@ byId('view').addEventListener('load', () => {
   w.document.hasFocus = () => true;
   // Keys pressed over the scene mean what they mean over the page.
   w.addEventListener('keydown', pressed, true);
+  w.addEventListener('copy', copied);
 });
 
 // ---- address
@@ -227,7 +228,8 @@ calls.toast = ({title, text, bad}) => {
   close.addEventListener('click', () => note.remove());
   byId('toasts').append(note);
   while (byId('toasts').children.length > 4) byId('toasts').firstChild.remove();
-  setTimeout(() => note.remove(), 4000 + 60 * text.length);
+  // Why something was not done stays until it is closed; everything is in the log.
+  if (!bad) setTimeout(() => note.remove(), 4000 + 60 * text.length);
 };
 calls.download = ({path, name}) => {
   const a = el('a');
@@ -276,8 +278,16 @@ locals.maximise = (_, which) => {
   const stage = byId('stage');
   if (stage.dataset.max === which) delete stage.dataset.max; else stage.dataset.max = which;
 };
-locals.share = () => navigator.clipboard?.writeText(location.href).then(
-  () => calls.toast({title: 'Copied', text: 'the address of this view'}), () => {});
+const toldCopied = () => calls.toast({title: 'Copied', text: 'the address of this view'});
+locals.share = () => navigator.clipboard?.writeText(location.href).then(toldCopied, () => {});
+// Where no text is selected, what is copied is the view.
+const copied = e => {
+  if (`${getSelection()}` || typing(document.activeElement) || byId('dialog-window')) return;
+  e.preventDefault();
+  e.clipboardData.setData('text/plain', location.href);
+  toldCopied();
+};
+document.addEventListener('copy', copied);
 byId('ask').addEventListener('submit', e => { e.preventDefault(); send('ask:' + byId('ask-text').value); byId('ask-text').blur(); });
 calls.question = text => {
   const field = byId('ask-text');

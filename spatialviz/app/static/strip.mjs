@@ -11,7 +11,7 @@ const address = (n, width) => `/app/frame/${strip.source}/${n}/${width}.jpg`;
 
 class Shots {
   constructor(prefix, size, wraps) {
-    Object.assign(this, {prefix, size, wraps, at: 0, items: new Map(), width: size.picture});
+    Object.assign(this, {prefix, least: size, wraps, at: 0, items: new Map(), width: size.picture});
     this.box = el('div', 'shots' + (wraps ? ' wraps' : ''));
     this.box.id = prefix + '-list';
     this.box.tabIndex = 0;
@@ -24,7 +24,13 @@ class Shots {
     new ResizeObserver(() => this.draw()).observe(this.box);
   }
 
-  get across() { return this.wraps ? Math.max(1, Math.floor(this.box.clientWidth / this.size.w)) : 1; }
+  get across() { return this.wraps ? Math.max(1, Math.floor(this.room.clientWidth / this.least.w)) : 1; }
+
+  /* Of one picture; those of a grid share the whole width. */
+  get size() {
+    const {w, h} = this.least, wide = this.wraps && this.room.clientWidth ? Math.floor(this.room.clientWidth / this.across) : w;
+    return {w: wide, h: Math.round(h * wide / w)};
+  }
 
   place(k) {
     const {w, h} = this.size, n = this.across;
@@ -58,8 +64,9 @@ class Shots {
   dress(item, k) {
     const [x, y] = this.place(k), row = rows.get(k);
     item.style.transform = `translate(${x}px, ${y}px)`;
-    item.style.width = this.size.w + 'px';
-    item.style.height = this.size.h + 'px';
+    const {w, h} = this.size;
+    item.style.width = w + 'px';
+    item.style.height = h + 'px';
     item.setAttribute('aria-setsize', strip.count);
     item.setAttribute('aria-posinset', k + 1);
     item.setAttribute('aria-selected', k === strip.at);
@@ -294,7 +301,7 @@ calls.plan = data => { plan = data; drawPlans(); };
 const drawPlan = (host, width, height) => {
   host.hidden = !plan;
   if (!plan) { host.replaceChildren(); return; }
-  const xs = plan.positions.map(p => p[0]), ys = plan.positions.map(p => p[1]), air = 14;
+  const xs = plan.positions.map(p => p[0]), ys = plan.positions.map(p => p[1]), large = width > 200 ? 1.6 : 1, air = 14 * large;
   const [x0, x1, y0, y1] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
   const scale = Math.min((width - 2 * air) / Math.max(x1 - x0, .3), (height - 2 * air) / Math.max(y1 - y0, .3));
   const spots = plan.positions.map(([x, y]) => [width / 2 + (x - (x0 + x1) / 2) * scale, height / 2 - (y - (y0 + y1) / 2) * scale]);
@@ -303,12 +310,12 @@ const drawPlan = (host, width, height) => {
   const here = plan.frames.indexOf(plan.at);
   const order = spots.map((_, k) => k).sort((a, b) => (a === here) - (b === here));
   for (const k of order) {
-    const [x, y] = spots[k], [a, b] = plan.headings[k], r = k === here ? 11 : 8;
+    const [x, y] = spots[k], [a, b] = plan.headings[k], r = (k === here ? 11 : 8) * large;
     const one = svg('g', {class: k === here ? 'camera here' : 'camera'});
     const name = one.appendChild(svg('title', {}));
     name.textContent = plan.frames[k];
     if (a || b) one.append(svg('path', {d: `M${x} ${y}L${x + r * (a + b * .5)} ${y - r * (b - a * .5)}L${x + r * (a - b * .5)} ${y - r * (b + a * .5)}Z`}));
-    one.append(svg('circle', {cx: x, cy: y, r: k === here ? 3.5 : 2.5}));
+    one.append(svg('circle', {cx: x, cy: y, r: (k === here ? 3.5 : 2.5) * large}));
     drawn.append(one);
   }
   const metres = [5, 2, 1, .5, .2, .1, .05, .02, .01].find(m => m * scale <= width / 3) || .01;
@@ -320,9 +327,10 @@ const drawPlan = (host, width, height) => {
     const far = spots.map(([x, y]) => Math.hypot(x - at[0], y - at[1])), near = far.indexOf(Math.min(...far));
     if (far[near] < 28) { locals.closeFrames(); send('open:' + plan.frames[near]); }
   });
-  host.replaceChildren(drawn);
+  host.replaceChildren(...(large > 1 ? [el('h3', '', `Cameras of ${plan.scene} from above`)] : []), drawn);
 };
 const drawPlans = () => {
   drawPlan(lowPlan, 150, 76);
-  if (!byId('frame-grid').hidden) drawPlan(highPlan, 340, 340);
+  const wide = Math.round(Math.min(340, Math.max(220, innerWidth * .24)));
+  if (!byId('frame-grid').hidden) drawPlan(highPlan, wide, wide);
 };

@@ -1,0 +1,213 @@
+"""Two people in two browsers correct one label set at the same time: no edit is lost, and none doubled.
+
+Both accept items, type sizes of boxes (often of the same object), and take things back, each without waiting for the
+other. What each of them did is written down here, and the journal must hold exactly that.
+"""
+
+import json
+import random
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from browser import Server, Tab, chromium, new_tab
+from check_label import CLAIM, events
+from playwright.sync_api import Browser
+
+from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal_location import JournalLocation
+from pipeline.labels.reading import open_labels
+
+LABELS = Path(__file__).parents[1] / "assets" / "demo_run" / "labels"
+WIDTH = "#edit label.field[title^='width'] input"
+EDITED = "document.querySelector('#edit h2 b, #edit .name b')?.textContent"
+Done = tuple[str, str, float]
+"""What is done, to what, and with a box its width in metres."""
+
+
+class Refused(Exception):
+    """A number that was typed for an object that is selected no longer."""
+
+
+@dataclass
+class Person:
+    """One of them: a browser, and what it has saved and taken back."""
+
+    name: str
+    tab: Tab
+    chance: random.Random
+    location: JournalLocation
+    done: list[Done] = field(default_factory=list)
+    """That stands, in order: the last one is what an undo takes back."""
+    saved: Counter[Done] = field(default_factory=Counter)
+    back: Counter[Done] = field(default_factory=Counter)
+    told: Counter[str] = field(default_factory=Counter)
+    last: int = 0
+    """Of the journal's events, how far they have been looked at."""
+    blocked: int = 0
+    """So many of `done` the other has changed since: they are not taken back."""
+
+    def saves(self, what: str, wanted: Callable[[Event], bool]) -> bool:
+        """Wait until the journal has something from this person; False where the page asks whose value it is to be."""
+        until = time.monotonic() + 60
+        while time.monotonic() < until:
+            journal = self.location.to_read()
+            for event in [] if journal is None else journal.events(author=self.name, after=self.last):
+                self.last = event.id
+                if wanted(event):
+                    return True
+            if self.tab.page.locator("#dialog-window").count():
+                return False
+            if (refused := self.tab.page.locator(".toast.bad", has_text="another object is selected")).count():
+                refused.locator(".close").first.evaluate("close => close.click()")
+                raise Refused
+            self.tab.page.wait_for_timeout(100)
+        raise AssertionError(f"{self.name}: lost: {what}; {self.tab.page.locator('#side .note').all_inner_texts()}")
+
+    def keep(self, done: Done) -> None:
+        self.done.append(done)
+        self.saved[done] += 1
+
+    def settled(self) -> None:
+        """A dispute is settled by chance: one's own instead, or the other's kept."""
+        # Neither what was saved nor a dispute comes later than this.
+        self.tab.page.wait_for_timeout(200)
+        self.tab.poll("!document.getElementById('working').textContent")
+
+    def accept(self) -> Iterator[None]:
+        was, frame = self.tab.poll(CLAIM), self.tab.frame
+        item = sorted(map(int, re.findall(r"·(\d+)", was)))
+        self.tab.press("y")
+        yield
+        self.tab.poll(f"was => {CLAIM} !== was", was)
+        self.keep(("accept", f"{frame} {item}", 0.0))
+
+    def resize(self, row: int) -> Iterator[None]:
+        page = self.tab.page
+        name = self.tab.poll("row => document.querySelector(`#object-${row} b`)?.textContent", row)
+        if page.evaluate(EDITED) != name:
+            self.tab.send(f"object:{row}")
+            self.tab.poll(f"name => {EDITED} === name", name)
+        width = round(self.chance.uniform(0.2, 0.6), 3)
+        entry = page.locator(WIDTH)
+        entry.fill(f"{width:.3f}")
+        entry.press("Enter")
+        yield
+        done = ("box", f"{self.tab.frame} {name.partition('·')[2]}", width)
+
+        def wanted(e: Event) -> bool:
+            return e.ref.field == "box" and bool(e.after) and abs(e.after["size"][0] - width) < 1e-6
+
+        try:
+            saved = self.saves(str(done), wanted)
+        except Refused:
+            # The page was still on its way to the next item when the width was typed.
+            self.told["refused"] += 1
+            return
+        if not saved:
+            mine = self.chance.random() < 0.5
+            self.told["mine" if mine else "theirs"] += 1
+            page.keyboard.press("m" if mine else "t")
+            self.tab.poll("!document.getElementById('dialog-window')")
+            if not mine:
+                return
+            assert self.saves(str(done), wanted), "asked again"
+        self.keep(done)
+
+    def undo(self) -> Iterator[None]:
+        self.tab.press("Control+z")
+        yield
+        if self.saves("an undo", lambda e: e.action == "undo"):
+            self.back[self.done.pop()] += 1
+        else:
+            self.told["not taken back"] += 1
+            self.tab.page.keyboard.press("t")
+            self.tab.poll("!document.getElementById('dialog-window')")
+            self.blocked = len(self.done)
+
+    def act(self, row: int) -> Iterator[None]:
+        which = self.chance.random()
+        if which < 0.2 and len(self.done) > self.blocked:
+            return self.undo()
+        return self.resize(row) if which < 0.6 else self.accept()
+
+
+def enter(browser: Browser, address: str, journal: Path, name: str, seed: int) -> Person:
+    tab = new_tab(browser)
+    # The scene is left out: it is drawn in software here, which takes most of the time, and no label depends on it.
+    tab.page.route("**/scene/**", lambda route: route.abort("aborted"))
+    tab.page.add_init_script(f"localStorage.setItem('author', {name!r})")
+    tab.open(address)
+    tab.poll("document.querySelector('#review-list .queue .q')", seconds=120)
+    tab.send("queue-kind:relation")
+    tab.press("j")
+    tab.poll("document.querySelector('#review-item .claim')")
+    tab.page.evaluate("import('/app/core.mjs').then(m => m.locals.tab(null, 'Edit'))")
+    return Person(name, tab, random.Random(seed), JournalLocation(open_labels(LABELS), journal))
+
+
+def journal_says(journal: Path, name: str) -> tuple[Counter[Done], Counter[Done], int]:
+    """What a person saved and took back, by the journal; how many of its events have one cell and group twice."""
+    groups: dict[str, list[dict]] = {}
+    for e in events(LABELS, "--journal", journal):
+        if e["author"] == name:
+            groups.setdefault(e["group"], []).append(e)
+    saved, back, twice = Counter[Done](), Counter[Done](), 0
+    for made in groups.values():
+        first = made[0]
+        twice += len(made) - len({(e["frame"], e["kind"], e["key"], e["field"]) for e in made})
+        value = first["before"] if first["action"] == "undo" else first["after"]
+        if first["field"] == "box":
+            done = ("box", f"{first['frame']} {first['key']}", round(value["size"][0], 3) if value else -1.0)
+        else:
+            done = ("accept", f"{first['frame']} {sorted(json.loads(first['key'])[2:4])}", 0.0)
+        (back if first["action"] == "undo" else saved)[done] += 1
+    return saved, back, twice
+
+
+def work(people: list[Person], seconds: float) -> int:
+    until, chance, rounds = time.monotonic() + seconds, random.Random(7), 0
+    while time.monotonic() < until:
+        row = chance.randrange(6)
+        # The same object, for both, half of the time.
+        acts = [p.act(row if chance.random() < 0.7 else p.chance.randrange(6)) for p in people]
+        for act in acts:
+            next(act)
+        for act in acts:
+            for _ in act:
+                pass
+        rounds += 1
+    return rounds
+
+
+def check(seconds: float) -> dict[str, object]:
+    with tempfile.TemporaryDirectory() as home, chromium() as browser:
+        journal = Path(home) / "journal.sqlite"
+        with Server("demo", "--labels", LABELS, "--journal", journal) as server:
+            people = [enter(browser, server.address, journal, name, seed) for seed, name in enumerate(("ann", "bob"))]
+            rounds = work(people, seconds)
+            for person in people:
+                person.settled()
+            problems = [problem for person in people for problem in person.tab.problems]
+            assert not problems, problems
+        report: dict[str, object] = {"rounds": rounds}
+        for person in people:
+            saved, back, twice = journal_says(journal, person.name)
+            assert not twice, f"{person.name}: {twice} events doubled"
+            assert saved == person.saved, (person.name, "lost", person.saved - saved, "more", saved - person.saved)
+            assert back == person.back, (person.name, "lost", person.back - back, "more", back - person.back)
+            report[person.name] = {"saved": saved.total(), "taken back": back.total(), **person.told}
+        command = [sys.executable, "-m", "spatialviz", "journal", str(LABELS), "--journal", str(journal), "--check"]
+        assert subprocess.run(command, capture_output=True, check=False).returncode == 0, "the journal is damaged"
+    return report
+
+
+if __name__ == "__main__":
+    minutes = float(sys.argv[sys.argv.index("--minutes") + 1]) if "--minutes" in sys.argv else 1 / 3
+    print(json.dumps(check(60 * minutes)))
