@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from pipeline.evaluation.importing import export_run, import_run
+from pipeline.evaluation.job import RunReport
 from pipeline.evaluation.run_folder import open_run
 from pipeline.language.counted import counted
 from spatialviz.cli_ask import ExportRun, ImportRun
@@ -27,14 +31,16 @@ def run_import_run(command: ImportRun) -> None:
         )
     imported = open_run(report.folder).manifest["imported"]
 
-    def shown() -> None:
-        print_run(report, 0)
-        lines = counted(imported["lines"], "line")
-        say(f"{imported['system']}: imported, level {imported['level']} of 3, {lines} as they stand in the file")
-
-    command.write({**run_record(report), "imported": imported}, shown)
+    command.write({**run_record(report), "imported": imported}, print_imported, report, imported)
     for warning in report.warnings:
         warn(warning)
+
+
+def print_imported(report: RunReport, imported: Mapping[str, Any]) -> None:
+    """The tables, and whose answers they are of."""
+    print_run(report, 0)
+    lines = counted(imported["lines"], "line")
+    say(f"{imported['system']}: imported, level {imported['level']} of 3, {lines} as they stand in the file")
 
 
 def run_export_run(command: ExportRun) -> None:
