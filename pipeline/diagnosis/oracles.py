@@ -51,7 +51,6 @@ ALL_ORACLES = (*ORACLES, "ATTRIBUTE")
 RECALL, LIFT, SRM, CONF, ATTRIBUTE = (1 << k for k in range(5))
 SUBSETS = 16
 STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
-RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
 CHANGED = 0.4
 """Probabilities of the rule that are so far apart are of other states."""
 
