@@ -118,7 +118,7 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis:
     right pair win; where none does for certain it is not separable.
     """
     rule = found.table.config.rule
-    if wins(found, 0, regular=True):
+    if wins(found, 0, regular=True) or _odd(found):
         return replace(diagnosis, verdict="PRM", detail="SCORE", repair=())
     if not rule.separable and rule.rescore is None and rule.product is None:
         return replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=(), right_with=None)
@@ -137,6 +137,16 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis:
     smallest = min(several, key=lambda s: (s.bit_count(), s))
     names = names_of(smallest)
     return replace(diagnosis, verdict="COMPOUND", detail="+".join(names), repair=names)
+
+
+def _odd(found: OracleScores) -> bool:
+    """Whether the answer scored more than any pair like it in the file, and a right one would else be likelier."""
+    table = found.plain
+    low, high = table.config.rule.bounds(table.target, table.ends, table.p_relation, regular=True)
+    first, allowed = int(found.winners[0]), np.isfinite(table.log_score)
+    middle = np.where(allowed, (low + high) / 2, -np.inf)
+    likelier = middle[found.covered].max(initial=-np.inf) > middle[~found.covered].max(initial=-np.inf)
+    return bool(likelier and table.flat[0, first] > high.ravel()[first] + 1e-9)
 
 
 def to_blame(diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
