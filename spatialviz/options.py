@@ -180,17 +180,29 @@ class CameraOptions:
     level_at: str | None = None
     """U,V (column, row): the surface at this pixel of the frame that is asked, else of the first one, is level;
     FRAME:U,V says which frame. The poses carry it to the whole scene."""
+    poses: str | None = None
+    """What the pose files mean, such as "world-to-camera opencv"; `spatialviz doctor` finds it."""
+    registration: str | None = None
+    """fx,fy,cx,cy,tx,ty,tz: the colour camera as the depth camera sees it, pixels and metres, where both are not one;
+    `spatialviz doctor` finds it."""
+    depth_model: str | None = None
+    """Estimate depth of the colour, where there is none or in place of it: NAME, NAME=FILE.onnx, FILE.onnx or an id of
+    the model hub; `spatialviz models` lists the names."""
 
     def camera(self, frame: str | None = None) -> dict[str, Any]:
         """The same as arguments of `open_dataset`; `frame` is the one that a bare --level-at is of."""
         from pipeline.datasets.settings import parse_level_at
 
-        level_at, found = self.level_at, None
+        level_at, found, warp = self.level_at, None, None
         if level_at is not None and frame not in (None, ALL_FRAMES) and parse_level_at(level_at)[0] is None:
             level_at = f"{frame}:{level_at}"
         if self.intrinsics is not None:
             found = numbers(self.intrinsics, "fx,fy,cx,cy", float, "--intrinsics must be four numbers")
-        return {"intrinsics": found, "depth_scale": self.depth_scale, "up": self.up, "level_at": level_at}
+        if self.registration is not None:
+            form = "fx,fy,cx,cy,tx,ty,tz"
+            warp = numbers(self.registration, form, float, "--registration must be seven numbers")
+        told = {"depth_scale": self.depth_scale, "up": self.up, "level_at": level_at, "depth_model": self.depth_model}
+        return {"intrinsics": found, **told, "poses": self.poses, "registration": warp}
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import Any
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import taken_as, unused_words
 from pipeline.answering.json_records import frame_record, probability, relation_records, told, why_no_answer
+from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import FrameRelations, open_pipeline, open_sources, relate_frames
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.suggestions import MissedNames, missed_names
@@ -76,8 +77,9 @@ def run_measure(command: Measure) -> None:
         numbers(text, "U,V", int, "a pixel is two numbers") for text in (command.first, command.second)
     )
     found = measure(context.frame.depth, context.frame.camera, context.viewer, (u0, v0), (u1, v1))
-    record = {"frame": context.frame.id, **found.record(), "up_source": context.viewer.up_source}
-    command.write(record, print_measurement, found, context.viewer)
+    source = {"depth_source": context.frame.depth_source} if context.frame.depth_source else {}
+    record = {"frame": context.frame.id, **found.record(), "up_source": context.viewer.up_source, **source}
+    command.write(record, print_measurement, found, context)
 
 
 def run_frames(command: Frames) -> int:
@@ -96,7 +98,8 @@ def run_frames(command: Frames) -> int:
 def _survey_frames(command: Frames, dataset: Dataset, camera: dict[str, Any], named: dict[str, str]) -> int:
     """Tell what is in one dataset; returns how many of its frames can be used."""
     if command.remember:
-        write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset))
+        more = {key: camera[key] for key in ("poses", "registration")}
+        write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset), **more)
     if command.plan is not None:
         frame = one_frame(dataset.frame_ids, command.plan, dataset.root)
         plan = needed(
@@ -195,7 +198,7 @@ def print_answer(answer: Answer, trace: Trace) -> None:
         say(no_answer, style="yellow")
     if trace.ranking is not None and no_answer is None:
         print_ranking(trace)
-    _warn_assumed(trace.viewer)
+    _warn_assumed(trace.viewer, trace.frame.depth_source)
     stages = " · ".join(f"{k} {v * 1000:.1f} ms" for k, v in trace.timings.items())
     made = f"detector {trace.detector} · relations by {trace.scorer} · up {trace.viewer.up_source}"
     say(f"{stages} · {made}", style="dim")
@@ -261,14 +264,17 @@ def print_ranking(trace: Trace) -> None:
             say(f"{role} {name(index)}: {concern}", style="yellow")
 
 
-def print_measurement(found: Measurement, viewer: ViewerAxes) -> None:
+def print_measurement(found: Measurement, context: PreparedFrame) -> None:
     """The distance, and its parts along the viewer's axes."""
     say((f"{found.distance:.3f} m", "bold"), "  " + "  ".join(found.words))
-    _warn_assumed(viewer)
+    _warn_assumed(context.viewer, context.frame.depth_source)
 
 
-def _warn_assumed(viewer: ViewerAxes) -> None:
-    if viewer.up_source == "assumed":
+def _warn_assumed(viewer: ViewerAxes | None, depth_source: str) -> None:
+    """What all geometry rests on and nobody measured: an up vector, the depth."""
+    if depth_source:
+        say(f"depth is {depth_source}", style="yellow")
+    if viewer is not None and viewer.up_source == "assumed":
         say(f"{ASSUMED}; {DECLARE}", style="yellow")
 
 
@@ -286,8 +292,7 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
     """The relations of a frame that hold (T) or are undecided (U), a line for each pair."""
     up = "" if found.viewer is None else f"  up {found.viewer.up_source}"
     say(("frame ", "dim"), found.frame_id, (f"  {counted(len(found.objects), 'object')}{up}", "dim"))
-    if found.viewer is not None:
-        _warn_assumed(found.viewer)
+    _warn_assumed(found.viewer, found.depth_source)
     columns = [(PHRASE[r], found.scores.relations.index(r)) for r in relations]
     for i, a in enumerate(found.objects):
         for j, b in enumerate(found.objects):

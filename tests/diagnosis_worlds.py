@@ -70,7 +70,7 @@ def world(seed: int, rank: RankConfig | None = None) -> tuple[FrameEvidence, Cas
         needed_detector=lambda: detector,
         unfiltered_detector=lambda: detector,
     )
-    answers.source, answers.context = source, SimpleNamespace(frame=None)
+    answers.source, answers.context = source, SimpleNamespace(frame=SimpleNamespace(depth_source=""))
     answers.objects = tuple(SimpleNamespace(id=-1) for _ in range(d))
     answers.boxes, answers.same, answers.mask_sizes = found, same, rng.choice([100, 200], d)
     answers.unknown, answers.clock = {}, StageClock()

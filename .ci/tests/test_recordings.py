@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from dataset_writers import random_truth, write_png
+from depth_graphs import write_network, write_picture
 from numpy.random import default_rng
 
 from spatialviz.cli import main
@@ -96,3 +97,22 @@ def test_a_missing_extra_is_named(
     (tmp_path / "a.mcap").write_bytes(b"x")
     assert main(["frames", str(tmp_path / "a.mcap")]) == 2
     assert "spatialviz[ros]" in capsys.readouterr().err
+
+
+def test_colour_alone_is_measured_by_estimated_depth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
+    write_picture(tmp_path / "pictures" / "1.png")
+    model = write_network(tmp_path / "network.onnx", "moge-2")
+    command = ["measure", str(tmp_path / "pictures"), "0", "10,10", "40,40"]
+    assert main(command) == 2
+    assert "--depth-model NAME" in capsys.readouterr().err
+    command += ["--depth-model", str(model)]
+    assert main([*command, "--json"]) == 0
+    source = json.loads(capsys.readouterr().out)["depth_source"]
+    assert source.startswith("estimated by moge-2 (network.onnx): metres")
+    assert main(command) == 0
+    assert f"depth is {source}" in " ".join(capsys.readouterr().out.split())
+    assert main(["import-recording", str(tmp_path / "pictures"), str(tmp_path / "out"), *command[-2:]]) == 2
+    assert "would pass for measured" in capsys.readouterr().err

@@ -177,6 +177,7 @@ def trace_record(trace: Trace) -> Record:
         score_calibration=None if calibration is None else {"a": calibration.a, "b": calibration.b},
         reason=why_no_answer(trace),
         ranking=ranked,
+        depth_source=trace.frame.depth_source or None,
     )
 
 
@@ -251,6 +252,7 @@ def relation_records(found: FrameRelations, relations: Sequence[str] = PAIRWISE)
     objects, scores = found.objects, found.scores
     columns = [scores.relations.index(r) for r in relations]
     up = {} if found.viewer is None else viewer_record(found.viewer)
+    up |= present(depth_source=found.depth_source or None)
     for i, a in enumerate(objects):
         for j, b in enumerate(objects):
             if i == j:

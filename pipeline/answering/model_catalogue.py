@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from pipeline.datasets.depth.contract import OPTION as DEPTH_OPTION
+from pipeline.datasets.depth.contract import known_contract, network_names, recognised
 from pipeline.proposals.box_config import find_box_model
 from pipeline.proposals.captions import find_tokenizer
 from pipeline.proposals.class_names import metadata_names
@@ -33,6 +35,22 @@ BOXES_CONTRACT = Contract(
     (TensorSpec("one input", "float32", (1, 3, "H", "W")),),
     (),
 )
+
+
+def depth_contracts() -> tuple[Contract, ...]:
+    """Those of the networks that estimate depth, as their TOML files say them."""
+    return tuple(_depth_contract(name) for name in network_names())
+
+
+def _depth_contract(name: str) -> Contract:
+    given, output = (known := known_contract(name)).input, known.output
+    named = ((output.depth, ("H", "W")), (output.points, ("H", "W", 3)), (output.mask, ("H", "W")))
+    maps = tuple(TensorSpec(n, "float32", (1, *shape)) for n, shape in (*named, (output.sky, ("H", "W"))) if n)
+    numbers = tuple(TensorSpec(n, "float32", (1,)) for n in (output.focal, next(iter(output.scale), None)) if n)
+    picture = TensorSpec(given.name or "", "float32", (1, 3, *(given.size or ("H", "W"))))
+    inputs = (picture, *(TensorSpec(n, "int64", ()) for n in given.constants))
+    focal = "gives the focal length too" if known.gives_focal else "is told the focal length"
+    return Contract(f"{DEPTH_OPTION} {name}", f"depth estimated of colour; {focal}", inputs, (*maps, *numbers))
 
 
 @dataclass(frozen=True)
@@ -110,7 +128,7 @@ class Here:
 
 def adapters() -> tuple[Adapter, ...]:
     """Every option that reads a network."""
-    contracts = (*DETECTORS, BOXES_CONTRACT, *SEGMENTERS)
+    contracts = (*DETECTORS, BOXES_CONTRACT, *SEGMENTERS, *depth_contracts())
     options = dict.fromkeys(c.option for c in contracts)
     text = {c.option for c in contracts if any(s.name == "input_ids" for s in c.inputs)}
     lacks = "hub" if find_spec("tokenizers") is None else None
@@ -169,7 +187,8 @@ def describe_file(path: Path) -> FileReport:
         session = open_session(path)
     except InputError as error:
         return FileReport(path, megabytes, problem=str(error))
-    kind = recognise(session)
+    depth = recognised(session)
+    kind = recognise(session) if depth is None else FileKind(f"the depth model {depth}", (f"{DEPTH_OPTION} {depth}",))
     names = metadata_names(session) or ()
     return FileReport(
         path,

@@ -156,6 +156,9 @@ def open_pipeline(
     depth_scale: float | None = None,
     up: str | None = None,
     level_at: str | None = None,
+    depth_model: str | None = None,
+    poses: str | None = None,
+    registration: tuple[float, ...] | None = None,
     detector: str | Detector | None = None,
     model: Path | None = None,
     model_config: Path | None = None,
@@ -176,9 +179,9 @@ def open_pipeline(
 ) -> Pipeline:
     """Open a dataset and the models for it; the path "demo" is the built-in one, and a dataset may be open already.
 
-    `intrinsics`, `depth_scale`, `up`, `level_at` and `browse` are those of `open_dataset`. `detector`, `segmenter` and
-    `srm` are names, as on the command line, or objects of one's own; a detector of one's own takes no `model`,
-    `model_config`, `min_score` and `fuse`.
+    The camera's options, from `intrinsics` to `registration`, and `browse` are those of `open_dataset`. `detector`,
+    `segmenter` and `srm` are names, as on the command line, or objects of one's own; a detector of one's own takes no
+    `model`, `model_config`, `min_score` and `fuse`.
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
     by default there is none. `segmenter_model` is its file, or its encoder and decoder. A network's file may also be
     named by its id on the model hub. `model_config` says what the detector's file does not.
@@ -197,7 +200,8 @@ def open_pipeline(
         calibration of another detector.
     """
     camera: dict[str, Any] = {
-        "intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, "level_at": level_at
+        "intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, "level_at": level_at,
+        "depth_model": depth_model, "poses": poses, "registration": registration,
     }  # fmt: skip
     if isinstance(path, str | Path):
         if str(path) == DEMO_NAME and not Path(path).exists():
@@ -358,13 +362,14 @@ def skip_or_raise(error: InputError, key: str | int | None, frame_id: str, skipp
 @dataclass(frozen=True)
 class FrameRelations:
     """All objects of a frame and every relation between them; `exact` where the objects are the dataset's own, `viewer`
-    the axes in which they were judged."""
+    the axes in which they were judged, `depth_source` that of the frame."""
 
     frame_id: str
     objects: tuple[SceneObject, ...]
     scores: RelationScores
     exact: bool
     viewer: ViewerAxes | None = None
+    depth_source: str = ""
 
 
 def relate_frames(source: Pipeline, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameRelations]:
@@ -377,4 +382,5 @@ def relate_frames(source: Pipeline, key: str | int | None, skipped: Skipped | No
             skip_or_raise(error, key, context.frame.id, skipped)
             continue
         scores = source.score(context, objects)
-        yield FrameRelations(context.frame.id, objects, scores, detector.exact, context.viewer)
+        frame = context.frame
+        yield FrameRelations(frame.id, objects, scores, detector.exact, context.viewer, frame.depth_source)

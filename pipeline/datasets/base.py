@@ -39,7 +39,7 @@ class Dataset(Protocol):
         Name of the on-disk format: "bop", "7-scenes", "scannet", "tum", "sunrgbd",
         "sunrgbd-votenet", "redwood", "avd", "semantic-abstraction", "case" (a saved one),
         "ycb-video", "apc", "arkitscenes", "nerfstudio", "colmap", "record3d", "parquet", "robospatial", "ros",
-        "folder", or a plugin's.
+        "folder", "pictures", or a plugin's.
     frame_ids : tuple of str
         Every frame the dataset lists, broken ones too, in order.
     class_names : tuple of str
@@ -297,6 +297,34 @@ class Frames(Sequence[Frame]):
 
     def __repr__(self) -> str:
         return f"<Frames {len(self)} of {self._dataset.root}>"
+
+
+class ChangedFrames:
+    """A dataset whose frames are changed as they are loaded; all else is the dataset's own."""
+
+    def __init__(self, inner: Dataset) -> None:
+        self.inner = inner
+        self.root, self.format, self.frame_ids = inner.root, inner.format, inner.frame_ids
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        return self.inner.class_names
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "inner":
+            raise AttributeError(name)
+        found = getattr(self.inner, name)
+        if name == "load_picture":
+            return lambda frame_id: self.changed(found(frame_id))
+        return found
+
+    def changed(self, frame: Frame) -> Frame:
+        """Each kind's own: a frame of the dataset as it is given; InputError where it cannot be."""
+        raise NotImplementedError
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame; see `Dataset.load`."""
+        return self.changed(self.inner.load(frame_id))
 
 
 class InMemoryDataset:

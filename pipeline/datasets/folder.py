@@ -167,7 +167,10 @@ class FolderDataset(Recording):
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         prefix, pair = self._found(self._index, frame_id)
         scene = self._scenes[prefix]
-        color, depth = files_of(pair, self.root)
+        if self._settings.estimated and pair.color is not None:
+            color, depth = pair.color, pair.depth
+        else:
+            color, depth = files_of(pair, self.root)
         pose = self._pose(scene, pair, notes)
         stated = NOTHING if self._told else self._camera(scene, pair)
         label = scene.labels.get(pair.key)

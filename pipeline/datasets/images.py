@@ -40,10 +40,10 @@ _ARRAYS = ("exr", "npy", "npz")
 """Kinds that hold numbers and no picture."""
 
 
-def read_color(path: Blob) -> np.ndarray:
+def read_color(path: Blob, upright: bool = False) -> np.ndarray:
     """A colour file as (H, W, 3) uint8 RGB.
 
-    The orientation tag is ignored, since depth maps carry none.
+    The orientation tag is ignored, since depth maps carry none, unless the picture stands alone and is to be `upright`.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def read_color(path: Blob) -> np.ndarray:
         return _pixels(path)
     data, kind = _checked(path, "png, jpeg, tiff or ppm")
     require(kind not in _ARRAYS, "a colour file must be a png, jpeg, tiff or ppm", got=kind, path=path)
-    bgr = _decode(data, kind, path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    bgr = _decode(data, kind, path, cv2.IMREAD_COLOR | (0 if upright else cv2.IMREAD_IGNORE_ORIENTATION))
     return np.ascontiguousarray(bgr[..., ::-1])
 
 
@@ -143,6 +143,25 @@ def read_stored(path: Blob, rotated: int = 0) -> np.ndarray:
         require(stored.dtype == np.uint16, "depth with rotated bits must have 16", got=stored.dtype, path=path)
         stored = (stored >> rotated) | (stored << (16 - rotated))
     return stored
+
+
+EXIF_TABLE, FOCAL_35MM = 0x8769, 0xA405
+"""Tags of EXIF 2.3: where its own tags stand, and FocalLengthIn35mmFilm."""
+DIAGONAL_35MM = 43.2666
+"""Of 36 by 24 millimetres."""
+
+
+def exif_focal(path: Blob, height: int, width: int) -> tuple[float, float] | None:
+    """(pixels, millimetres as of 35 mm film): the focal length that a picture's EXIF states; None where it does not.
+
+    The diagonals are compared, as in `depth_pro/utils.py` of apple/ml-depth-pro (CIPA DCG-001).
+    """
+    try:
+        with Image.open(io.BytesIO(read_bytes(path))) as picture:
+            millimetres = float(picture.getexif().get_ifd(EXIF_TABLE).get(FOCAL_35MM) or 0)
+    except (OSError, ValueError, TypeError, SyntaxError, Image.DecompressionBombError):
+        return None
+    return (millimetres * float(np.hypot(height, width)) / DIAGONAL_35MM, millimetres) if millimetres > 0 else None
 
 
 def picture_size(path: Path) -> tuple[int, int] | None:

@@ -49,6 +49,7 @@ class _Writer:
         self.boxes = 0
 
     def write(self, name: str, frame: Frame) -> None:
+        require(not frame.depth_source, "depth that is estimated is not written: it would pass for measured")
         camera = frame.camera
         if not self.cameras:
             self.scale = next((scale for scale in SCALES if _whole(frame.depth, scale)), None)

@@ -12,6 +12,7 @@ from pipeline.datasets import (
     folder,
     parquet,
     phones,
+    pictures,
     reconstructions,
     redwood,
     robospatial,
@@ -25,6 +26,8 @@ from pipeline.datasets import (
     ycb_video,
 )
 from pipeline.datasets.base import Dataset, DatasetFormat
+from pipeline.datasets.depth.estimated import EstimatedDepth
+from pipeline.datasets.depth.estimator import open_depth_model
 from pipeline.datasets.files import listed_once
 from pipeline.datasets.settings import GivenUp, read_settings
 from pipeline.datasets.unknown import unknown
@@ -72,6 +75,9 @@ def open_dataset(
     depth_scale: float | None = None,
     up: str | None = None,
     level_at: str | None = None,
+    depth_model: str | None = None,
+    poses: str | None = None,
+    registration: tuple[float, ...] | None = None,
     browse: bool = False,
 ) -> Dataset:
     """Open a folder of RGB-D frames without decoding an image.
@@ -93,7 +99,13 @@ def open_dataset(
     level_at : str, optional
         "FRAME:U,V", or "U,V" of the first frame: the surface at this pixel is level, in all frames of its scene that
         have poses.
-
+    depth_model : str, optional
+        A network that estimates depth: NAME, NAME=FILE.onnx, FILE.onnx or an id of the model hub. It stands in for
+        depth that is missing, and replaces what was measured.
+    poses : str, optional
+        What the pose files mean, one of `pose_convention.CONVENTIONS`.
+    registration : (fx, fy, cx, cy, tx, ty, tz), optional
+        The colour camera as the depth camera sees it, pixels and metres; see `Settings`.
     browse : bool
         Frames are only looked at: where nothing tells the camera or the depth's unit, that is no error but a note and
         `Camera.untold`, and what measures refuses.
@@ -108,11 +120,20 @@ def open_dataset(
     require(root.exists(), "there is no such dataset", expected="a folder", path=root)
     require(up is None or level_at is None, "--up and --level-at say the same", expected="one of them")
     told = None if up is None else GivenUp.parse(up)
-    settings = replace(read_settings(root).overridden(intrinsics, depth_scale, told), browse=browse)
+    model = None if depth_model is None else open_depth_model(str(depth_model))
+    settings = replace(
+        read_settings(root).overridden(intrinsics, depth_scale, told, poses=poses, registration=registration),
+        # What is missing of measured depth does not matter where none is used.
+        browse=browse or model is not None, estimated=model is not None,
+    )  # fmt: skip
     added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
     formats = (*FORMATS, *added, FALLBACK) if root.is_dir() else CAPTURES
+    formats = formats if model is None else (*formats, pictures.FORMAT)
     with listed_once():
         for candidate in formats:
             if candidate.recognises(root):
-                return with_given_up(candidate.open(root, settings), settings, level_at)
+                dataset = candidate.open(root, settings)
+                if model is not None:
+                    dataset = EstimatedDepth(dataset, model, browse)
+                return with_given_up(dataset, settings, level_at)
     raise unknown(root, lambda path: any(candidate.recognises(path) for candidate in formats))

@@ -81,18 +81,24 @@ class Files:
         return [self.root / name for name in self.of(role)]
 
 
-def files_by_role(root: Path) -> Files | None:
-    """The files of a recording in a folder; None where it holds no colour and depth that its names tell."""
+def files_by_role(root: Path, depth: bool = True) -> Files | None:
+    """The files of a recording in a folder; None where it holds no colour and depth that its names tell.
+
+    Without `depth` colour alone will do.
+    """
     folders, names = readable(root)
     own = _by_name(names)
     beside = sum(len(_files(root, folder, "depth")) for folder in folders if role_of(folder)[0] == "depth")
     # A picture or two beside the folders are no recording of their own.
     if own.get("color") and len(own.get("depth", ())) > beside:
         return Files(root, True, own | {"camera": [*own.get("camera", ()), *_inside(root, folders, "camera")]})
-    roles = {folder: role_of(folder)[0] for folder in folders}
-    if not {"color", "depth"} <= set(roles.values()):
+    roles = {role_of(folder)[0] for folder in folders}
+    if not depth and "color" not in roles and own.get("color"):
+        return Files(root, True, own)
+    if not ({"color", "depth"} if depth else {"color"}) <= roles:
         return None
-    found = {role: _inside(root, folders, role) for role in ("color", "depth", "label", "pose", "camera")}
+    wanted = ("color", "depth", "label", "pose", "camera")
+    found = {role: _inside(root, folders, role) for role in wanted if depth or role != "depth"}
     found["camera"] = [*own.get("camera", ()), *found["camera"]]
     return Files(root, False, found)
 
@@ -239,14 +245,14 @@ def pair_files(naming: Naming, colors: list[str], depths: list[str], root: Path)
     Raises
     ------
     InputError
-        No colour file has a depth file.
+        There are depth files, and no colour file has a depth file.
     """
     color = {naming(name): name for name in colors}
     depth = {naming(name): name for name in depths}
     require(
-        color.keys() & depth.keys(),
+        not depths or color.keys() & depth.keys(),
         "colour and depth do not pair: no number or name in common",
-        got=f"{stem_of(colors[0])} ... {stem_of(colors[-1])} and {stem_of(depths[0])} ... {stem_of(depths[-1])}",
+        got=lambda: " and ".join(f"{stem_of(names[0])} ... {stem_of(names[-1])}" for names in (colors, depths)),
         path=root,
     )
     keys = color.keys() | depth.keys()

@@ -21,7 +21,7 @@ from pipeline.datasets.files import as_floats, numbered_lines, path_inside, read
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
 from pipeline.datasets.pairing import choose_naming, files_in_roles
 from pipeline.datasets.recording import DepthRule, Listed, Recording
-from pipeline.datasets.settings import DEPTH_SCALE, Settings
+from pipeline.datasets.settings import DEPTH_SCALE, OR_ESTIMATED, Settings
 from pipeline.geometry.camera import intrinsics
 from pipeline.system.errors import InputError, needed, require
 
@@ -57,9 +57,9 @@ class PosedPictures(Recording):
         self.frame_ids = tuple(self._entries)
         entries = self._entries.values()
         require(
-            any(entry.depth is not None for entry in entries),
+            settings.estimated or any(entry.depth is not None for entry in entries),
             f"{len(self._entries)} posed pictures without depth",
-            expected="a folder depth/ with a file of the same name or number for each",
+            expected=f"a folder depth/ with a file of the same name or number for each, {OR_ESTIMATED}",
             path=self.source,
         )
         integer = any(e.depth is not None and e.depth.suffix.lower() in INTEGER_DEPTH_SUFFIXES for e in entries)
@@ -84,7 +84,9 @@ class PosedPictures(Recording):
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         entry = self._found(self._entries, frame_id)
-        depth = needed(entry.depth, "the depth file is missing", path=entry.color)
+        depth = entry.depth
+        if not self._settings.estimated:
+            depth = needed(depth, "the depth file is missing", path=entry.color)
         stated = NOTHING if self._settings.intrinsics is not None else self._read_camera(entry.camera, entry.color)
         pose = None if entry.pose is None else or_note(notes, "no camera pose: ", self._read_pose, entry.pose)
         return Listed(entry.color, depth, stated, pose)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,9 +14,10 @@ from pipeline.datasets.base import unknown_id
 from pipeline.datasets.camera_files import NOTHING, Stated
 from pipeline.datasets.cameras import differ_in_size, known_intrinsics, make_camera, make_frame, one_file
 from pipeline.datasets.files import Blob
-from pipeline.datasets.images import read_color, read_depth, read_stored
+from pipeline.datasets.images import exif_focal, read_color, read_depth, read_stored
 from pipeline.datasets.pairing import Pair
 from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
+from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.registration import Registration, registered
 from pipeline.system.errors import InputError
@@ -25,6 +26,8 @@ Value = TypeVar("Value")
 SAME_SHAPE = 0.02
 """Colour and depth are of one camera where their aspect ratios differ by less than this share.
 ScanNet's own, 1296x968 and 640x480, differ by 0.4 %."""
+LONGEST_ALONE = 1600
+"""A picture without depth is made so long at most: networks look at less, and points cost time."""
 BROWSED_MEDIAN_M = 2.0
 """The median depth that is shown where nothing tells the unit."""
 
@@ -61,7 +64,9 @@ class Listed:
 
     Attributes
     ----------
-    color, depth : Blob
+    color : Blob
+    depth : Blob or None
+        None where it is estimated of the colour.
     stated : Stated
         What files say of its camera.
     pose : (4, 4) float64 or None
@@ -74,7 +79,7 @@ class Listed:
     """
 
     color: Blob
-    depth: Blob
+    depth: Blob | None
     stated: Stated = NOTHING
     pose: np.ndarray | None = None
     annotate: Annotate | None = None
@@ -112,25 +117,38 @@ class Recording:
     def _decoded(self, frame_id: str, annotated: bool = True) -> Frame:
         notes: list[str] = []
         found = self._listed(frame_id, notes)
-        rgb = read_color(found.color)
-        metres, untold = self._metres(found)
+        # A picture whose camera is known as it is stored stays as it is stored.
+        rgb = read_color(found.color, upright=found.depth is None and found.stated.K is None)
+        metres, untold = self._metres(found, rgb)
         whole = rgb.shape[:2]
         if whole != metres.shape:
             rgb = _resized(rgb, metres, found, notes, frame_id == self.frame_ids[0])
         size = (metres.shape[1], metres.shape[0])
-        stated = found.stated if self._settings.intrinsics is None else NOTHING
+        told = self._settings.intrinsics
+        alone = found.depth is None and whole != metres.shape
+        stated = found.stated if told is None else NOTHING
+        if told is not None and alone:
+            stated = Stated(intrinsics(*told), (whole[1], whole[0]))
         K = stated.scaled(size, (whole[1], whole[0]))
         if K is None and found.documented is not None and self._settings.intrinsics is None:
             whose = self.rule.whose.removesuffix(" own")
             K = known_intrinsics(found.documented, whose, metres.shape, self.camera_file, found.color)
+        if K is None and self._settings.estimated and self._settings.intrinsics is None:
+            K = _exif_intrinsics(found.color, metres.shape, notes)
         annotations = found.annotate(metres.shape, notes) if annotated and found.annotate is not None else ()
-        source = found.stated.path or found.color
+        source, depth = found.stated.path or found.color, found.depth or found.color
         return self._frame(
-            frame_id, (rgb, metres), K, found.pose, source, found.depth, annotations, notes, found.up, untold
+            frame_id, (rgb, metres), K, found.pose, source, depth, annotations, notes, found.up, untold, fits=alone
         )
 
-    def _metres(self, found: Listed) -> tuple[np.ndarray, tuple[str, ...]]:
-        """(H, W) float32 depth, and the option that would tell its unit where nothing does."""
+    def _metres(self, found: Listed, rgb: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        """(H, W) float32 depth, and the option that would tell its unit where nothing does.
+
+        A stand-in of one metre where it is to be estimated, smaller than a large picture that nothing is drawn on.
+        """
+        if found.depth is None:
+            shrink = 1.0 if found.annotate is not None else min(1.0, LONGEST_ALONE / max(rgb.shape[:2]))
+            return np.ones((round(rgb.shape[0] * shrink), round(rgb.shape[1] * shrink)), np.float32), ()
         rule = self.rule
         units = self._settings.depth_scale or found.stated.units_per_metre or rule.units_per_metre
         if units is None and self._settings.browse:
@@ -175,10 +193,15 @@ class Recording:
         notes: Sequence[str] = (),
         up: np.ndarray | None = None,
         untold: tuple[str, ...] = (),
+        fits: bool = False,
     ) -> Frame:
-        """A Frame; `source` is to blame for the intrinsics, `up` ((3,), camera frame) is what the dataset declares."""
-        camera = make_camera(K, pair[1].shape, pose, self._settings, source, untold)
-        if camera.untold:
+        """A Frame; `source` is to blame for the intrinsics, `up` ((3,), camera frame) is what the dataset declares.
+
+        Where K `fits`, it is made for this size of whatever intrinsics were told.
+        """
+        settings = replace(self._settings, intrinsics=None) if fits else self._settings
+        camera = make_camera(K, pair[1].shape, pose, settings, source, untold)
+        if camera.untold and not self._settings.estimated:
             notes = [*notes, f"nothing can be measured, sizes are made up: {' and '.join(camera.untold)}"]
         if up is not None:
             camera = camera.with_up(up, "declared")
@@ -191,12 +214,23 @@ class Recording:
 def _resized(rgb: np.ndarray, metres: np.ndarray, found: Listed, notes: list[str], first: bool) -> np.ndarray:
     """The colour image in the depth image's size; InputError where they are not of one shape."""
     (height, width), whole = metres.shape, rgb.shape[:2]
-    if abs(whole[1] * height / (whole[0] * width) - 1) > SAME_SHAPE:
+    if found.depth is not None and abs(whole[1] * height / (whole[0] * width) - 1) > SAME_SHAPE:
         raise differ_in_size(rgb, metres, found.color, found.depth)
-    if first:
-        notes.append(f"colour of {whole[1]}x{whole[0]} is resized to the depth's {width}x{height} everywhere")
+    if first or found.depth is None:
+        what = "everywhere" if found.depth is not None else "before its depth is estimated"
+        of_depth = "" if found.depth is None else "the depth's "
+        notes.append(f"colour of {whole[1]}x{whole[0]} is resized to {of_depth}{width}x{height} {what}")
     # OpenCV's average over areas becomes nearest-neighbour where the image grows.
     return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA if whole[0] > height else cv2.INTER_LINEAR)
+
+
+def _exif_intrinsics(path: Blob, size: tuple[int, ...], notes: list[str]) -> np.ndarray | None:
+    """(3, 3) intrinsics by the focal length that the picture's EXIF states, which is noted; None where it does not."""
+    found = exif_focal(path, size[0], size[1])
+    if found is None:
+        return None
+    notes.append(f"the focal length is that of the picture's EXIF, {found[1]:g} mm as of 35 mm film")
+    return intrinsics(found[0], found[0], (size[1] - 1) / 2, (size[0] - 1) / 2)
 
 
 def files_of(pair: Pair, root: Path, color: Path | None = None, depth: Path | None = None) -> tuple[Path, Path]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -87,6 +88,7 @@ class SavedFrame(_Strict):
     up_source: UpSource | None
     annotations: tuple[SavedAnnotation, ...]
     notes: tuple[str, ...] = ()
+    depth_source: str | None = None
 
 
 def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:
@@ -100,6 +102,7 @@ def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:
             "T_world_camera": None if camera.T_world_camera is None else camera.T_world_camera.tolist(),
             "up": None if camera.up is None else camera.up.tolist(), "up_source": camera.up_source,
             "annotations": [_annotation_record(a) for a in frame.annotations], "notes": frame.notes,
+            "depth_source": frame.depth_source or None,
         }
     )  # fmt: skip
     return record, {COLOR: _png(np.ascontiguousarray(frame.rgb[..., ::-1])), depth_file: depth}
@@ -204,7 +207,8 @@ def read_saved_frame(root: Path, manifest: dict[str, Any]) -> Frame:
         annotations = tuple(_annotation(a, depth.shape) for a in saved.annotations)
     except InputError as error:
         raise InputError(str(error), path=path) from error
-    return make_frame(saved.id, (rgb, depth), camera, depth_path, annotations, saved.notes)
+    found = make_frame(saved.id, (rgb, depth), camera, depth_path, annotations, saved.notes)
+    return replace(found, depth_source=saved.depth_source or "")
 
 
 def _answered_up(manifest: dict[str, Any]) -> tuple[Three | None, UpSource | None]:

@@ -20,6 +20,7 @@ FILE_NAME = "spatialviz.toml"
 KEYS = ("name", "intrinsics", "depth_scale", "poses", "registration", "world_up", "up", "frame_up")
 INTRINSICS = "--intrinsics fx,fy,cx,cy"
 DEPTH_SCALE = "--depth-scale UNITS_PER_METRE"
+OR_ESTIMATED = "or --depth-model NAME, which estimates it"
 """The options that tell what a recording may not."""
 TABLE = "frame_up"
 """The one key that is a table."""
@@ -48,6 +49,8 @@ class Settings:
         Up in the camera frame of single frames; the poses carry it to the others of the scene.
     name : str or None
         The dataset's name for people.
+    estimated : bool
+        Depth is estimated: frames of colour alone open, with a stand-in for their depth.
     browse : bool
         Pictures are only looked at: what nothing tells of the camera is made up, and said to be (`Camera.untold`).
     """
@@ -59,6 +62,7 @@ class Settings:
     up: GivenUp | None = None
     frame_up: Mapping[str, Vector] = field(default_factory=dict)
     browse: bool = False
+    estimated: bool = False
     poses: str | None = None
     registration: tuple[float, ...] | None = None
 
@@ -114,8 +118,9 @@ class Settings:
 
 
 def unit_notes(settings: Settings, units_per_metre: float, whose: str) -> tuple[str, ...]:
-    """What to say where the depth's unit is known from the format alone: nothing where a person told it."""
-    if settings.depth_scale is not None:
+    """What to say where the depth's unit is known from the format alone: nothing where a person told it or it
+    is estimated."""
+    if settings.depth_scale is not None or settings.estimated:
         return ()
     return (
         f"the depth's unit is {whose}, {units_per_metre:g} to a metre, which no file states: "

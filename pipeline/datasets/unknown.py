@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pipeline.datasets.files import readable
 from pipeline.datasets.pairing import COLOR_SUFFIXES, role_of
+from pipeline.datasets.settings import OR_ESTIMATED
 from pipeline.language.counted import counted
 from pipeline.system.errors import UnknownFormat
 
@@ -24,7 +25,7 @@ LOOKED_INTO = 40
 """So many folders are looked into for datasets."""
 LAYOUT = "pictures in color/ and depth in depth/ under the same names (docs/recordings.md)"
 OF_FILE = {
-    "picture": ("a single picture is no recording", "the folder that holds it and its depth"),
+    "picture": ("a single picture is no recording", f"the folder that holds it and its depth, {OR_ESTIMATED}"),
     "video": ("a video has no depth", f"its frames with depth: {LAYOUT}"),
     "point cloud": ("a point cloud or mesh has no frames", "the recording that it was made of"),
     "archive": ("an archive is not read in place", "the folder that it unpacks to"),
@@ -82,7 +83,7 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
         where = f" in {beside[0]}/" if within else ""
         return (
             f"{counted(pictures, 'picture')}{where} and no depth",
-            f"a depth file for each, such as {_depth_name(files)}",
+            f"a depth file for each, such as {_depth_name(files)}, {OR_ESTIMATED}",
         )
     if depths and not pictures:
         return f"depth ({depths[0]}) without colour", LAYOUT

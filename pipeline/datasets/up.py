@@ -9,12 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from threading import Lock
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from pipeline.datasets.base import (
+    ChangedFrames,
     Dataset,
     frames_of_scene,
     load_picture,
@@ -43,7 +43,7 @@ LOOKED_AT = 5
 """So many frames are asked for a pose where an up vector does not say its frame."""
 
 
-class UpGiven:
+class UpGiven(ChangedFrames):
     """A dataset whose frames have the up vector that was told; all else is the dataset's own.
 
     What was told of a frame holds for it, and by the poses for its whole scene; then what was told of the whole
@@ -51,28 +51,12 @@ class UpGiven:
     """
 
     def __init__(self, inner: Dataset, settings: Settings, frame_up: Mapping[str, Vector]) -> None:
-        self.inner, self.settings = inner, settings
-        self.root, self.format, self.frame_ids = inner.root, inner.format, inner.frame_ids
+        super().__init__(inner)
+        self.settings = settings
         self.frame_up = dict(frame_up)
         for frame_id in self.frame_up:
             if frame_id not in inner.frame_ids:
                 raise unknown_frame(inner, frame_id)
-
-    @property
-    def class_names(self) -> tuple[str, ...]:
-        return self.inner.class_names
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or name == "inner":
-            raise AttributeError(name)
-        found = getattr(self.inner, name)
-        if name == "load_picture":
-            return lambda frame_id: self._told(found(frame_id))
-        return found
-
-    def load(self, frame_id: str) -> Frame:
-        """Decode one frame; see `Dataset.load`."""
-        return self._told(self.inner.load(frame_id))
 
     @cached_property
     def up(self) -> GivenUp | None:
@@ -103,7 +87,8 @@ class UpGiven:
                 found[scene_of(self.inner, frame.id)] = pose[:3, :3] @ np.asarray(self.frame_up[frame.id])
         return found
 
-    def _told(self, frame: Frame) -> Frame:
+    def changed(self, frame: Frame) -> Frame:
+        """A frame of the reader with the up vector that was told."""
         camera, settings, notes = self._camera(frame), self.settings, frame.notes
         if camera is frame.camera:
             if camera.up is None and (self.up is not None or settings.world_up is not None):

@@ -302,7 +302,8 @@ def _flipped(d: Diagnosis, case: Case) -> str:
     text = _said_of_both(d.verdict, winner, right, case)
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""
-        return f"A 3D box is off: {text}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
+        by = ", by estimated depth" if d.evidence.answers.context.frame.depth_source else ""
+        return f"A 3D box is off{by}: {text}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
     if d.verdict == "ATTRIBUTE":
         return f"{text[0].upper()}{text[1:]}. With true attributes the right pair wins. Verdict: ATTRIBUTE."
     if d.detail == "CHOICE":

@@ -229,7 +229,11 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
 
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
     options = with_files(record["options"], lambda path: _resolved_model(str(path), folder))
-    options |= {n: tuple(options[n]) for n in ("intrinsics", "segmenter_model") if isinstance(options.get(n), list)}
+    options |= {
+        n: tuple(options[n])
+        for n in ("intrinsics", "registration", "segmenter_model")
+        if isinstance(options.get(n), list)
+    }
     if record["config"] is not None:
         options["config"] = TypeAdapter(AskConfig).validate_python(record["config"])
     dataset = str(record["dataset"])

@@ -85,6 +85,8 @@ class Frame:
     annotations : tuple of Annotation
     notes : tuple of str
         What was found odd in this frame and could be left out.
+    depth_source : str
+        Who estimated the depth and by what its metres are known, in words; empty where a sensor measured it.
     """
 
     id: str
@@ -93,6 +95,7 @@ class Frame:
     camera: Camera
     annotations: tuple[Annotation, ...] = ()
     notes: tuple[str, ...] = field(default=())
+    depth_source: str = ""
 
     def __post_init__(self) -> None:
         rgb, depth, camera = self.rgb, self.depth, self.camera

@@ -122,6 +122,8 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
         warnings = [*warnings[:LISTED_WARNINGS], f"and {more} more frames"]
     if assumed:
         warnings.insert(0, f"{assumed} of {frames_ok} frames: {ASSUMED}; {DECLARE}")
+    if (network := plan.spec.options.get("depth_model")) is not None:
+        warnings.insert(0, f"all geometry rests on depth that is estimated: --depth-model {network}")
     manifest = Manifest(
         schema_version=SCHEMA_VERSION,
         tool="spatialviz",

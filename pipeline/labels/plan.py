@@ -13,6 +13,7 @@ from typing import Any, Literal
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
+from pipeline.datasets.depth.estimator import open_depth_model
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.profiles import RuleProfile, canonical_hash, fingerprint, profile_of
 from pipeline.labels.store import PLAN_FILE, Store
@@ -28,8 +29,8 @@ MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
 SHARDS_WANTED = 32
 """Small datasets get small shards, so that workers share them and progress shows."""
-CAMERA = ("intrinsics", "depth_scale", "up", "level_at")
-"""The options that say what the camera is and how it stands."""
+CAMERA = ("intrinsics", "depth_scale", "up", "level_at", "depth_model", "poses", "registration")
+"""The options that say what the camera is, how it stands, and where depth comes from."""
 
 
 @dataclass(frozen=True)
@@ -219,16 +220,20 @@ def _input_hash(source: Pipeline, out: str | Path | None) -> str:
 def _declared(options: dict[str, Any]) -> dict[str, str]:
     """What a person declared of the camera and of names, by content: the rows depend on it."""
     found = {n: json.dumps(options[n]) for n in CAMERA if options.get(n) is not None}
+    if options.get("depth_model") is not None:
+        found["depth_model"] = canonical_hash(open_depth_model(str(options["depth_model"])).fingerprint)
     if options.get("synonyms") is not None:
         found["synonyms"] = hashlib.sha256(Path(options["synonyms"]).read_bytes()).hexdigest()
     return found
 
 
 def files_hash(root: Path, leave_out: Path | None = None) -> str:
-    """Hash of all files below a folder by relative path, size and time of change; nothing is read.
+    """Hash of all files below a folder, or of one file, by relative path, size and time of change; nothing is read.
 
     Links are not followed; hidden files are left out, and so is the folder `leave_out`.
     """
+    if root.is_file():
+        return canonical_hash((root.name, root.stat().st_size, root.stat().st_mtime_ns))
     return canonical_hash(sorted(_files(root, "", None if leave_out is None else leave_out.resolve())))
 
 

@@ -378,6 +378,9 @@ def labelled_dataset(
     depth_scale: float | None = None,
     up: str | None = None,
     level_at: str | None = None,
+    depth_model: str | None = None,
+    poses: str | None = None,
+    registration: tuple[float, ...] | None = None,
 ) -> Dataset:
     """Open it where it was when it was labelled, or where it is now; its camera is the one that was declared then.
 
@@ -391,7 +394,7 @@ def labelled_dataset(
         fx, fy, cx, cy in pixels, instead of what was declared then.
     depth_scale : float, optional
         Depth units in one metre, instead of what was declared then.
-    up, level_at : str, optional
+    up, level_at, depth_model, poses, registration : optional
         As for `open_dataset`, instead of what was declared then.
 
     Raises
@@ -409,9 +412,13 @@ def labelled_dataset(
         intrinsics = fx, fy, cx, cy
     if depth_scale is None and options.get("depth_scale") is not None:
         (depth_scale,) = _numbers(options["depth_scale"], 1, "depth scale")
+    if registration is None and options.get("registration"):
+        registration = tuple(_numbers(options["registration"], 7, "registration"))
     return open_dataset(
-        where, intrinsics=intrinsics, depth_scale=depth_scale, **labelled_up(manifest, {"up": up, "level_at": level_at})
-    )
+        where, intrinsics=intrinsics, depth_scale=depth_scale, depth_model=depth_model or options.get("depth_model"),
+        poses=poses or options.get("poses"), registration=registration,
+        **labelled_up(manifest, {"up": up, "level_at": level_at}),
+    )  # fmt: skip
 
 
 def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,51 +7,32 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
+from pydantic import Field, model_validator
 
+from pipeline.geometry.picture_input import PictureInput, Table, read_description
 from pipeline.proposals.captions import sigmoid
 from pipeline.proposals.class_names import read_class_names
 from pipeline.system.errors import InputError, require
-from pipeline.system.reading import parse_toml
 
 EXAMPLES = Path(__file__).with_name("detectors")
 """A TOML file for each form of output."""
 
-Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Side = Annotated[int, Field(ge=8, le=8192)]
 Number = Literal["height", "width", "input_height", "input_width", "scale_y", "scale_x"]
 """Of the picture; of the network's input; input pixels per picture pixel."""
 Column = Literal["box", "objectness", "scores", "score", "class"]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class BoxInput(PictureInput):
+    """The input of a detector."""
 
-
-class BoxInput(_Table):
-    """The input: values are (v * scale - mean) / std of v in 0..255."""
-
-    name: str | None = None
-    """By default the only input that `extra` does not name."""
-    size: tuple[Side, Side] | None = None
-    """Height and width, where the file leaves them open."""
-    layout: Literal["NCHW", "NHWC"] = "NCHW"
-    colour: Literal["RGB", "BGR"] = "RGB"
-    scale: FiniteFloat = 1 / 255
-    mean: Triple = (0.0, 0.0, 0.0)
-    std: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1, 1, 1)
-    """Mean and std in the order of `colour`."""
-    fit: Literal["letterbox", "letterbox-top-left", "stretch"] = "letterbox"
-    pad: Annotated[int, Field(ge=0, le=255)] = 114
-    interpolation: Literal["linear", "cubic"] = "linear"
-    extra: dict[str, tuple[Number, ...]] = {}
+    extra: dict[str, tuple[Number, ...]] = Field(default={})
     """More inputs, each a row of numbers: orig_target_sizes = ["width", "height"]."""
 
 
-class BoxOutput(_Table):
+class BoxOutput(Table):
     """The outputs. `form` says how they are laid out, and which of the other keys it wants."""
 
     form: Literal["rows", "separate", "distances"]
@@ -107,7 +88,7 @@ class BoxOutput(_Table):
         return self
 
 
-class BoxModel(_Table):
+class BoxModel(Table):
     """The whole of the file."""
 
     input: BoxInput = BoxInput()
@@ -126,23 +107,7 @@ def read_box_model(path: Path) -> BoxModel:
     InputError
         The file cannot be read, or a key is unknown, missing or wrong.
     """
-    try:
-        table: dict[str, Any] = parse_toml(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("the detector's TOML file cannot be read", got=str(error), path=path) from error
-    try:
-        model = BoxModel.model_validate(table)
-    except ValidationError as error:
-        first = error.errors()[0]
-        location = ".".join(str(p) for p in first["loc"]) or "the top"
-        keys = {(): BoxModel, ("input",): BoxInput, ("output",): BoxOutput}.get(first["loc"][:-1])
-        unknown = "extra" in first["type"] and keys is not None
-        raise InputError(
-            f"the detector's TOML file is wrong at {location}",
-            got="a key that there is not" if unknown else first["msg"],
-            expected="one of " + ", ".join(keys.model_fields) if unknown and keys else None,
-            path=path,
-        ) from error
+    model = read_description(path, BoxModel, "detector")
     require(
         not (model.names and model.names_file),
         "the TOML file gives class names twice",

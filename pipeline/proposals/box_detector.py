@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.picture_input import Placement, checked_input, checked_outputs, place_picture
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals, class_wise
-from pipeline.proposals.box_config import BoxInput, Candidates, decode, find_box_model, output_names, read_box_model
+from pipeline.proposals.box_config import Candidates, decode, find_box_model, output_names, read_box_model
 from pipeline.proposals.class_names import metadata_names, names_hash
 from pipeline.proposals.network import MAX_PER_NAME, NetworkDetector, proposals_of
-from pipeline.system.errors import InputError, needed, require
-from pipeline.system.onnx_session import run_session, signature
+from pipeline.system.errors import InputError, needed
+from pipeline.system.onnx_session import run_session
 
 OPTION = "--detector boxes"
 VERSION = "1"
@@ -55,8 +54,15 @@ class BoxDetector(NetworkDetector):
         self.config = read_box_model(self.config_path)
         self.min_score = self.config.output.min_score if min_score is None else min_score
         self.vocabulary = self.config.names or self._names_inside()
-        self._input, self._sides = self._checked_input()
-        self._outputs = self._checked_outputs()
+        picture = self.config.input
+        self._input, (height, width) = checked_input(self._session, picture, picture.extra, self.config_path)
+        if height is None or width is None:
+            raise InputError(
+                "the model takes any size", expected="size = [HEIGHT, WIDTH] under [input]", path=self.config_path
+            )
+        self._sides = height, width
+        self._outputs = output_names(self.config.output)
+        checked_outputs(self._session, self._outputs, self.config_path)
 
     def fingerprint(self) -> str:
         described = self.config.model_dump_json(exclude={"names", "names_file"})
@@ -105,110 +111,3 @@ class BoxDetector(NetworkDetector):
             expected="names or names_file",
             path=self.config_path,
         )
-
-    def _checked_input(self) -> tuple[str, tuple[int, int]]:
-        """The picture's input and the size of it."""
-        config = self.config.input
-        shapes = {i.name: tuple(i.shape) for i in self._session.get_inputs()}
-        unknown = [n for n in (config.name, *config.extra) if n is not None and n not in shapes]
-        rest = [n for n in shapes if n not in config.extra]
-        if unknown or len(rest) != 1 or (config.name is not None and rest != [config.name]):
-            given = ", ".join([*([config.name] if config.name else []), *config.extra]) or "one input"
-            raise InputError(
-                "the model has other inputs than the TOML file says",
-                got=signature(self._session)[:240],
-                expected=given,
-                cause="inputs besides the picture are named under [input.extra]" if len(rest) > 1 else None,
-                path=self.config_path,
-            )
-        shape = shapes[rest[0]]
-        channels, sides = (shape[1:2], shape[2:]) if config.layout == "NCHW" else (shape[3:], shape[1:3])
-        given_sides = config.size or (None, None)
-        if len(shape) != 4 or (isinstance(channels[0], int) and channels[0] != 3):
-            other = "NHWC" if config.layout == "NCHW" else "NCHW"
-            raise InputError(
-                f"the input {rest[0]} is not {config.layout}",
-                got=list(shape),
-                expected="3 channels",
-                cause=f'is it layout = "{other}"?',
-                path=self.config_path,
-            )
-        found = []
-        for declared, given in zip(sides, given_sides, strict=True):
-            if not isinstance(declared, int) and given is None:
-                raise InputError(
-                    "the model takes any size", expected="size = [HEIGHT, WIDTH] under [input]", path=self.config_path
-                )
-            require(
-                not isinstance(declared, int) or given is None or given == declared,
-                "the model takes another size",
-                got=list(given_sides),
-                expected=list(sides),
-                path=self.config_path,
-            )
-            found.append(declared if isinstance(declared, int) else given)
-        return rest[0], (found[0], found[1])
-
-    def _checked_outputs(self) -> list[str]:
-        known = [o.name for o in self._session.get_outputs()]
-        wanted = output_names(self.config.output)
-        missing = [n for n in wanted if n not in known]
-        if missing:
-            raise InputError(f"the model has no output {missing[0]}", got=", ".join(known)[:240], path=self.config_path)
-        return wanted
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Where the picture is in the input.
-
-    Attributes
-    ----------
-    scale_x, scale_y : float
-        Input pixels per picture pixel.
-    left, top : int
-        Input pixels before the picture.
-    height, width : int
-        Of the input, pixels.
-    """
-
-    scale_x: float
-    scale_y: float
-    left: int
-    top: int
-    height: int
-    width: int
-
-    def to_picture(self, boxes: np.ndarray) -> np.ndarray:
-        """(N, 4) boxes in input pixels as boxes in picture pixels."""
-        return (boxes - [self.left, self.top] * 2) / ([self.scale_x, self.scale_y] * 2)
-
-
-def place_picture(rgb: np.ndarray, height: int, width: int, config: BoxInput) -> tuple[np.ndarray, Placement]:
-    """The network's input.
-
-    Returns
-    -------
-    tensor : (1, 3, height, width) or (1, height, width, 3) float32
-    placement : Placement
-    """
-    h, w = rgb.shape[:2]
-    inner_h, inner_w = height, width
-    if config.fit != "stretch":
-        scale = min(height / h, width / w)
-        inner_h, inner_w = min(max(round(h * scale), 1), height), min(max(round(w * scale), 1), width)
-    left = top = 0
-    if config.fit == "letterbox":
-        # Of an odd rest the smaller half comes first, as in Ultralytics' own letterbox.
-        left, top = round((width - inner_w) / 2 - 0.1), round((height - inner_h) / 2 - 0.1)
-    interpolation = cv2.INTER_CUBIC if config.interpolation == "cubic" else cv2.INTER_LINEAR
-    resized = rgb if (h, w) == (inner_h, inner_w) else cv2.resize(rgb, (inner_w, inner_h), interpolation=interpolation)
-    image = np.full((height, width, 3), config.pad, np.uint8)
-    image[top : top + inner_h, left : left + inner_w] = resized
-    if config.colour == "BGR":
-        image = image[..., ::-1]
-    scaled = image.astype(np.float32) * np.float32(config.scale)
-    values = (scaled - np.array(config.mean, np.float32)) / np.array(config.std, np.float32)
-    if config.layout == "NCHW":
-        values = values.transpose(2, 0, 1)
-    return np.ascontiguousarray(values[None]), Placement(inner_w / w, inner_h / h, left, top, height, width)

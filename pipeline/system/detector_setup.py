@@ -75,6 +75,12 @@ def with_files(options: Mapping[str, Any], change: Callable[[Any], Any]) -> dict
             found[name] = list(map(change, value))
         elif value is not None and str(value) not in _WORDS:
             found[name] = change(value)
+    network = options.get("depth_model")
+    if network is not None:
+        # A bare name is no file; what follows the sign is one.
+        name, sign, file = str(network).partition("=")
+        is_file = "/" in name or name.endswith(".onnx")
+        found["depth_model"] = f"{name}={change(file)}" if sign else str(change(name)) if is_file else name
     if options.get("fuse"):
         found["fuse"] = [with_model(str(text), change) for text in options["fuse"]]
     return found

@@ -160,7 +160,7 @@ def as_declared(session: Any, feed: Mapping[str, np.ndarray], path: Path) -> dic
             got = types.get(name, "no such input")
             raise InputError(f"the model's input {name!r} cannot be given", got=got, expected="numbers", path=path)
         with np.errstate(invalid="ignore", over="ignore"):
-            cast[name] = np.ascontiguousarray(value, dtype=wanted)
+            cast[name] = np.asarray(value, dtype=wanted, order="C")
         require(
             value.dtype.kind != "f" or cast[name].dtype.kind == "f" or np.array_equal(cast[name], value),
             f"the model's input {name!r} takes whole numbers, and what belongs there are none",

@@ -17,7 +17,7 @@ from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from spatialviz.app.markup import BAD, Child, Element, button, h, hint_of, named, note, panel, term, with_terms
 from spatialviz.app.state import Edited, OtherAnswer, State, same_thing
-from spatialviz.app.toolbar import level_html, up_chip
+from spatialviz.app.toolbar import ground_chips, level_html
 
 HINT = "Type TARGET RELATION REFERENCE above, for example “mug left of the laptop”, and press Enter."
 NOTHING_TO_ASK = "Nothing can be asked: the dataset has no annotations, and no detector was named (--detector)."
@@ -25,7 +25,7 @@ NOTHING_TO_ASK = "Nothing can be asked: the dataset has no annotations, and no d
 
 def answer_html(state: State, can_ask: bool = True) -> Element:
     """The answer in one line, the relation's probability and the product, below them the posterior and the verdict."""
-    trace, under = state.trace, h.div(up_chip(state), mend_button(state), cls="under")
+    trace, under = state.trace, h.div(ground_chips(state), mend_button(state), cls="under")
     if state.problem:
         return panel(note(f"This frame is broken: {state.problem}", BAD), cls="answer")
     if trace is None:

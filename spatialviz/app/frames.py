@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shlex
 import threading
 import time
 from collections import OrderedDict
@@ -11,6 +12,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TypeAlias
 from weakref import WeakValueDictionary
 
@@ -21,9 +23,11 @@ from pipeline.answering.agreement.frames import SecondDetections, second_detecti
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
+from pipeline.datasets.plausible import plausibility
 from pipeline.datasets.settings import Vector
 from pipeline.datasets.up import with_frame_up
 from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import flying_pixels
 from pipeline.system.errors import InputError
 from spatialviz.app import memory
@@ -66,6 +70,8 @@ class LoadedFrame:
         What a second detector finds in it.
     told : ToldUp or None
         What was said of up since the program began.
+    doubt : str
+        What speaks against its depth, with the command that looks into it; empty where nothing does.
     """
 
     context: PreparedFrame
@@ -73,6 +79,7 @@ class LoadedFrame:
     problem: str = ""
     beside: SecondDetections | None = None
     told: ToldUp | None = None
+    doubt: str = ""
     _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
     _painted: WeakValueDictionary[Hashable, np.ndarray] = field(
         default_factory=WeakValueDictionary, repr=False, compare=False
@@ -96,6 +103,14 @@ class LoadedFrame:
         if found is None:
             found = self._painted[key] = self.cloud.painted(colors())
         return found
+
+
+def depth_doubt(frame: Frame, root: Path) -> str:
+    """What speaks against the depth of a frame of the dataset in `root`, with the command that looks into it."""
+    # Of a camera that is made up nothing can be said, and what a network estimates has no unit that could be wrong.
+    found = None if frame.camera.untold or frame.depth_source else plausibility(frame)
+    command = "`spatialviz doctor"
+    return "" if found is None else found.text.replace(command, f"{command} {shlex.quote(str(root))}")
 
 
 @dataclass(eq=False)
@@ -221,7 +236,8 @@ class FrameStore:
                 second = second_detections(opened, context, objects)
             except InputError as error:
                 problem = str(error)
-        return LoadedFrame(context, objects, problem, second, self.told.get(key[0]))
+        doubt = depth_doubt(context.frame, opened.dataset.root)
+        return LoadedFrame(context, objects, problem, second, self.told.get(key[0]), doubt)
 
     def _give_way(self, making: _Making | None = None) -> None:
         """What nobody waits for waits itself while a page is being answered."""

@@ -10,7 +10,7 @@ from pipeline.language.relation_names import PHRASE
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, button, chosen, dot, h, heading, joined, note, panel
 from spatialviz.app.state import State
-from spatialviz.app.toolbar import up_chip
+from spatialviz.app.toolbar import ground_chips
 
 ORIGINS = {"auto": "auto", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
 MARKED = {"BAD_LABEL": "label wrong", "BAD_BOX": "box wrong"}
@@ -19,7 +19,7 @@ SHOWN, SHOWN_EVENTS = 200, 30
 
 def sentence_html(state: State, view: LabelView) -> Element:
     """The expression that is looked at, and everything that can be done to it."""
-    chip = h.div(h.span(), up_chip(state), cls="under")
+    chip = h.div(h.span(), ground_chips(state), cls="under")
     card = view.sentence
     if card is None:
         what = (

@@ -105,10 +105,16 @@ def _missed(missed: Missed, name: str) -> str:
 
 
 def lift_evidence(state: State, trace: Trace) -> list[Child]:
-    """The objects of the chosen pair, and the one that is selected; what rests on an assumed up."""
-    assumed = note("The up vector is assumed to be image-up.") if trace.viewer.up_source == "assumed" else None
+    """The objects of the chosen pair, and the one that is selected; what rests on an assumed up or estimated depth."""
+    doubt = "" if state.loaded is None else state.loaded.doubt
+    said = (
+        (trace.viewer.up_source == "assumed", "The up vector is assumed to be image-up."),
+        (trace.frame.depth_source, f"The depth is {trace.frame.depth_source}."),
+        (doubt, f"{doubt[:1].upper()}{doubt[1:]}"),
+    )
+    doubts: list[Child] = [note(text) for holds, text in said if holds]
     places = dict.fromkeys((*(state.pair or ()), *(() if state.selected is None else (state.selected,))))
-    return [assumed, *(_own(state, i) for i in places)] if places else [assumed, h.p("No object is chosen.", cls="dim")]
+    return [*doubts, *(_own(state, i) for i in places)] if places else [*doubts, h.p("No object is chosen.", cls="dim")]
 
 
 def object_html(state: State) -> Element | None:

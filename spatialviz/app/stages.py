@@ -142,6 +142,8 @@ def _lift(state: State, trace: Trace) -> Stage:
     objects = [(state.shown.names[i], state.shown.objects[i].lifted.quality.concerns) for i in state.roles]
     doubts = [f"{name}: {concern}" for name, concerns in objects for concern in concerns]
     doubts += ["the up vector is assumed to be image-up"] if trace.viewer.up_source == "assumed" else []
+    doubts += ["the depth is estimated"] if trace.frame.depth_source else []
+    doubts += ["the depth looks odd"] if state.loaded is not None and state.loaded.doubt else []
     words = "; ".join(doubts) or f"{counted(len(trace.objects), 'object')} in 3D"
     # An object that was lifted for an earlier question costs nothing now.
     cost = _ms(trace, "lift") if trace.timings.get("lift", 0.0) > 1e-4 else "cached"

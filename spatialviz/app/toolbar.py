@@ -256,6 +256,21 @@ def up_chip(state: State) -> Element | None:
     )
 
 
+def depth_chip(state: State) -> Element | None:
+    """That depth is estimated, or looks odd; nothing where it was measured and can be that of a room."""
+    source = "" if state.loaded is None else state.loaded.context.frame.depth_source
+    doubt = "" if state.loaded is None else state.loaded.doubt
+    if not source and not doubt:
+        return None
+    title = f"The depth is {source}." if source else f"{doubt[0].upper()}{doubt[1:]}"
+    return h.span(f"depth {'estimated' if source else 'odd'}", cls="upchip loud", css={"--c": DOUBT}, title=title)
+
+
+def ground_chips(state: State) -> Element:
+    """What all geometry rests on."""
+    return h.span(up_chip(state), depth_chip(state), cls="upchips")
+
+
 def level_html(state: State) -> Element | None:
     """What to click while a level surface is asked for; afterwards, how to keep what was said."""
     if state.picking == "level":

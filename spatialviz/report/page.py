@@ -187,6 +187,8 @@ def _facts(
                     f"relation {rank.relation_weight:g}, {rank.aggregate}"),
         ("picture", f"{context.frame.width}×{context.frame.height}, up {context.viewer.up_source}"),
     ]  # fmt: skip
+    if context.frame.depth_source:
+        facts.append(("depth", context.frame.depth_source))
     if answered.trace is not None and answered.trace.score_calibration is not None:
         c = answered.trace.score_calibration
         facts.append(("scores", f"calibrated, a {c.a:.3f}, b {c.b:.3f}"))

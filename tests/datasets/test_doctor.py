@@ -195,17 +195,22 @@ def test_a_folder_that_cannot_be_written_keeps_its_file(copy: Path, monkeypatch:
 
 def test_declared_conventions_are_read(copy: Path) -> None:
     before = open_dataset(copy).load("000001/000000").camera.T_world_camera
+    told = open_dataset(copy, poses="world-to-camera opencv").load("000001/000000").camera.T_world_camera
     (copy / FILE_NAME).write_text('poses = "world-to-camera opencv"\n')
     after = open_dataset(copy).load("000001/000000").camera.T_world_camera
     assert before is not None
     assert after is not None
     np.testing.assert_allclose(after, np.linalg.inv(before), atol=1e-9)
+    assert np.array_equal(after, np.asarray(told))
 
 
 def test_a_declared_warp_is_read(copy: Path) -> None:
     before = open_dataset(copy).load("000001/000000")
-    (copy / FILE_NAME).write_text("registration = [415, 415, 319.5, 239.5, -0.025, 0, 0]\n")
+    warp = (415, 415, 319.5, 239.5, -0.025, 0, 0)
+    told = open_dataset(copy, registration=warp).load("000001/000000")
+    (copy / FILE_NAME).write_text(f"registration = {list(warp)}\n")
     after = open_dataset(copy).load("000001/000000")
+    assert np.array_equal(after.depth, told.depth)
     assert after.camera.fx == 415
     v, u = 200, 300
     z = before.depth[v, u]

@@ -128,3 +128,11 @@ def test_a_right_pair_whose_relation_is_not_believed_is_told_as_the_nearest() ->
         assert ". Below 0.50 it is told" in said(verdict, WINNER, weak, false_target=True)
     assert said("CORRECT", WINNER, WINNER) == "Right: relation 0.90."
     assert said("CORRECT", weak, weak) == "Right: relation 0.10. Below 0.50 it is told as the nearest pair only."
+
+
+def test_a_box_that_is_off_by_estimated_depth_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "estimated" not in said("LIFT", WINNER, RIGHT)
+    frame = SimpleNamespace(depth_source="estimated by a network")
+    monkeypatch.setattr(EVIDENCE.answers, "context", SimpleNamespace(frame=frame))
+    assert said("LIFT", WINNER, RIGHT).startswith("A 3D box is off, by estimated depth: ")
+    assert "estimated" not in said("SRM", WINNER, RIGHT)

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from dataset_writers import write_folder
+from depth_graphs import write_network, write_picture
 
+from pipeline.datasets import open_dataset
+from pipeline.labels.by_hand import begun_labels, default_folder
 from pipeline.labels.reading import Labels, labelled_dataset
 from pipeline.system.errors import InputError
 
@@ -32,6 +35,25 @@ def test_a_recording_keeps_the_camera_that_was_said_when_it_was_labelled(demo_la
             opened({**options, **strange})
     with pytest.raises(InputError):
         opened(options, None)
+
+
+def test_a_recording_keeps_the_network_that_estimated_its_depth(demo_labels: Labels, tmp_path: Path) -> None:
+    write_picture(tmp_path / "pictures" / "1.png")
+    model = write_network(tmp_path / "network.onnx", "moge-2")
+    record = {"path": str(tmp_path / "pictures"), "options": {"depth_model": str(model)}}
+    dataset = labelled_dataset(demo_labels.manifest.model_copy(update={"dataset": record}))
+    assert "network.onnx" in dataset.load("1").depth_source
+
+
+def test_labels_of_a_single_picture_are_begun(tmp_path: Path) -> None:
+    write_picture(tmp_path / "1.png")
+    model = write_network(tmp_path / "network.onnx", "moge-2")
+    dataset = open_dataset(tmp_path / "1.png", depth_model=str(model))
+    before = begun_labels(dataset, default_folder(dataset, tmp_path), {"depth_model": str(model)})
+    assert before.root == tmp_path / "1.png-labels"
+    write_picture(tmp_path / "1.png", mm=26)
+    after = begun_labels(dataset, default_folder(dataset, tmp_path))
+    assert after.manifest.dataset["input_hash"] != before.manifest.dataset["input_hash"]
 
 
 def test_the_demo_is_where_it_is_installed(demo_labels: Labels) -> None:

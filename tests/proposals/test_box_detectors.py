@@ -17,9 +17,10 @@ from scenes import frame_of, upright
 from pipeline.datasets import open_dataset
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.picture_input import place_picture
 from pipeline.proposals import make_detector
 from pipeline.proposals.box_config import BoxInput, read_box_model
-from pipeline.proposals.box_detector import BoxDetector, place_picture
+from pipeline.proposals.box_detector import BoxDetector
 from pipeline.system.errors import InputError
 
 EXAMPLES = Path(read_box_model.__code__.co_filename).with_name("detectors")

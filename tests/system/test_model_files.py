@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from model_hub import Hub, running_hub
 
-from pipeline.answering.model_catalogue import describe_file
+from pipeline.answering.model_catalogue import depth_contracts, describe_file
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import _read_spec, spec_record
 from pipeline.labels.plan import SourceSpec
@@ -185,6 +185,13 @@ def test_manifests_keep_an_id_as_an_id(tmp_path: Path, monkeypatch: pytest.Monke
         "model": f"{REPO}:m.onnx",
         "segmenter_model": [f"{REPO}:e.onnx", str(tmp_path / "d.onnx")],
     }
+    for given, kept in (
+        ("moge-2", "moge-2"),
+        ("net.onnx", f"{tmp_path}/net.onnx"),
+        ("moge-2=net.onnx", f"moge-2={tmp_path}/net.onnx"),
+        (REPO, REPO),
+    ):
+        assert SourceSpec("demo", {"depth_model": given}).absolute().options == {"depth_model": kept}
     options = {"detector": "owlv2", "model": Path(f"{REPO}:m.onnx@v1"), "model_config": tmp_path / "c.toml"}
     record = spec_record(EvalSpec("demo", str(tmp_path / "labels"), options, "pipeline"), tmp_path / "run")
     assert _read_spec(record, tmp_path / "run").options == options
@@ -192,6 +199,7 @@ def test_manifests_keep_an_id_as_an_id(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_the_table_of_public_files_is_sound() -> None:
     options = {c.option for c in (*DETECTORS, *SEGMENTERS)} | {"--detector boxes"}
+    options |= {c.option for c in depth_contracts()}
     assert {m.option for m in known_models()} == options
     for model in known_models():
         assert model.name

@@ -91,7 +91,7 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     ----------
     path : str or Path
     camera : dict
-        `intrinsics`, `depth_scale`, `up`, `level_at` of `open_dataset`.
+        What `open_dataset` takes of it, from `intrinsics` to `registration`.
 
     Raises
     ------
@@ -109,7 +109,8 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     if not frames:
         open_dataset(path, **camera).load(dataset.frame_ids[0])  # Says what is wrong with it.
     require(frames, "none of the frames that were looked at can be read", path=dataset.root)
-    found = examine_frames(dataset, frames, _units(path, told, frames[0]), read_settings(dataset.root))
+    settings = read_settings(dataset.root).overridden(registration=camera.get("registration"))
+    found = examine_frames(dataset, frames, _units(path, told, frames[0]), settings)
     if told.get("depth_scale") != camera.get("depth_scale") and found.of("depth scale").state != "wrong":
         unit = told["depth_scale"]
         text = f"as read, no depth is that of a room; with {unit:g} units in a metre it is"

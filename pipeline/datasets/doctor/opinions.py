@@ -149,7 +149,7 @@ def _poses(search: Search) -> Opinion:
     text = f"{lands} with {best.poses}, {evidence['otherwise']:.0%} with any other convention"
     if best.poses == STANDARD:
         return Opinion("poses", "fine", text, evidence=evidence)
-    line = f'in spatialviz.toml: poses = "{best.poses}"'
+    line = f'--poses "{best.poses}"'
     return Opinion("poses", "wrong", text, {"poses": best.poses}, line, evidence)
 
 

@@ -46,7 +46,7 @@ def registration_opinion(frames: Sequence[Frame], settings: Settings | None = No
             f"outlines of depth miss edges of colour ({own:.0%} agree, {best:.0%} with a colour camera of its own): "
             f"off by {off:.0f} pixels at the border"
         )
-        line = f"in spatialviz.toml: registration = [{', '.join(f'{n:g}' for n in numbers)}]"
+        line = f"--registration {','.join(f'{n:g}' for n in numbers)}"
         return Opinion("registration", "wrong", text, {"registration": numbers}, line, evidence)
     if peak < LEAST_PEAK:
         return Opinion("registration", "unknown", "edges of colour are everywhere or nowhere", evidence=evidence)

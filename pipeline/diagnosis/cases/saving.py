@@ -135,7 +135,7 @@ def save_case(
         "files": {file: hashlib.sha256(data).hexdigest() for file, data in files.items()},
         "text": text,
         **({} if reading is None else {"reading": reading}),
-        "frame": frame.model_dump(mode="json"),
+        "frame": frame.model_dump(mode="json", exclude=set() if frame.depth_source else {"depth_source"}),
         "dataset": {"format": source.dataset.format, "name": source.dataset.root.resolve().name},
         "class_names": list(source.dataset.class_names),
         "synonyms": None

@@ -1,0 +1,1 @@
+"""Depth from colour alone: networks declared in TOML files, and datasets whose depth they estimate."""

@@ -1,0 +1,239 @@
+"""One network that estimates depth: a picture through it, and metres of what it gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from pipeline.datasets.depth.contract import NamedContract, find_network
+from pipeline.geometry.camera import intrinsics
+from pipeline.geometry.picture_input import Placement, checked_input, checked_outputs, place_picture
+from pipeline.system.errors import require
+from pipeline.system.onnx_session import model_hash, open_session, run_session
+
+VERSION = "1"
+"""Part of every fingerprint: a change of what is made of a network's output must change it."""
+SAMPLES = 64
+"""So many rows and columns of points tell the focal length and the shift."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a network makes of a picture.
+
+    Attributes
+    ----------
+    depth : (H, W) float32
+        Metres along the camera's z axis; 0 where the network sees nothing.
+    K : (3, 3) float64 or None
+        The network's own camera, pixels of the picture, where it was not told one and gives one.
+    """
+
+    depth: np.ndarray
+    K: np.ndarray | None
+
+
+class DepthModel:
+    """A network as its TOML file describes it.
+
+    Raises
+    ------
+    InputError
+        The file is no such network: the input or output that it lacks.
+    """
+
+    def __init__(self, network: NamedContract) -> None:
+        self.name, self.path, self.contract = network.name, network.path, network.contract
+        self._session = open_session(self.path)
+        ranks = {i.name: len(i.shape) for i in self._session.get_inputs()}
+        given = self.contract.input.constants
+        self._constants = {n: np.full((1,) * ranks[n], value, np.float32) for n, value in given.items() if n in ranks}
+        self._input, self._sides = checked_input(
+            self._session, self.contract.input, tuple(self._constants), network.described
+        )
+        output, known = self.contract.output, {o.name for o in self._session.get_outputs()}
+        scale = next((name for name in output.scale if name in known), next(iter(output.scale), None))
+        roles = {"depth": output.depth, "points": output.points, "scale": scale, "focal": output.focal}
+        roles |= {"mask": output.mask, "sky": output.sky}
+        self._outputs = {role: name for role, name in roles.items() if name is not None}
+        checked_outputs(self._session, tuple(self._outputs.values()), network.described)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """What its estimates depend on, besides the picture and the camera."""
+        return f"{VERSION}:{model_hash(self.path)}:{self.contract.model_dump_json()}"
+
+    @property
+    def metres_by(self) -> str:
+        """Where the metres come from, in words."""
+        by_focal = self.contract.output.canonical_focal is not None
+        return "metres by the focal length" if by_focal else "metres as it learnt them"
+
+    def estimate(self, rgb: np.ndarray, K: np.ndarray | None) -> Estimate:
+        """The depth of a picture.
+
+        Parameters
+        ----------
+        rgb : (H, W, 3) uint8
+        K : (3, 3) float64 or None
+            Its camera, where it is known.
+
+        Raises
+        ------
+        InputError
+            The network cannot be run, gives NaN or other shapes than it should, or needs a camera.
+        """
+        height, width = rgb.shape[:2]
+        tensor, placement = place_picture(rgb, *self._size(height, width), self.contract.input)
+        values = run_session(
+            self._session, list(self._outputs.values()), {self._input: tensor, **self._constants}, self.path
+        )
+        found = dict(zip(self._outputs, values, strict=True))
+        maps = {
+            role: self._inside(found[role], placement, (height, width))
+            for role in ("depth", "points", "mask", "sky")
+            if role in found
+        }
+        shapes = {values.shape[:2] for values in maps.values()}
+        require(len(shapes) == 1, "the network's maps differ in size", got=sorted(shapes), path=self.path)
+        seen = np.ones(shapes.pop(), np.bool_)
+        if "mask" in maps:
+            seen &= maps["mask"] > 0.5
+        if "sky" in maps:
+            seen &= maps["sky"] < 0.5
+        if "points" in maps:
+            return self._of_points(maps["points"], seen, self._number(found["scale"]), (height, width), K)
+        metres, own = maps["depth"], None
+        canonical = self.contract.output.canonical_focal
+        if canonical is not None:
+            require(K is not None, f"the depth model {self.name} needs the focal length", path=self.path)
+            assert K is not None
+            metres = metres * (placement.scale_x * K[0, 0] + placement.scale_y * K[1, 1]) / (2 * canonical)
+        elif "focal" in found:
+            focal = self._number(found["focal"]) / placement.scale_x
+            own = _centred(focal, height, width) if K is None else None
+            metres = metres if K is None else metres * (K[0, 0] / focal)
+        return Estimate(_resized(metres, seen, height, width), own)
+
+    def _of_points(
+        self, points: np.ndarray, seen: np.ndarray, scale: float, size: tuple[int, int], K: np.ndarray | None
+    ) -> Estimate:
+        height, width = size
+        rows, columns = points.shape[:2]
+        seen = np.isfinite(points).all(axis=2) & seen
+        y, x = np.mgrid[0:rows, 0:columns].astype(np.float64)
+        # Pixels of the picture from its centre, where such networks take the principal point to be.
+        away = np.stack([(x - (columns - 1) / 2) * width / columns, (y - (rows - 1) / 2) * height / rows], axis=2)
+        some = np.ix_(*(np.unique(np.linspace(0, n - 1, SAMPLES).astype(int)) for n in (rows, columns)))
+        told = None if K is None else float(K[0, 0] + K[1, 1]) / 2
+        focal, shift = focal_and_shift(points[some][seen[some]], away[some][seen[some]], told)
+        usable = np.isfinite(focal) and focal > 0
+        require(usable, "the network's points are of no camera", got=f"focal length {focal:.3g}", path=self.path)
+        depth = _resized((points[..., 2] + shift) * scale, seen, height, width)
+        return Estimate(depth, _centred(focal, height, width) if K is None else None)
+
+    def _size(self, height: int, width: int) -> tuple[int, int]:
+        """Height and width of the input for a picture."""
+        given = self.contract.input
+        scale = 1.0
+        if given.shortest is not None:
+            scale = given.shortest / min(height, width)
+        if given.longest is not None:
+            scale = min(scale, given.longest / max(height, width))
+        step = given.multiple
+        fixed_height, fixed_width = self._sides
+        return (
+            fixed_height or max(step, round(height * scale / step) * step),
+            fixed_width or max(step, round(width * scale / step) * step),
+        )
+
+    def _inside(self, value: np.ndarray, placement: Placement, size: tuple[int, int]) -> np.ndarray:
+        """The part of an output map, (H, W) or (H, W, 3), that shows the picture, in the map's own pixels."""
+        shape = value.shape[-3:] if value.shape[-1] == 3 and value.ndim > 3 else value.shape[-2:]
+        require(
+            len(shape) >= 2 and value.size == np.prod(shape), "the network's output is no map of the picture",
+            got=list(value.shape), expected="[1, H, W], [1, 1, H, W] or [1, H, W, 3]", path=self.path,
+        )  # fmt: skip
+        found: np.ndarray = value.reshape(tuple(shape))
+        rows, columns = found.shape[0], found.shape[1]
+        down, across = rows / placement.height, columns / placement.width
+        top, left = placement.top, placement.left
+        bottom, right = top + size[0] * placement.scale_y, left + size[1] * placement.scale_x
+        return found[round(top * down) : round(bottom * down), round(left * across) : round(right * across)]
+
+    def _number(self, value: np.ndarray) -> float:
+        number = float(value.ravel()[0]) if value.size == 1 else float("nan")
+        require(
+            np.isfinite(number) and number > 0, "the network's scale or focal length is none",
+            got=f"{number:g}, shape {list(value.shape)}", path=self.path,
+        )  # fmt: skip
+        return number
+
+
+def focal_and_shift(points: np.ndarray, away: np.ndarray, focal: float | None) -> tuple[float, float]:
+    """Focal length, and what z lacks, with which points are seen where they are: the least squares over the pixels of
+    focal * xy / (z + shift) - away, as `moge/utils/geometry_numpy.py` of microsoft/MoGe (MIT) poses it.
+
+    Parameters
+    ----------
+    points : (N, 3) float
+        Right up to the shift of z, and a scale.
+    away : (N, 2) float
+        Where they are seen, pixels from the principal point.
+    focal : float or None
+        Where it is known, pixels; only the shift is then found.
+
+    Returns
+    -------
+    focal : float
+        NaN where there are too few points.
+    shift : float
+        In the points' unit.
+    """
+    if len(points) < 3:
+        return float("nan") if focal is None else focal, 0.0
+    from scipy.optimize import least_squares
+
+    xy, z = points[:, :2].astype(np.float64), points[:, 2].astype(np.float64)
+
+    def best(shift: float) -> tuple[float, np.ndarray]:
+        rays = xy / (z + shift)[:, None]
+        own = float((rays * away).sum() / np.square(rays).sum()) if focal is None else focal
+        return own, (own * rays - away).ravel()
+
+    with np.errstate(all="ignore"):
+        # In units of the picture's size the residuals are of order one, as in the original.
+        reach = max(float(np.abs(away).max()), 1.0)
+        shift = float(least_squares(lambda s: best(s[0])[1] / reach, 0.0, method="lm").x[0])
+        return best(shift)[0], shift
+
+
+def _centred(focal: float, height: int, width: int) -> np.ndarray:
+    """(3, 3) intrinsics with the principal point in the middle of the picture."""
+    return intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+def _resized(metres: np.ndarray, seen: np.ndarray, height: int, width: int) -> np.ndarray:
+    """(height, width) float32 depth, linear between the pixels that have one; 0 where most of the weight has none."""
+    with np.errstate(invalid="ignore"):
+        good = np.isfinite(metres) & (metres > 0) & seen
+    weight = cv2.resize(good.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    filled = np.where(good, metres, 0).astype(np.float32)
+    total = cv2.resize(filled, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.where(weight > 0.5, total / np.maximum(weight, 1e-6), 0).astype(np.float32)
+
+
+@lru_cache(maxsize=2)
+def _opened(given: str, path: Path, changed: int) -> DepthModel:
+    return DepthModel(find_network(given))
+
+
+def open_depth_model(given: str) -> DepthModel:
+    """The network of `--depth-model`, opened once while its file is the same; raises as `find_network`."""
+    network = find_network(given)
+    require(network.path.is_file(), "there is no model file", path=network.path)
+    return _opened(given, network.path.absolute(), network.path.stat().st_mtime_ns)

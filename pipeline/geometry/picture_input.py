@@ -1,0 +1,200 @@
+"""How a picture becomes a network's input, as a TOML file says it, and where in the input it then is."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import cv2
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from pipeline.system.errors import InputError, require
+from pipeline.system.onnx_session import signature
+from pipeline.system.reading import parse_toml
+
+Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Side = Annotated[int, Field(ge=8, le=8192)]
+
+
+class Table(BaseModel):
+    """A table of such a file: a key that there is not is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class PictureInput(Table):
+    """The input of the picture: values are (v * scale - mean) / std of v in 0..255."""
+
+    name: str | None = None
+    """By default the only input that is not named otherwise."""
+    size: tuple[Side, Side] | None = None
+    """Height and width, where the file leaves them open."""
+    layout: Literal["NCHW", "NHWC"] = "NCHW"
+    colour: Literal["RGB", "BGR"] = "RGB"
+    scale: FiniteFloat = 1 / 255
+    mean: Triple = (0.0, 0.0, 0.0)
+    std: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1, 1, 1)
+    """Mean and std in the order of `colour`."""
+    fit: Literal["letterbox", "letterbox-top-left", "stretch"] = "letterbox"
+    pad: Annotated[int, Field(ge=0, le=255)] | Triple = 114
+    """What stands beside the picture: one value, or one each of red, green and blue."""
+    interpolation: Literal["linear", "cubic", "area"] = "linear"
+    """area: the mean over what a pixel covers where the picture shrinks, linear where it grows."""
+
+
+Model = TypeVar("Model", bound=Table)
+
+
+def read_description(path: Path, kind: type[Model], what: str) -> Model:
+    """What a TOML file says of a network; InputError where it cannot be read, or a key is unknown, missing or wrong.
+
+    Parameters
+    ----------
+    kind : type of Table
+        The whole file; its tables are `Table` too.
+    what : str
+        "detector".
+    """
+    try:
+        table: dict[str, Any] = parse_toml(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"the {what}'s TOML file cannot be read", got=str(error), path=path) from error
+    try:
+        return kind.model_validate(table)
+    except ValidationError as error:
+        first = error.errors()[0]
+        location = ".".join(str(p) for p in first["loc"]) or "the top"
+        inside: Any = kind
+        for key in first["loc"][:-1]:
+            field = inside.model_fields.get(key) if inside is not None else None
+            inside = field.annotation if field is not None and hasattr(field.annotation, "model_fields") else None
+        unknown = "extra" in first["type"] and inside is not None
+        raise InputError(
+            f"the {what}'s TOML file is wrong at {location}",
+            got="a key that there is not" if unknown else first["msg"],
+            expected="one of " + ", ".join(inside.model_fields) if unknown and inside else None,
+            path=path,
+        ) from error
+
+
+def checked_input(
+    session: Any, config: PictureInput, others: Collection[str], path: Path
+) -> tuple[str, tuple[int | None, int | None]]:
+    """The name of the picture's input, and its height and width; None where neither the model nor the file fixes them.
+
+    Parameters
+    ----------
+    session : onnxruntime.InferenceSession
+    others : collection of str
+        The inputs that hold something else.
+    path : Path
+        The TOML file, to blame.
+
+    Raises
+    ------
+    InputError
+        The model has other inputs, another layout or another size.
+    """
+    shapes = {i.name: tuple(i.shape) for i in session.get_inputs()}
+    unknown = [n for n in (config.name, *others) if n is not None and n not in shapes]
+    rest = [n for n in shapes if n not in others]
+    if unknown or len(rest) != 1 or (config.name is not None and rest != [config.name]):
+        given = ", ".join([*([config.name] if config.name else []), *others]) or "one input"
+        raise InputError(
+            "the model has other inputs than the TOML file says",
+            got=signature(session)[:240],
+            expected=given,
+            cause="inputs besides the picture are named under [input.extra]" if len(rest) > 1 else None,
+            path=path,
+        )
+    shape = shapes[rest[0]]
+    channels, sides = (shape[1:2], shape[2:]) if config.layout == "NCHW" else (shape[3:], shape[1:3])
+    if len(shape) != 4 or (isinstance(channels[0], int) and channels[0] != 3):
+        other = "NHWC" if config.layout == "NCHW" else "NCHW"
+        raise InputError(
+            f"the input {rest[0]} is not {config.layout}",
+            got=list(shape),
+            expected="3 channels",
+            cause=f'is it layout = "{other}"?',
+            path=path,
+        )
+    found: list[int | None] = []
+    for declared, given in zip(sides, config.size or (None, None), strict=True):
+        require(
+            not isinstance(declared, int) or given is None or given == declared,
+            "the model takes another size",
+            got=list(config.size or ()),
+            expected=list(sides),
+            path=path,
+        )
+        found.append(declared if isinstance(declared, int) else given)
+    return rest[0], (found[0], found[1])
+
+
+def checked_outputs(session: Any, names: Collection[str], path: Path) -> None:
+    """Raise InputError, with the TOML file to blame, where the model lacks one of the outputs."""
+    known = [o.name for o in session.get_outputs()]
+    missing = [n for n in names if n not in known]
+    if missing:
+        raise InputError(f"the model has no output {missing[0]}", got=", ".join(known)[:240], path=path)
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where the picture is in the input.
+
+    Attributes
+    ----------
+    scale_x, scale_y : float
+        Input pixels per picture pixel.
+    left, top : int
+        Input pixels before the picture.
+    height, width : int
+        Of the input, pixels.
+    """
+
+    scale_x: float
+    scale_y: float
+    left: int
+    top: int
+    height: int
+    width: int
+
+    def to_picture(self, boxes: np.ndarray) -> np.ndarray:
+        """(N, 4) boxes in input pixels as boxes in picture pixels."""
+        return (boxes - [self.left, self.top] * 2) / ([self.scale_x, self.scale_y] * 2)
+
+
+def place_picture(rgb: np.ndarray, height: int, width: int, config: PictureInput) -> tuple[np.ndarray, Placement]:
+    """The network's input.
+
+    Returns
+    -------
+    tensor : (1, 3, height, width) or (1, height, width, 3) float32
+    placement : Placement
+    """
+    h, w = rgb.shape[:2]
+    inner_h, inner_w = height, width
+    if config.fit != "stretch":
+        scale = min(height / h, width / w)
+        inner_h, inner_w = min(max(round(h * scale), 1), height), min(max(round(w * scale), 1), width)
+    left = top = 0
+    if config.fit == "letterbox":
+        # Of an odd rest the smaller half comes first, as in Ultralytics' own letterbox.
+        left, top = round((width - inner_w) / 2 - 0.1), round((height - inner_h) / 2 - 0.1)
+    kinds = {"linear": cv2.INTER_LINEAR, "cubic": cv2.INTER_CUBIC}
+    # OpenCV's mean over areas takes the nearest pixel where a picture grows.
+    interpolation = kinds.get(config.interpolation, cv2.INTER_AREA if inner_h < h else cv2.INTER_LINEAR)
+    resized = rgb if (h, w) == (inner_h, inner_w) else cv2.resize(rgb, (inner_w, inner_h), interpolation=interpolation)
+    image = np.full((height, width, 3), config.pad, np.float32 if isinstance(config.pad, tuple) else np.uint8)
+    image[top : top + inner_h, left : left + inner_w] = resized
+    if config.colour == "BGR":
+        image = image[..., ::-1]
+    scaled = image.astype(np.float32) * np.float32(config.scale)
+    values = (scaled - np.array(config.mean, np.float32)) / np.array(config.std, np.float32)
+    if config.layout == "NCHW":
+        values = values.transpose(2, 0, 1)
+    return np.ascontiguousarray(values[None]), Placement(inner_w / w, inner_h / h, left, top, height, width)
