@@ -13,6 +13,7 @@ from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.needed import Needed
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.substitution import substitute
+from pipeline.diagnosis.unexplained import unexplained
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.relation_names import PHRASE
@@ -207,23 +208,10 @@ def explain(
         return _parse(case, query, problem)
     if diagnosis.verdict in ("OPM-TARGET", "OPM-REF"):
         return _missed(diagnosis, unknown)
-    told = {"CORRECT": _correct, "LABEL": _label, "UNEXPLAINED": _unexplained}.get(diagnosis.verdict, _lost)
-    return told(diagnosis, case)
-
-
-def _unexplained(d: Diagnosis, case: Case) -> str:
-    return {
-        "ANSWER": "Wrong. The file gives the answer alone; with its proposals (level 1) it could be said whether the "
-        "right thing was seen at all.",
-        "PROPOSALS": f"Wrong, and the right {case.target} was proposed. With 3D boxes (level 2) and relation "
-        "probabilities (level 3) it could be said why it lost.",
-        "BOXES": f"Wrong, and the right {case.target} was proposed, where it is. With relation probabilities (level 3) "
-        "it could be said whether these or the ranking are to blame.",
-    }.get(
-        d.detail or "",
-        "Wrong, and not separable: what a pair would have scored with a true module does not follow from the scores of "
-        "the file. A callback that ranks again would tell, or the probabilities that the ranking went by.",
+    told = {"CORRECT": _correct, "LABEL": _label, "UNEXPLAINED": lambda d, c: unexplained(d.detail, c.target)}.get(
+        diagnosis.verdict, _lost
     )
+    return told(diagnosis, case)
 
 
 def _lost(d: Diagnosis, case: Case) -> str:
