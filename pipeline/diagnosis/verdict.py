@@ -32,12 +32,11 @@ VERDICTS: tuple[str, ...] = (
 )  # fmt: skip
 """In the order in which they are decided; ATTRIBUTE only of expressions with attributes, UNEXPLAINED only of imported
 predictions."""
-_OCCASIONAL = ("ATTRIBUTE", "UNEXPLAINED")
 
 
 def shown_verdicts(occurring: Collection[str]) -> tuple[str, ...]:
     """VERDICTS; ATTRIBUTE and UNEXPLAINED only where they occur: plain expressions of our own cannot have them."""
-    return tuple(v for v in VERDICTS if v not in _OCCASIONAL or v in occurring)
+    return tuple(v for v in VERDICTS if v not in ("ATTRIBUTE", "UNEXPLAINED") or v in occurring)
 
 
 MODULE_OF = {
