@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from pipeline.answering.evidence import HOLDS, Factor
 
 MIN_RELATION = 1e-6
 MIN_SCORE = 1e-6
+RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
 TIE = 1e-9
 """Scores, and sums of posteriors, that differ by less are a tie."""
 
@@ -34,6 +35,20 @@ class RankConfig:
     reference_weight: float = 1.0
     relation_weight: float = 1.0
     aggregate: Literal["max", "marginal"] = "max"
+
+    @property
+    def rule(self) -> Any:
+        """What scores pairs in place of the product: a `pair_rules.PairRule` of an imported ranking, or None."""
+        return None
+
+    @property
+    def true_scores(self) -> tuple[float, float]:
+        """What counts as the confidence of a thing of the asked class, and of any other."""
+        return RIGHT_SCORE, WRONG_SCORE
+
+    def of(self, ids: Sequence[int]) -> RankConfig:
+        """The same for a list of objects with these identities."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -190,6 +205,9 @@ def pair_table(
         Pixels of the mask of every object; the larger target wins a tie.
     config : RankConfig
     """
+    if config.rule is not None and len(ends) < 2:
+        log_score = np.where(forbidden, -np.inf, config.rule.scores(target, ends, p))
+        return PairTable(target, tuple(ends), p, log_score, sizes, config)
     # The same order of sums everywhere, so that S is the same to the last bit.
     log_score = _along(target.log, 0, 1 + len(ends)) + attached(p, ends, forbidden, config)
     return PairTable(target, tuple(ends), p, log_score, sizes, config)

@@ -13,6 +13,7 @@ from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.needed import Needed
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.substitution import substitute
+from pipeline.diagnosis.unexplained import unexplained
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.relation_names import PHRASE
@@ -27,14 +28,15 @@ ORACLE_WORDS = {
 
 VERDICTS: tuple[str, ...] = (
     "CORRECT", "PARSE", "LABEL", "OPM-TARGET", "OPM-REF", "LIFT", "ATTRIBUTE", "SRM", "OPM-CONF", "PRM",
-    "COMPOUND",
+    "COMPOUND", "UNEXPLAINED",
 )  # fmt: skip
-"""In the order in which they are decided; ATTRIBUTE only of expressions with attributes."""
+"""In the order in which they are decided; ATTRIBUTE only of expressions with attributes, UNEXPLAINED only of imported
+predictions."""
 
 
 def shown_verdicts(occurring: Collection[str]) -> tuple[str, ...]:
-    """VERDICTS; ATTRIBUTE only where it occurs, for plain expressions cannot have it."""
-    return tuple(v for v in VERDICTS if v != "ATTRIBUTE" or v in occurring)
+    """VERDICTS; ATTRIBUTE and UNEXPLAINED only where they occur: plain expressions of our own cannot have them."""
+    return tuple(v for v in VERDICTS if v not in ("ATTRIBUTE", "UNEXPLAINED") or v in occurring)
 
 
 MODULE_OF = {
@@ -54,15 +56,18 @@ class Diagnosis:
         One of VERDICTS.
     detail : str or None
         WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK,
-        THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; the oracles of COMPOUND.
+        THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; SCORE (of imported pair scores: the right pair would stand
+        first by what all others scored); the oracles of COMPOUND; of UNEXPLAINED what the file gives (ANSWER,
+        PROPOSALS, BOXES), or NOT-SEPARABLE.
     lucky : bool
         Right, but with a pair that is not acceptable.
     repair : tuple of str
         The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps.
     mends : tuple of str
         Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win.
-    right_with : int
-        Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple.
+    right_with : int or None
+        Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple; None where
+        predictions that were imported do not tell.
     margins : (S,) float64
         Of all S subsets, sixteen or with attributes thirty-two:
         S of the best acceptable pair less S of the best other one under each subset; NaN without any pair.
@@ -90,7 +95,7 @@ class Diagnosis:
     detail: str | None
     lucky: bool
     repair: tuple[str, ...]
-    right_with: int
+    right_with: int | None
     margins: np.ndarray
     winner: ScoredPair | None
     right: ScoredPair | None
@@ -127,7 +132,7 @@ class Diagnosis:
 
         "attributes" only where something is said of the objects alone.
         """
-        if self.winner is None or self.right is None:
+        if self.winner is None or self.right is None or self.evidence.answers.source.config.rank.rule is not None:
             return None
         ours, theirs = self.winner.log_factors, self.right.log_factors
         return {name: ours[name] - theirs[name] for name in ours}
@@ -202,7 +207,9 @@ def explain(
         return _parse(case, query, problem)
     if diagnosis.verdict in ("OPM-TARGET", "OPM-REF"):
         return _missed(diagnosis, unknown)
-    told = {"CORRECT": _correct, "LABEL": _label}.get(diagnosis.verdict, _lost)
+    told = {"CORRECT": _correct, "LABEL": _label, "UNEXPLAINED": lambda d, c: unexplained(d.detail, c.target)}.get(
+        diagnosis.verdict, _lost
+    )
     return told(diagnosis, case)
 
 
@@ -274,6 +281,11 @@ def _flipped(d: Diagnosis, case: Case) -> str:
             else f"The right {case.target} and {case.reference}"
         )
         return f"{first} count as one thing. {_repaired(d) if d.repair else ''}".strip() + f" Verdict: {d.verdict}."
+    if d.detail == "SCORE":
+        return (
+            f"The right {case.target} and {case.reference} lost, though with these confidences and this probability "
+            f"other pairs of the file score enough to win. Verdict: PRM."
+        )
     text = _said_of_both(d.verdict, winner, right, case)
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""

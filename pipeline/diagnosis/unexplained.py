@@ -1,0 +1,27 @@
+"""What is said of a wrong answer that was imported, where the file does not tell which module failed."""
+
+from __future__ import annotations
+
+
+def unexplained(detail: str | None, target: str) -> str:
+    """The verdict UNEXPLAINED in words: what is known, and what would tell more.
+
+    Parameters
+    ----------
+    detail : str or None
+        ANSWER, PROPOSALS, BOXES: what the file gives; or NOT-SEPARABLE.
+    target : str
+        The name that was asked for.
+    """
+    return {
+        "ANSWER": "Wrong. The file gives the answer alone; with its proposals (level 1) it could be said whether the "
+        "right thing was seen at all.",
+        "PROPOSALS": f"Wrong, and the right {target} was proposed. With 3D boxes (level 2) and relation probabilities "
+        "(level 3) it could be said why it lost.",
+        "BOXES": f"Wrong, and the right {target} was proposed, where it is. With relation probabilities (level 3) it "
+        "could be said whether these or the ranking are to blame.",
+    }.get(
+        detail or "",
+        "Wrong, and not separable: what a pair would have scored with a true module does not follow from the scores of "
+        "the file. A callback that ranks again would tell, or the probabilities that the ranking went by.",
+    )

@@ -1,0 +1,24 @@
+"""A pipeline that is not ours, with planted faults: the verdict names the module (`benchmarks/other_pipeline.py`)."""
+
+from __future__ import annotations
+
+from benchmarks.other_pipeline import FAULTS, lines, tally, verdicts
+
+from pipeline.answering.opening import open_pipeline
+from pipeline.datasets.demo import demo_labels
+from pipeline.labels.reading import open_labels
+
+MOST = 0.8
+"""Of a few dozen; the benchmark has the figure of hundreds."""
+
+
+def test_the_verdict_names_the_planted_module_of_another_pipeline() -> None:
+    labels = open_labels(demo_labels())
+    found = list(lines(open_pipeline("demo", srm="rule").dataset, labels, 4, every=25, share=0.7))
+    counts = tally(verdicts("demo", labels, found))
+    planted = {fault: found for fault, found in counts.items() if fault in FAULTS}
+    assert len(planted) >= 4
+    named = sum(counts[fault][verdict] for fault, wanted in FAULTS.items() if fault in counts for verdict in wanted)
+    assert named >= MOST * sum(c.total() for c in planted.values()), counts
+    clean = counts["clean"]
+    assert clean["CORRECT"] + clean["LABEL"] >= MOST * clean.total()
