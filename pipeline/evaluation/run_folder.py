@@ -19,7 +19,11 @@ from pydantic import TypeAdapter, ValidationError
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_NAME
+from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.browsing import RunRows
+from pipeline.evaluation.failures import Failures, asked_again, found_failures
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run
@@ -29,6 +33,7 @@ from pipeline.labels.schema import TABLES
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
 from pipeline.system.errors import InputError, require
+from pipeline.system.in_notebook import InNotebook
 from pipeline.system.model_files import parse_hub_id
 
 if TYPE_CHECKING:
@@ -42,7 +47,7 @@ _HUB = "hub:"
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(InNotebook):
     """A finished evaluation.
 
     Attributes
@@ -111,6 +116,27 @@ class Run:
     def labels(self) -> Labels:
         """The labels; raises as `open_labels`."""
         return open_labels(self.spec.labels)
+
+    def failures(self, search: str = "") -> Failures:
+        """The expressions that a search finds, as `spatialviz failures` does: "verdict:SRM relation:behind margin<0.1";
+        without one all that failed.
+
+        Raises
+        ------
+        InputError
+            The search cannot be read, or the run has no verdicts.
+        """
+        return found_failures(RunRows(self.records, self.folder), search, self.answer)
+
+    def answer(self, frame: str, expression: str) -> Answer:
+        """An expression of the labels by its id, answered with the run's models now, and judged as in the run.
+
+        Raises
+        ------
+        InputError
+            As `source` and `labels`; or the labels have no such expression.
+        """
+        return asked_again(Opened(self.source, self.labels), self.spec, frame, expression)
 
 
 def _rows(path: Path) -> list[dict[str, str | float]]:
