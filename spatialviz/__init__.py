@@ -42,6 +42,7 @@ if TYPE_CHECKING:
         label,
         open_labels,
         open_run,
+        trace,
     )
     from spatialviz.face import ask, open, show
 
@@ -72,6 +73,7 @@ __all__ = [
     "open_labels",
     "open_run",
     "show",
+    "trace",
 ]
 
 

@@ -17,6 +17,7 @@ from typing import IO, Annotated, Any, Literal, TypeVar
 
 from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter
 
+from pipeline.answering.prediction_events import joined_events
 from pipeline.geometry.masks import RunLength
 from pipeline.language.relation_names import RELATIONS
 from pipeline.system.errors import InputError, require
@@ -71,6 +72,8 @@ class Header:
         Which proposals count as one thing, and so never as a pair: those with one id, or also those that overlap.
     exact : bool
         The proposals are the dataset's own annotations.
+    events : bool
+        The lines are events of a trace: what they tell of one expression is joined.
     scorer : str or None
         A relation scorer of ours that made the probabilities ("rule", "trained", an ONNX file), which can be asked
         again; None for one that cannot.
@@ -92,6 +95,7 @@ class Header:
     weights: Weights = field(default_factory=Weights)
     same: Literal["ids", "overlap"] = "ids"
     exact: bool = False
+    events: bool = False
     scorer: str | None = None
     settings: dict[str, Any] | None = None
     notes: str = ""
@@ -291,13 +295,24 @@ def read_predictions(path: str | Path) -> Predictions:
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, Header | Prediction]]:
-    """The header and each line as it stands, with its number from 1; lines are checked each by itself.
+    """The header and each line, or what events tell of an expression, by itself, with its number from 1.
 
     Raises
     ------
     InputError
         As `read_predictions`. A last line without its end that is no JSON is what a killed writer left, and is skipped.
     """
+    contents = read_contents(path)
+    header = parse_header(next(contents)[1], path)
+    yield 1, header
+    if header.events:
+        contents = joined_events(contents, path)
+    for number, content in contents:
+        yield number, parse_line(content, number, path)
+
+
+def read_contents(path: Path) -> Iterator[tuple[int, Any]]:
+    """The JSON of each line that is not empty, with its number from 1; raises as `read_lines`."""
     try:
         with open(path, encoding="utf-8") as file:
             number = 0
@@ -310,7 +325,7 @@ def read_lines(path: Path) -> Iterator[tuple[int, Header | Prediction]]:
                     if number > 1 and not text.endswith("\n"):
                         return
                     raise InputError(f"line {number}: not JSON", got=str(error), path=path) from error
-                yield number, (parse_header(content, path) if number == 1 else parse_line(content, number, path))
+                yield number, content
             require(number, "the file is empty", expected="a header and a line for each expression", path=path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("the predictions cannot be read", got=str(error), path=path) from error
@@ -447,6 +462,9 @@ class PredictionWriter:
             require(known == header, "the file was begun with another header", path=self.path)
         try:
             self._file: IO[bytes] = open(self.path, "ab")  # noqa: SIM115
+            if there:
+                # What a killed writer left of a line must not become the beginning of the next one.
+                self._file.truncate(self.path.read_bytes().rfind(b"\n") + 1)
         except OSError as error:
             raise InputError("the predictions cannot be written", got=error.strerror, path=self.path) from error
         if not there:
@@ -454,7 +472,10 @@ class PredictionWriter:
 
     def write(self, line: Prediction) -> None:
         """Append a line; InputError where it does not follow the schema (arrays of 3 instead of 4 numbers, NaN, …)."""
-        content = as_json(line)
+        self.write_json(as_json(line))
+
+    def write_json(self, content: str) -> None:
+        """Append a line that is JSON already; raises as `write`."""
         parse_line(json.loads(content), 0, self.path)
         self._write(content)
 
