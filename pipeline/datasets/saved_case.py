@@ -61,6 +61,7 @@ class SavedAnnotation(_Strict):
     visible: FiniteFloat | None = None
     instance: int | None = None
     difficulty: int | None = None
+    fixed: bool = False
 
 
 class _SavedViewer(BaseModel):
@@ -112,7 +113,7 @@ def _annotation_record(a: Annotation) -> dict[str, Any]:
         "box": None if a.box is None
         else {"center": a.box.center.tolist(), "R": a.box.R.tolist(), "size": a.box.size.tolist()},
         "visible": a.visible, "instance": a.instance, "difficulty": a.difficulty,
-    }  # fmt: skip
+    } | ({"fixed": True} if a.fixed else {})  # fmt: skip
 
 
 def _depth_bytes(depth: np.ndarray) -> tuple[str, float | None, bytes]:
@@ -227,7 +228,7 @@ def _annotation(saved: SavedAnnotation, shape: tuple[int, int]) -> Annotation:
     return Annotation(
         saved.index, saved.label, np.array(saved.bbox, np.float32), mask,
         None if box is None else Box3D(np.array(box.center), np.array(box.R), np.array(box.size)),
-        saved.visible, saved.instance, saved.difficulty,
+        saved.visible, saved.instance, saved.difficulty, saved.fixed,
     )  # fmt: skip
 
 
