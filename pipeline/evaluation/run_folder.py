@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering.imported import open_source
+from pipeline.answering.opening import Pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.opened import Opened
@@ -104,8 +105,8 @@ class Run(InNotebook):
 
     @cached_property
     def source(self) -> Pipeline:
-        """The dataset with the run's models; raises as `open_pipeline`."""
-        return open_pipeline(self.spec.dataset, **self.spec.options)
+        """The dataset with the run's models, or with the predictions that were imported; raises as `open_source`."""
+        return open_source(self.spec.dataset, **self.spec.options)
 
     @cached_property
     def shares(self) -> tuple[Share, ...]:
