@@ -27,8 +27,7 @@ from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.failures import Failures, asked_again, found_failures
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run
-from pipeline.labels.makers import Makers
+from pipeline.evaluation.shared_makers import Share, shares_of_run
 from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.labels.schema import TABLES
 from pipeline.system.arrow import pa
@@ -268,49 +267,6 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
         confidence=record["confidence"],
         marks={(frame, expression): mark for frame, expression, mark in record["marks"]},
     )
-
-
-def other_systems(
-    runs: Sequence[Path], name: str, content_hash: str, makers: Makers
-) -> dict[str, tuple[pa.Table, tuple[Share, ...]]]:
-    """The systems of other runs by their names: records, and what they have in common with what made the labels.
-
-    A name that is taken is told apart by its run's folder, and by a number where that is not enough.
-
-    Parameters
-    ----------
-    runs : sequence of Path
-    name : str
-        Of the run that they stand beside.
-    content_hash : str
-        Of the expressions that were asked.
-    makers : Makers
-        Of the labels.
-
-    Raises
-    ------
-    InputError
-        There is no run, or it is of other labels.
-    """
-    found: dict[str, tuple[pa.Table, tuple[Share, ...]]] = {}
-    taken = {name}
-    for run in map(Path, runs):
-        manifest = read_manifest(run)
-        asked = manifest.get("labels", {}).get("content_hash")
-        require(
-            asked == content_hash,
-            "a run on other labels cannot be a row beside this one",
-            got=f"expressions {asked}",
-            expected=f"expressions {content_hash}",
-            path=run,
-        )
-        own = str(manifest["name"])
-        choices = [own, f"{own} ({run.resolve().name})"]
-        choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]
-        own = next(n for n in choices if n not in taken)
-        taken.add(own)
-        found[own] = read_records(run), shared_makers(makers, measured_of_run(manifest))
-    return found
 
 
 RECORDS = "records"
