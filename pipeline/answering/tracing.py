@@ -107,9 +107,9 @@ class Tracer:
         InputError
             Lists of different lengths, or what the schema does not allow: logits for scores, NaN, a mask of numbers.
         """
-        rows, frame = _plain(boxes), self._expression()[0]
-        numbers = self._numbered(frame, rows) if ids is None else _plain(ids)
-        parts = {"id": numbers, "score": _plain(scores), "box": rows, "name": names, "dropped": dropped}
+        rows, frame = plain(boxes), self._expression()[0]
+        numbers = self._numbered(frame, rows) if ids is None else plain(ids)
+        parts = {"id": numbers, "score": plain(scores), "box": rows, "name": names, "dropped": dropped}
         parts["mask"] = None if masks is None else [_run_length(mask) for mask in masks]
         given = {part: list(values) for part, values in parts.items() if values is not None}
         lengths = {part: len(values) for part, values in given.items()}
@@ -155,7 +155,7 @@ class Tracer:
     ) -> None:
         """What is answered: one of these, with an object also the reference it was found by; or why nothing is."""
         parts = {"object": object, "reference": reference, "box": box, "point": point, "yes": yes}
-        answer = {part: _plain(value) for part, value in parts.items() if value is not None}
+        answer = {part: plain(value) for part, value in parts.items() if value is not None}
         if mask is not None:
             answer["mask"] = _run_length(mask)
         require(answer or problem, "neither an answer nor a problem", expected="an object, box, point, mask or yes")
@@ -181,7 +181,7 @@ class Tracer:
         frame, text, known = self._expression()
         unknown = {number for number in named if number is not None} - known
         require(not unknown, f"{next(iter(fields), text)}: no such object among the proposals", got=_listed(unknown))
-        self._writer.write_json(json.dumps({"frame": frame, "text": text, **fields}, default=_plain))
+        self._writer.write_json(json.dumps({"frame": frame, "text": text, **fields}, default=plain))
 
     def _numbered(self, frame: str, boxes: Iterable[Sequence[float]]) -> list[int]:
         known = self._ids.setdefault(frame, {})
@@ -208,17 +208,17 @@ def trace(path: str | Path, *, append: bool = False, **conventions: Any) -> Trac
     return Tracer(path, append, conventions)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """An array, of numpy or another library, or a number of one, as JSON knows it."""
     if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
+        return [plain(part) for part in value]
     return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _rows(rows: Rows) -> list[list[Any]]:
     if isinstance(rows, Mapping):
-        return [[*(key if isinstance(key, tuple) else (key,)), _plain(value)] for key, value in rows.items()]
-    return [list(_plain(row)) for row in rows]
+        return [[*(key if isinstance(key, tuple) else (key,)), plain(value)] for key, value in rows.items()]
+    return [list(plain(row)) for row in rows]
 
 
 def _given_box(box: Any) -> Any:
@@ -230,7 +230,7 @@ def _given_box(box: Any) -> Any:
         parts = {"corners": box}
     if parts is None:
         return None
-    told = {name: _plain(value) for name, value in parts.items()}
+    told = {name: plain(value) for name, value in parts.items()}
     if "rotation" in told and len(told["rotation"]) == 3:
         told["rotation"] = [number for row in told["rotation"] for number in row]
     return told
