@@ -34,6 +34,7 @@ from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
 from pipeline.relations import make_scorer
 from pipeline.relations.features import Appearance
+from pipeline.relations.given import with_given
 from pipeline.relations.scorer import RelationScorer, RelationScores
 from pipeline.system.errors import InputError, as_input_error, require
 
@@ -167,19 +168,7 @@ class GivenScorer:
     ) -> RelationScores:
         found = self.stand_in.score(objects, viewer, appearance, relations)
         given = {} if self.line is None else self.line.relations or {}
-        if appearance is None or not appearance.ids:
-            return found
-        at = {i: k for k, i in enumerate(appearance.ids) if i >= 0}
-        probabilities, scored_by = found.probabilities.copy(), dict(found.scored_by)
-        for relation, rows in given.items():
-            if relation not in found.relations:
-                continue
-            r = found.relations.index(relation)
-            scored_by[relation] = self.name
-            for a, b, *_, p in rows:
-                if a in at and b in at:
-                    probabilities[at[a], at[b], r] = p
-        return replace(found, probabilities=probabilities, scored_by=scored_by)
+        return with_given(found, given, appearance, self.name)
 
 
 @dataclass(frozen=True)

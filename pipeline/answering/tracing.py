@@ -125,7 +125,7 @@ class Tracer:
         Each is (8, 3) corners in any order, a mapping of `center`, `size` and `rotation` (columns are the box's axes),
         an object with `center`, `size` and `R` such as `Box3D`, or None where an object has none.
         """
-        self._event(boxes, boxes_3d={str(number): _given_box(box) for number, box in boxes.items()})
+        self._event(boxes, boxes_3d={str(number): given_box(box) for number, box in boxes.items()})
 
     def relations(self, relations: Mapping[str, Rows]) -> None:
         """P("a RELATION b") by relation, of every ordered pair of candidates: {"left": {(3, 7): 0.93}}."""
@@ -221,7 +221,8 @@ def _rows(rows: Rows) -> list[list[Any]]:
     return [list(plain(row)) for row in rows]
 
 
-def _given_box(box: Any) -> Any:
+def given_box(box: Any) -> Any:
+    """A 3D box in one of the forms of `Tracer.boxes` as a line of predictions has it."""
     if box is None or isinstance(box, Mapping):
         parts = box
     elif hasattr(box, "center"):

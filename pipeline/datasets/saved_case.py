@@ -112,8 +112,8 @@ def _annotation_record(a: Annotation) -> dict[str, Any]:
         "mask": None if a.mask is None else RunLength.of(a.mask),
         "box": None if a.box is None
         else {"center": a.box.center.tolist(), "R": a.box.R.tolist(), "size": a.box.size.tolist()},
-        "visible": a.visible, "instance": a.instance, "difficulty": a.difficulty,
-    } | ({"fixed": True} if a.fixed else {})  # fmt: skip
+        "visible": a.visible, "instance": a.instance, "difficulty": a.difficulty, "fixed": a.fixed,
+    }  # fmt: skip
 
 
 def _depth_bytes(depth: np.ndarray) -> tuple[str, float | None, bytes]:

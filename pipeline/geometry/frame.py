@@ -275,14 +275,12 @@ def _annotations(
         name = f"object {index + 1}" if names is None else str(names[index])
         mask = None if masks is None else _mask(masks[index], f"frame {frame.id}: the mask of {name!r}", frame)
         box = None if boxes is None else boxes[index]
+        if mask is None and box is None:
+            raise InputError(f"frame {frame.id}: {name!r} has neither a mask nor a box")
+        bbox = np.zeros(4) if box is None else _seen(box, frame, f"frame {frame.id}: the 3D box of {name!r}")
         if mask is not None:
             rows, columns = (np.flatnonzero(np.any(mask, axis=axis)) for axis in (1, 0))
             bbox = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float32)
-        else:
-            where = f"frame {frame.id}: {name!r}"
-            require(box is not None, f"{where} has neither a mask nor a box")
-            assert box is not None
-            bbox = _seen(box, frame.camera, where)
         found.append(Annotation(index, name, bbox, mask, box, fixed=box is not None))
     return tuple(found)
 
@@ -299,14 +297,14 @@ def _mask(mask: object, what: str, frame: Frame) -> np.ndarray:
     return array.astype(np.bool_)
 
 
-def _seen(box: Box3D, camera: Camera, where: str) -> np.ndarray:
+def _seen(box: Box3D, frame: Frame, what: str) -> np.ndarray:
     """(4,) float32: the rectangle of a 3D box in the picture; InputError where it is not in view."""
     front = box.corners[box.corners[:, 2] > 0]
-    seen = project(front, camera) if len(front) else np.zeros((1, 2))
-    low, high = (np.clip(end, 0, [camera.width, camera.height]) for end in (seen.min(axis=0), seen.max(axis=0)))
+    seen = project(front, frame.camera) if len(front) else np.zeros((1, 2))
+    low, high = (np.clip(end, 0, [frame.width, frame.height]) for end in (seen.min(axis=0), seen.max(axis=0)))
     require(
-        (high > low).all(),
-        f"{where}: its 3D box is not in view",
+        (high > low).all() and box.center[2] < 2 * frame.depth.max(),
+        f"{what} is not in view",
         got=f"center {box.center.round(3).tolist()}",
         expected="camera frame, x right, y down, z forward, metres",
         cause="is it in millimetres, in the world frame, or with y up?",
