@@ -71,7 +71,7 @@ class Tracer:
     def proposals(
         self,
         name: str,
-        boxes: Sequence[Sequence[float]] | np.ndarray,
+        boxes: Sequence[Sequence[float] | np.ndarray] | np.ndarray,
         scores: Sequence[float] | np.ndarray,
         *,
         masks: Sequence[Any] | np.ndarray | None = None,
