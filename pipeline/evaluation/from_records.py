@@ -12,13 +12,13 @@ from typing import Any
 from pipeline.answering.predictions import Header, Prediction, as_json, parse_header
 from pipeline.answering.tracing import plain
 from pipeline.evaluation.importing import import_run
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Record = Prediction | Mapping[str, Any]
 
 
 def import_records(
-    records: Iterable[Header | Record],
+    records: str | Path | Iterable[Header | Record],
     dataset: str | Path,
     labels: str | Path,
     out: str | Path | None = None,
@@ -33,6 +33,11 @@ def import_records(
     InputError
         As `import_run`; messages count the header as line 1, the first record as line 2. No record.
     """
+    folder = Path(tempfile.mkdtemp(prefix="spatialviz-run-")) / "run" if out is None else Path(out)
+    if isinstance(records, str | Path):
+        require(header is None, "a file has a header of its own", path=records)
+        import_run(records, dataset, labels, folder, **options)
+        return folder
     rest = iter(records)
     first = next(rest, None)
     if first is None:
@@ -41,7 +46,6 @@ def import_records(
         header = first
     else:
         rest = chain([first], rest)
-    folder = Path(tempfile.mkdtemp(prefix="spatialviz-run-")) / "run" if out is None else Path(out)
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as place:
         file = Path(place) / "records.jsonl"
         if not isinstance(header, Header):

@@ -70,7 +70,7 @@ class Run(InNotebook):
     @classmethod
     def from_records(
         cls,
-        records: Iterable[Any],
+        records: str | Path | Iterable[Any],
         dataset: str | Path,
         labels: str | Path,
         out: str | Path | None = None,
@@ -80,8 +80,8 @@ class Run(InNotebook):
 
         Parameters
         ----------
-        records : iterable of dict or Prediction
-            As the lines of `docs/predictions.md`; one with `spatialviz_predictions` may come first.
+        records : iterable of dict or Prediction, or path
+            As the lines of `docs/predictions.md`, or the file of them; a header may come first.
         dataset, labels : str or Path
         out : str or Path, optional
             The run's folder; by default a temporary one.

@@ -132,9 +132,11 @@ def _run(run: Run) -> Element:
         _shares("verdict", {name: share.estimate for name, share in summary.verdicts.items()}, VERDICT_COLORS),
         _shares("of all, lost to", {k: v for k, v in summary.loss.items() if k != "accuracy"}, LOSS_COLORS),
     ]  # fmt: skip
+    theirs = run.manifest.get("imported")
+    whose = "" if theirs is None else f", imported, level {theirs['level']} of 3"
     return element(
         "div",
-        element("p", element("b", run.name), f" {counted(records.num_rows, 'expression')}"),
+        element("p", element("b", run.name), f" {counted(records.num_rows, 'expression')}{whose}"),
         *parts,
         *(_figures(name, rows) for name, rows in run.tables.items() if name == "grounding"),
         *(element("p", share.sentence, style=_QUIET) for share in run.shares),
