@@ -17,7 +17,8 @@ ASKED = 6
 
 @pytest.fixture(scope="module")
 def traced(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A pipeline that knows the annotations and compares centres, and takes left for right among things of a kind."""
+    """A pipeline that knows the annotations and compares centres, and takes left for right among things of a kind; its
+    last expression it does not answer."""
     opened = pipeline.open("demo", srm="rule")
     rows = pipeline.open_labels(demo_labels()).expressions.to_pylist()
     frame = opened.frames[0]
@@ -40,7 +41,10 @@ def traced(tmp_path_factory: pytest.TempPathFactory) -> Path:
             sign = plain[row["relation"]] * (-1 if row["target"] == row["reference"] else 1)
             p = {(a, b): 0.9 if sign * (x[a] - x[b]) > 0 else 0.1 for a in ends[0] for b in ends[1] if a != b}
             t.relations({row["relation"]: p})
-            t.answer(*max(p, key=lambda pair: p[pair]))
+            if row is asked[-1]:
+                t.answer(problem="out of time")
+            else:
+                t.answer(*max(p, key=lambda pair: p[pair]))
     return t.path
 
 
@@ -53,9 +57,12 @@ def imported(traced: Path, tmp_path_factory: pytest.TempPathFactory) -> pipeline
 
 def test_what_is_traced_is_imported_and_judged(imported: pipeline.Run) -> None:
     assert (imported.name, imported.records.num_rows) == ("centres", ASKED)
-    assert imported.verdicts["CORRECT"] == ASKED - 1
-    (failure,) = imported.failures()
-    assert failure.verdict == "SRM"
+    assert imported.verdicts["CORRECT"] == ASKED - 2
+    failure, unanswered = imported.failures()
+    assert (failure.verdict, failure.row["pair_correct"]) == ("SRM", False)
+    assert (unanswered.row["problem"], unanswered.row["pair_correct"]) == ("out of time", False)
+    pairs = next(row["pair"] for row in imported.tables["grounding"] if row["row"] == "centres")
+    assert pairs == pytest.approx((ASKED - 2) / ASKED)
     answer = failure.answer
     assert answer.verdict == "SRM"
     assert "centres (imported, level 3)" in (answer.needed_trace().detector, answer.needed_trace().scorer)
