@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, overload
@@ -50,10 +50,11 @@ class Failure(InNotebook):
 
 
 @dataclass(frozen=True, eq=False)
-class Failures(InNotebook, Sequence[Failure]):
-    """A table of expressions of a run, in the order of the run or as the search sorts them.
+class Failures(InNotebook):
+    """A table of expressions of a run, in the order of the run or as the search sorts them: `found[0]`, `found[:5]`,
+    `len(found)`, and a loop.
 
-    What reads Arrow takes it as it is: `polars.DataFrame(found)`, `duckdb.arrow(found.table)`.
+    What reads Arrow's streams takes it as it is: `polars.DataFrame(found)`, `pyarrow.table(found)`.
 
     Attributes
     ----------
@@ -72,6 +73,9 @@ class Failures(InNotebook, Sequence[Failure]):
 
     def __len__(self) -> int:
         return self.table.num_rows
+
+    def __iter__(self) -> Iterator[Failure]:
+        return (self[k] for k in range(len(self)))
 
     @overload
     def __getitem__(self, key: int) -> Failure: ...
