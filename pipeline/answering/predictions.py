@@ -152,7 +152,7 @@ class GivenBox:
     __pydantic_config__ = _STRICT
 
     center: Three | None = None
-    size: tuple[Annotated[FiniteFloat, Field(ge=0)], ...] | None = None
+    size: Three | None = None
     rotation: Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=9)] | None = None
     corners: Annotated[tuple[Three, ...], Field(min_length=8, max_length=8)] | None = None
 
@@ -199,6 +199,8 @@ class Prediction:
         How the system read the words, where it did; else ours reads them.
     proposals : dict of str to tuple of Proposal or None
         By the name that was asked; from level 1 on.
+    unknown : dict of str to str or None
+        Names that the detector could not be asked for, and why.
     boxes_3d : dict of int to GivenBox or None
         By id, null where an object has none; from level 2 on.
     relations : dict of str to tuple of (a, b, p), or None
@@ -219,6 +221,7 @@ class Prediction:
     relation: str | None = None
     reference: Name | None = None
     proposals: dict[Name, tuple[Proposal, ...]] | None = None
+    unknown: dict[Name, str] | None = None
     boxes_3d: dict[Id, GivenBox | None] | None = None
     relations: dict[str, tuple[Row, ...]] | None = None
     attributes: dict[Name, tuple[tuple[Id, Share], ...]] | None = None
@@ -442,8 +445,14 @@ def faults(line: Prediction, header: Header) -> Iterator[tuple[str, str, str]]:
     for i in (line.boxes_3d or {}).keys() - every:
         yield f"boxes_3d.{i}", f"the id {i} is not among the proposals", ""
     for i, box in (line.boxes_3d or {}).items():
-        if box is not None and (box.corners is None) == (box.center is None or box.size is None or len(box.size) != 3):
-            yield f"boxes_3d.{i}", "a box is center and size (three numbers each), or its eight corners", ""
+        if box is not None and (box.corners is None) == (box.center is None or box.size is None):
+            yield f"boxes_3d.{i}", "a box is center and size, or its eight corners", ""
+        if box is not None and box.size is not None and min(box.size) < 0:
+            yield (
+                f"boxes_3d.{i}.size",
+                f"an edge is shorter than 0; got {list(box.size)}",
+                "are center and size swapped?",
+            )
     if header.ranking == "pair_scores" and line.relations is not None and line.pairs is None:
         yield "pairs", "the header says that pairs have scores of their own, and this line has none", ""
     if line.relation is not None and line.relation not in RELATIONS:
