@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element, tostring
 
+from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import probability
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
@@ -61,8 +62,15 @@ def _answer(answer: Answer) -> Element:
         None if answer.why is None else element("p", answer.why, style=_QUIET),
         None if picture is None else element("img", src=picture, style="max-width:100%", alt=answer.sentence),
         None if trace is None or not answer.pairs else _pairs(trace.name, answer.pairs),
+        None if trace is None else element("p", _makers(trace), style=_QUIET),
         None if judged is None or not judged.contributions else _contributions(judged, judged.contributions),
     )
+
+
+def _makers(trace: Trace) -> str:
+    """Whose proposals and relations these are."""
+    asked = trace.scores.scored_by.get(trace.relation, trace.scorer)
+    return f"detector {trace.detector} · relations by {asked} · up {trace.viewer.up_source}"
 
 
 def _contributions(judged: Diagnosis, shares: Mapping[str, float]) -> Element | None:
