@@ -13,8 +13,9 @@ import spatialviz as sp
 AXES = {"left": (0, -1), "right": (0, 1), "above": (1, -1), "below": (1, 1)}  # Of the camera: x right, y down.
 
 
-def box_of(frame: sp.Frame, mask: np.ndarray) -> dict[str, np.ndarray]:
+def box_of(frame: sp.Frame, mask: np.ndarray | None) -> dict[str, np.ndarray]:
     """Centre and size of the points of a mask, metres, in the camera frame."""
+    assert mask is not None
     v, u = np.nonzero(mask & (frame.depth > 0))
     points = (np.linalg.inv(frame.camera.K) @ np.stack([u, v, np.ones(len(u))]) * frame.depth[v, u]).T
     low, high = np.percentile(points, [2, 98], axis=0)
