@@ -22,6 +22,7 @@ from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.answering.pair_rules import PairRule, Rescore, RuledConfig, RunRules, line_rule
 from pipeline.answering.placing import box_2d, box_3d
 from pipeline.answering.predictions import Prediction, Predictions, Proposal, read_predictions
+from pipeline.answering.shown_scorer import ShownScorer
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
@@ -52,7 +53,7 @@ class GivenDetector:
     predictions : Predictions
     line : Prediction, optional
     below : bool
-        `everything` holds also what was below the minimum score.
+        `detect_with_dropped` holds also what was below the minimum score.
 
     Attributes
     ----------
@@ -85,7 +86,7 @@ class GivenDetector:
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         return self._found(frame, labels, lambda p: p.dropped is None)
 
-    def everything(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+    def detect_with_dropped(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         """As `detect`, with what did not go on."""
         return self._found(frame, labels, lambda p: p.dropped is None or p.dropped in self._drops)
 
@@ -292,7 +293,8 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
             relation_weight=weights.relation,
         )
         config = replace(config, rank=rank)
-    scorer = make_scorer(read.header.scorer or "rule", options.get("vectors"))
+    named = read.header.scorer
+    scorer = ShownScorer.of(read) if named is None else make_scorer(named, options.get("vectors"))
     return ImportedPipeline(
         source.dataset, GivenDetector(read), GivenScorer(read, None, scorer), config, source.synonyms,
         predictions=read, rescore=rescore,

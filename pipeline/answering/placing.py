@@ -37,7 +37,7 @@ def pixel_scale(header: Header, width: int, height: int) -> np.ndarray:
     return np.ones(2) if whole is None else np.array([width, height]) / whole
 
 
-def box_3d(given: GivenBox, header: Header, camera: Camera) -> Box3D:
+def box_3d(given: GivenBox, header: Header, camera: Camera | None) -> Box3D:
     """A 3D box in the camera frame, metres.
 
     Raises
@@ -57,7 +57,7 @@ def box_3d(given: GivenBox, header: Header, camera: Camera) -> Box3D:
     if header.coordinates == "camera_opengl":
         center, R = FLIP @ center, FLIP @ R
     elif header.coordinates == "world":
-        pose = needed(camera.T_world_camera, "boxes in the world, and the frame has no pose")
+        pose = needed(camera and camera.T_world_camera, "boxes in the world, and the frame has no pose")
         center, R = pose[:3, :3].T @ (center - pose[:3, 3]), pose[:3, :3].T @ R
     if np.linalg.det(R) < 0:
         R = R * np.array([1.0, 1.0, -1.0])
@@ -116,7 +116,7 @@ def other_conventions(header: Header) -> Iterator[tuple[str, Header, bool]]:
         yield words, replace(header, coordinates=frame, length=length), False
 
 
-def try_box(given: GivenBox, header: Header, camera: Camera, swapped: bool) -> Box3D | None:
+def try_box(given: GivenBox, header: Header, camera: Camera | None, swapped: bool) -> Box3D | None:
     """`box_3d` by another convention; None where it is none."""
     if swapped and (given.center is None or min(given.center) < 0):
         return None
