@@ -16,6 +16,7 @@ from pipeline.system.version import __version__ as __version__
 TYPE_CHECKING = False
 # Type checkers take it for that of `typing`, whose import would be most of what importing this package costs.
 if TYPE_CHECKING:
+    from pipeline.answering.tracing import trace
     from pipeline.datasets.base import Dataset, DatasetFormat
     from pipeline.diagnosis.answer import Answer
     from pipeline.diagnosis.opened import Opened, ask, open
@@ -57,9 +58,11 @@ __all__ = [
     "open",
     "open_labels",
     "open_run",
+    "trace",
 ]
 
 _ROOMS = {
+    "answering.tracing": "trace",
     "datasets.base": "Dataset DatasetFormat",
     "diagnosis.answer": "Answer",
     "diagnosis.opened": "Opened ask open",

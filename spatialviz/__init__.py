@@ -8,20 +8,17 @@
     a.show()
 
 The names of `__all__` are the public face and stay: those of `pipeline`, the headless core, and `show`. Everything else
-here, the command line's modules and the page's, is private. Importing this package loads neither; in IPython it tells
-the shell how an answer and a run look.
+here, the command line's modules and the page's, is private. Importing this package loads neither; it says which
+function makes the HTML by which answers, runs and failures show themselves in a notebook.
 """
-
-import sys
 
 import pipeline
 from pipeline import __version__
+from pipeline.system.in_notebook import InNotebook
 
 TYPE_CHECKING = False
 # See `pipeline`.
 if TYPE_CHECKING:
-    from typing import Any
-
     from pipeline import (
         Annotation,
         Answer,
@@ -45,6 +42,7 @@ if TYPE_CHECKING:
         label,
         open_labels,
         open_run,
+        trace,
     )
     from spatialviz.face import ask, open, show
 
@@ -75,8 +73,11 @@ __all__ = [
     "open_labels",
     "open_run",
     "show",
+    "trace",
 ]
 
+
+InNotebook.html_by = "spatialviz.report.notebook:notebook_html"
 
 if not TYPE_CHECKING:
 
@@ -92,23 +93,3 @@ if not TYPE_CHECKING:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-def _in_notebook() -> None:
-    """Say how an answer and a run look, where this is imported in IPython; the report is loaded when one is shown."""
-    ipython = sys.modules.get("IPython")
-    shell = None if ipython is None else ipython.get_ipython()
-    if shell is None:
-        return
-
-    def html(shown: "Any") -> str:
-        from spatialviz.report.notebook import notebook_html
-
-        return notebook_html(shown)
-
-    formatter = shell.display_formatter.formatters["text/html"]
-    formatter.for_type_by_name("pipeline.diagnosis.answer", "Answer", html)
-    formatter.for_type_by_name("pipeline.evaluation.run_folder", "Run", html)
-
-
-_in_notebook()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -40,8 +40,10 @@ def show(
     depth: np.ndarray | None = None,
     K: np.ndarray | None = None,
     *,
-    masks: Sequence[np.ndarray] | np.ndarray = (),
+    masks: Sequence[np.ndarray] | np.ndarray | None = None,
     names: Sequence[str] | None = None,
+    boxes: Sequence[Any] | None = None,
+    relations: Mapping[str, Any] | None = None,
     up: Sequence[float] | np.ndarray | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
@@ -61,6 +63,9 @@ def show(
         Intrinsics, pixels.
     masks, names, up
         What is in the picture, and where up is; see `Frame.of_arrays`.
+    boxes, relations
+        3D boxes and relation probabilities of one's own, which are shown and ranked as they are; see `open_arrays` of
+        `pipeline.diagnosis.opened`.
     host, port, dark, open_browser
         As the options of `spatialviz view`.
     block : bool, optional
@@ -76,12 +81,15 @@ def show(
     InputError
         Arrays that make no frame, a dataset that cannot be opened, an address that cannot be used.
     """
-    if isinstance(what, np.ndarray):
-        if depth is None or K is None:
-            raise InputError("a picture alone is no frame", expected="show(rgb, depth, K)")
-        what = Frame.of_arrays(what, depth, K, masks=masks, names=names, up=up)
-    elif depth is not None or K is not None or len(masks) or names is not None or up is not None:
-        raise InputError("depth, K, masks, names and up belong to a picture", got=type(what).__name__)
+    arrays = {"masks": masks, "names": names, "boxes": boxes, "relations": relations, "up": up}
+    arrays = {name: value for name, value in arrays.items() if value is not None}
+    if depth is not None and K is not None:
+        what = core.open_arrays(what, depth, K, **arrays)
+    elif isinstance(what, np.ndarray):
+        raise InputError("a picture alone is no frame", expected="show(rgb, depth, K)")
+    elif arrays or depth is not None or K is not None:
+        given = ", ".join(arrays) or "depth or K alone"
+        raise InputError(f"{given}: no picture with depth and K", expected="show(rgb, depth, K, ...)")
     view: dict[str, Any] = {}
     if isinstance(what, Answer):
         what, view = _of_answer(what)

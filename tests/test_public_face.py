@@ -162,7 +162,7 @@ def test_arrays_become_a_frame_and_a_dataset() -> None:
         Frame.of_arrays(rgb, depth, K, masks=masks, names=["cup"])
     with pytest.raises(pipeline.InputError, match="the mask of 'box' is empty"):
         Frame.of_arrays(rgb, depth, K, masks=masks * [[[True]], [[False]]], names=["cup", "box"])
-    with pytest.raises(pipeline.InputError, match="depth must be float32"):
+    with pytest.raises(pipeline.InputError, match="depth must be float metres"):
         Frame.of_arrays(rgb, np.full((40, 60), 2000, np.uint16), K)
     with pytest.raises(pipeline.InputError, match="ids of their own"):
         pipeline.open([frame, frame])

@@ -35,6 +35,7 @@ from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
 from pipeline.relations import make_scorer
 from pipeline.relations.features import Appearance
+from pipeline.relations.given import with_given
 from pipeline.relations.scorer import RelationScorer, RelationScores
 from pipeline.system.errors import InputError, UnknownClass, as_input_error, require
 
@@ -52,7 +53,7 @@ class GivenDetector:
     predictions : Predictions
     line : Prediction, optional
     below : bool
-        `everything` holds also what was below the minimum score.
+        `detect_with_dropped` holds also what was below the minimum score.
 
     Attributes
     ----------
@@ -85,7 +86,7 @@ class GivenDetector:
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         return self._found(frame, labels, lambda p: p.dropped is None)
 
-    def everything(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+    def detect_with_dropped(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         """As `detect`, with what did not go on."""
         return self._found(frame, labels, lambda p: p.dropped is None or p.dropped in self._drops)
 
@@ -173,19 +174,7 @@ class GivenScorer:
     ) -> RelationScores:
         found = self.stand_in.score(objects, viewer, appearance, relations)
         given = {} if self.line is None else self.line.relations or {}
-        if appearance is None or not appearance.ids:
-            return found
-        at = {i: k for k, i in enumerate(appearance.ids) if i >= 0}
-        probabilities, scored_by = found.probabilities.copy(), dict(found.scored_by)
-        for relation, rows in given.items():
-            if relation not in found.relations:
-                continue
-            r = found.relations.index(relation)
-            scored_by[relation] = self.name
-            for a, b, *_, p in rows:
-                if a in at and b in at:
-                    probabilities[at[a], at[b], r] = p
-        return replace(found, probabilities=probabilities, scored_by=scored_by)
+        return with_given(found, given, appearance, self.name)
 
 
 @dataclass(frozen=True)

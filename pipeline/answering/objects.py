@@ -121,7 +121,7 @@ class PreparedFrame:
                     edges=self.edges,
                     boxes=self.boxes,
                 )
-                known = lifted, mask
+                known = self._with_fixed_box(lifted, key[1]) if detector.exact else lifted, mask
                 if key[1] >= 0:
                     self._lifted[key] = known
             label, score = proposals.label(i), float(proposals.scores[i])
@@ -130,6 +130,11 @@ class PreparedFrame:
             finished = getattr(detector, "finished", None)
             found.append(entry if finished is None else finished(entry, self))
         return tuple(found)
+
+    def _with_fixed_box(self, lifted: LiftedObject, index: int) -> LiftedObject:
+        """An annotated object with the 3D box that is to stand, if there is one, and its points moved with it."""
+        box = next((a.box for a in self.frame.annotations if a.index == index and a.fixed), None)
+        return lifted if box is None else lifted.moved_to(box, self.viewer)
 
     def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, MaskSource]:
         """The pixels of a proposal, and whose they are."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations, product
 from typing import Any
@@ -62,6 +62,21 @@ def box_3d(given: GivenBox, header: Header, camera: Camera | None) -> Box3D:
     if np.linalg.det(R) < 0:
         R = R * np.array([1.0, 1.0, -1.0])
     return Box3D(center, R, box.size * scale)
+
+
+def box_at_hand(box: Any, where: str) -> Box3D | None:
+    """A 3D box of an array or mapping: (8, 3) corners, or `center`, `size` and `rotation`, (3, 3) or nine numbers, by
+    default along the axes; a Box3D or None as it is. InputError where it is none."""
+    if box is None or isinstance(box, Box3D):
+        return box
+    try:
+        if not isinstance(box, Mapping):
+            return box_of_corners(np.asarray(box, np.float64).reshape(8, 3))
+        R = np.asarray(box.get("rotation", np.eye(3)), np.float64).reshape(3, 3)
+        return Box3D(np.asarray(box["center"], np.float64), R, np.asarray(box["size"], np.float64))
+    except (KeyError, TypeError, ValueError) as error:
+        forms = "a Box3D, (8, 3) corners, or center, size and rotation"
+        raise InputError(f"{where}: no 3D box", got=str(error), expected=forms) from error
 
 
 def box_of_corners(corners: np.ndarray) -> Box3D:

@@ -59,6 +59,8 @@ class Header:
         Which proposals count as one thing, and so never as a pair: those with one id, or also those that overlap.
     exact : bool
         The proposals are the dataset's own annotations.
+    events : bool
+        The lines are events of a trace: what they tell of one expression is joined.
     scorer : str or None
         A relation scorer of ours that made the probabilities ("rule", "trained", an ONNX file), which can be asked
         again; None for one that cannot.
@@ -83,6 +85,7 @@ class Header:
     weights: Weights = field(default_factory=Weights)
     same: Literal["ids", "overlap"] = "ids"
     exact: bool = False
+    events: bool = False
     scorer: str | None = None
     confidence: Share | None = None
     settings: dict[str, Any] | None = None

@@ -17,6 +17,7 @@ from typing import IO, Any
 
 from pydantic import TypeAdapter
 
+from pipeline.answering.prediction_events import joined_events
 from pipeline.answering.prediction_schema import (
     VERSION,
     GivenAnswer,
@@ -32,6 +33,7 @@ from pipeline.system.reading import checked
 from pipeline.system.whole_files import sha256_of
 
 __all__ = [
+    "VERSION",
     "GivenAnswer",
     "GivenBox",
     "Header",
@@ -44,6 +46,7 @@ __all__ = [
     "faults",
     "parse_header",
     "parse_line",
+    "read_contents",
     "read_lines",
     "read_predictions",
     "write_predictions",
@@ -146,13 +149,24 @@ def read_predictions(path: str | Path) -> Predictions:
 
 
 def read_lines(path: Path) -> Iterator[tuple[int, Header | Prediction]]:
-    """The header and each line as it stands, with its number from 1; lines are checked each by itself.
+    """The header and each line, or what events tell of an expression, by itself, with its number from 1.
 
     Raises
     ------
     InputError
         As `read_predictions`. A last line without its end that is no JSON is what a killed writer left, and is skipped.
     """
+    contents = read_contents(path)
+    header = parse_header(next(contents)[1], path)
+    yield 1, header
+    if header.events:
+        contents = joined_events(contents, path)
+    for number, content in contents:
+        yield number, parse_line(content, number, path)
+
+
+def read_contents(path: Path) -> Iterator[tuple[int, Any]]:
+    """The JSON of each line that is not empty, with its number from 1; raises as `read_lines`."""
     try:
         with open(path, encoding="utf-8") as file:
             number = 0
@@ -165,7 +179,7 @@ def read_lines(path: Path) -> Iterator[tuple[int, Header | Prediction]]:
                     if number > 1 and not text.endswith("\n"):
                         return
                     raise InputError(f"line {number}: not JSON", got=str(error), path=path) from error
-                yield number, (parse_header(content, path) if number == 1 else parse_line(content, number, path))
+                yield number, content
             require(number, "the file is empty", expected="a header and a line for each expression", path=path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("the predictions cannot be read", got=str(error), path=path) from error
@@ -308,6 +322,9 @@ class PredictionWriter:
             require(known == header, "the file was begun with another header", path=self.path)
         try:
             self._file: IO[bytes] = open(self.path, "ab")  # noqa: SIM115
+            if there:
+                # What a killed writer left of a line must not become the beginning of the next one.
+                self._file.truncate(self.path.read_bytes().rfind(b"\n") + 1)
         except OSError as error:
             raise InputError("the predictions cannot be written", got=error.strerror, path=self.path) from error
         if not there:
@@ -315,7 +332,10 @@ class PredictionWriter:
 
     def write(self, line: Prediction) -> None:
         """Append a line; InputError where it does not follow the schema (arrays of 3 instead of 4 numbers, NaN, …)."""
-        content = as_json(line)
+        self.write_json(as_json(line))
+
+    def write_json(self, content: str) -> None:
+        """Append a line that is JSON already; raises as `write`."""
         parse_line(json.loads(content), 0, self.path)
         self._write(content)
 

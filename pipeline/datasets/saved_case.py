@@ -63,6 +63,7 @@ class SavedAnnotation(_Strict):
     visible: FiniteFloat | None = None
     instance: int | None = None
     difficulty: int | None = None
+    fixed: bool = False
 
 
 class _SavedViewer(BaseModel):
@@ -115,7 +116,7 @@ def _annotation_record(a: Annotation) -> dict[str, Any]:
         "mask": None if a.mask is None else RunLength.of(a.mask),
         "box": None if a.box is None
         else {"center": a.box.center.tolist(), "R": a.box.R.tolist(), "size": a.box.size.tolist()},
-        "visible": a.visible, "instance": a.instance, "difficulty": a.difficulty,
+        "visible": a.visible, "instance": a.instance, "difficulty": a.difficulty, "fixed": a.fixed,
     }  # fmt: skip
 
 
@@ -231,7 +232,7 @@ def _annotation(saved: SavedAnnotation, shape: tuple[int, int]) -> Annotation:
     return Annotation(
         saved.index, saved.label, np.array(saved.bbox, np.float32), mask,
         None if box is None else Box3D(np.array(box.center), np.array(box.R), np.array(box.size)),
-        saved.visible, saved.instance, saved.difficulty,
+        saved.visible, saved.instance, saved.difficulty, saved.fixed,
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.oracles import RECALL, names_of
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.system.errors import InputError
+from pipeline.system.in_notebook import InNotebook
 
 Edited = Mapping[str, Any]
 """Edits as JSON; see `pipeline.diagnosis.whatif`."""
@@ -29,7 +30,7 @@ class Origin(Protocol):
 
 
 @dataclass(frozen=True)
-class Answer:
+class Answer(InNotebook):
     """An answer, with what is known of it; positions in `pairs` are those in `objects`.
 
     Attributes

@@ -96,6 +96,6 @@ def _detections(detector: Detector, frame: Frame, name: str) -> Proposals | None
     """All detections of a name; None where the detector cannot know it."""
     try:
         # An imported file also tells of what did not go on.
-        return getattr(detector, "everything", detector.detect)(frame, [name])
+        return getattr(detector, "detect_with_dropped", detector.detect)(frame, [name])
     except InputError:
         return None

@@ -10,6 +10,7 @@ from typing import Any
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering.placing import box_at_hand
 from pipeline.datasets import Dataset, resolve_frame
 from pipeline.datasets.base import Frames, InMemoryDataset
 from pipeline.diagnosis.answer import Answer
@@ -18,6 +19,8 @@ from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import FrameCases
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.proposals import Detector
+from pipeline.relations import TRAINED, make_scorer
+from pipeline.relations.given import given_relations
 from pipeline.system.errors import InputError
 
 KEPT_FRAMES = 4
@@ -141,6 +144,42 @@ def open(
     if isinstance(dataset, Sequence) and not isinstance(dataset, str):
         dataset = InMemoryDataset(dataset)
     return Opened(open_pipeline(dataset, **options), found)
+
+
+def open_arrays(
+    rgb: Any,
+    depth: Any,
+    K: Any,
+    *,
+    boxes: Sequence[Any] | None = None,
+    relations: Mapping[str, Any] | None = None,
+    **arrays: Any,
+) -> Opened:
+    """Open arrays that are at hand, for questions: what is given of boxes and relations stands, the rest is made here.
+
+    Parameters
+    ----------
+    rgb, depth, K
+        As for `Frame.of_arrays`, from numpy or another library.
+    boxes : sequence, optional
+        A 3D box or None for each mask, camera frame, metres: a Box3D, its (8, 3) corners, or a mapping of `center`,
+        `size` and `rotation`.
+    relations : mapping, optional
+        P("a RELATION b") by relation, (N, N) float or {(a, b): p}, objects by their place in `masks`.
+    arrays
+        masks, names, up, T_world_camera, id: as for `Frame.of_arrays`.
+
+    Raises
+    ------
+    InputError
+        As `Frame.of_arrays` and `given_relations`; a box that is none.
+    """
+    found = None if boxes is None else [box_at_hand(box, f"boxes[{k}]") for k, box in enumerate(boxes)]
+    frame = Frame.of_arrays(rgb, depth, K, boxes=found, **arrays)
+    scorer = make_scorer(TRAINED)
+    if relations is not None:
+        scorer = given_relations(relations, len(frame.annotations), scorer)
+    return open(frame, srm=scorer)
 
 
 def ask(dataset: Opened | Source, frame: int | str | Frame, text: str, **options: Any) -> Answer:

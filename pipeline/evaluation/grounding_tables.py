@@ -72,8 +72,8 @@ def opm_row(name: str, records: pa.Table, config: BootstrapConfig | None = None)
 
 def _row(name: str, records: pa.Table, measures: Sequence[np.ndarray | None], config: BootstrapConfig | None) -> Row:
     clusters, _ = clusters_of(records)
-    # A system that gives one box has no reference to be measured by.
-    cells = (None if m is None or np.isnan(m).all() else mean_estimate(m, clusters, config=config) for m in measures)
+    # A system that gives one box has no reference to be measured by, nor has one that gives it for a part.
+    cells = (None if m is None or np.isnan(m).any() else mean_estimate(m, clusters, config=config) for m in measures)
     return Row(name, (*cells, records.num_rows))
 
 

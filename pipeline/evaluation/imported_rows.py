@@ -138,4 +138,6 @@ def _given_row(
         "set_correct": lenient >= HIT, "box": None if box is None else box.tolist(),
         "matched_target": None if at < 0 else at,
     }  # fmt: skip
+    if line.answer is None:
+        row |= {"reference_correct": False, "pair_correct": False}
     return row

@@ -31,7 +31,7 @@ from pipeline.evaluation.grounding_tables import (
     systems_table,
 )
 from pipeline.evaluation.loss_plots import draw_diagnosis
-from pipeline.evaluation.paper_tables import tables_of_folder
+from pipeline.evaluation.paper_tables import other_systems, tables_of_folder
 from pipeline.evaluation.plots import draw, draw_relations, need_plots
 from pipeline.evaluation.records import is_calibrated, raw_records, read_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
@@ -39,7 +39,7 @@ from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.evaluation.relation_report import shares_by_title
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, median_confidence
-from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, other_systems, spec_record
+from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
 from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, has_verdicts, oracle_table, summarise_run, verdict_table

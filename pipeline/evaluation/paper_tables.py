@@ -14,9 +14,10 @@ from pipeline.evaluation.grounding_tables import OPM_ONLY, clusters_of, column, 
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_records import FILE, RelationRecords, read_pair_names, read_relation_records
 from pipeline.evaluation.relation_report import counted_pairs, relation_ranks
-from pipeline.evaluation.run_folder import RECORDS_FILE, open_run
-from pipeline.evaluation.shared_makers import shares_of_run, title_of
+from pipeline.evaluation.run_folder import RECORDS_FILE, open_run, read_manifest
+from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run, title_of
 from pipeline.labels.cases import HIT
+from pipeline.labels.makers import Makers
 from pipeline.labels.profiles import GIVEN
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import VOCABULARIES
@@ -289,3 +290,46 @@ def tables_of_run(folder: str | Path) -> list[Table]:
     own = title_of(shares_of_run(run.manifest, run.labels.root))
     blocks = dict.fromkeys(systems, own) | {n: str(s["title"]) for n, s in how.get("shares", {}).items()}
     return tables_of_folder(run.folder, run.labels, systems, blocks, held_out=how.get("pairs") == "held-out")
+
+
+def other_systems(
+    runs: Sequence[Path], name: str, content_hash: str, makers: Makers
+) -> dict[str, tuple[pa.Table, tuple[Share, ...]]]:
+    """The systems of other runs by their names: records, and what they have in common with what made the labels.
+
+    A name that is taken is told apart by its run's folder, and by a number where that is not enough.
+
+    Parameters
+    ----------
+    runs : sequence of Path
+    name : str
+        Of the run that they stand beside.
+    content_hash : str
+        Of the expressions that were asked.
+    makers : Makers
+        Of the labels.
+
+    Raises
+    ------
+    InputError
+        There is no run, or it is of other labels.
+    """
+    found: dict[str, tuple[pa.Table, tuple[Share, ...]]] = {}
+    taken = {name}
+    for run in map(Path, runs):
+        manifest = read_manifest(run)
+        asked = manifest.get("labels", {}).get("content_hash")
+        require(
+            asked == content_hash,
+            "a run on other labels cannot be a row beside this one",
+            got=f"expressions {asked}",
+            expected=f"expressions {content_hash}",
+            path=run,
+        )
+        own = str(manifest["name"])
+        choices = [own, f"{own} ({run.resolve().name})"]
+        choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]
+        own = next(n for n in choices if n not in taken)
+        taken.add(own)
+        found[own] = read_records(run), shared_makers(makers, measured_of_run(manifest))
+    return found

@@ -7,10 +7,11 @@ import io
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,17 +21,21 @@ from pipeline.answering.ask import AskConfig
 from pipeline.answering.imported import open_source
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.demo import DEMO_NAME
+from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.browsing import RunRows
+from pipeline.evaluation.failures import Failures, asked_again, found_failures
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run
-from pipeline.labels.makers import Makers
+from pipeline.evaluation.shared_makers import Share, shares_of_run
 from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.labels.schema import TABLES
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
 from pipeline.system.door import enter, read_json, read_text
 from pipeline.system.errors import InputError, require
+from pipeline.system.in_notebook import InNotebook
 from pipeline.system.model_files import parse_hub_id
 
 if TYPE_CHECKING:
@@ -44,7 +49,7 @@ _HUB = "hub:"
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(InNotebook):
     """A finished evaluation.
 
     Attributes
@@ -62,6 +67,37 @@ class Run:
     name: str
     manifest: Mapping[str, Any]
     spec: EvalSpec
+
+    @classmethod
+    def from_records(
+        cls,
+        records: str | Path | Iterable[Any],
+        dataset: str | Path,
+        labels: str | Path,
+        out: str | Path | None = None,
+        **options: Any,
+    ) -> Run:
+        """The run of predictions of another pipeline, as `spatialviz import-run` makes it of a file.
+
+        Parameters
+        ----------
+        records : iterable of dict or Prediction, or path
+            As the lines of `docs/predictions.md`, or the file of them; a header may come first.
+        dataset, labels : str or Path
+        out : str or Path, optional
+            The run's folder; by default a temporary one.
+        options
+            `header`, a dict with fields of the first line ("system", "ranking", ...), and what `import_run` takes:
+            name, workers, plots, overwrite, rescore.
+
+        Raises
+        ------
+        InputError
+            As `import_run`.
+        """
+        # By its name: what makes runs stands above what opens them.
+        importing = import_module("pipeline.evaluation.from_records")
+        return open_run(importing.import_records(records, dataset, labels, out, **options))
 
     def __repr__(self) -> str:
         return f"<Run {self.folder.name}: {self.name}, {self.manifest.get('expressions')} expressions>"
@@ -113,6 +149,27 @@ class Run:
     def labels(self) -> Labels:
         """The labels; raises as `open_labels`."""
         return open_labels(self.spec.labels)
+
+    def failures(self, search: str = "") -> Failures:
+        """The expressions that a search finds, as `spatialviz failures` does: "verdict:SRM relation:behind margin<0.1";
+        without one all that failed.
+
+        Raises
+        ------
+        InputError
+            The search cannot be read, or the run has no verdicts.
+        """
+        return found_failures(RunRows(self.records, self.folder), search, self.answer)
+
+    def answer(self, frame: str, expression: str) -> Answer:
+        """An expression of the labels by its id, answered with the run's models now, and judged as in the run.
+
+        Raises
+        ------
+        InputError
+            As `source` and `labels`; or the labels have no such expression.
+        """
+        return asked_again(Opened(self.source, self.labels), self.spec, frame, expression)
 
 
 def _rows(path: Path) -> list[dict[str, str | float]]:
@@ -249,49 +306,6 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
         confidence=record["confidence"],
         marks={(frame, expression): mark for frame, expression, mark in record["marks"]},
     )
-
-
-def other_systems(
-    runs: Sequence[Path], name: str, content_hash: str, makers: Makers
-) -> dict[str, tuple[pa.Table, tuple[Share, ...]]]:
-    """The systems of other runs by their names: records, and what they have in common with what made the labels.
-
-    A name that is taken is told apart by its run's folder, and by a number where that is not enough.
-
-    Parameters
-    ----------
-    runs : sequence of Path
-    name : str
-        Of the run that they stand beside.
-    content_hash : str
-        Of the expressions that were asked.
-    makers : Makers
-        Of the labels.
-
-    Raises
-    ------
-    InputError
-        There is no run, or it is of other labels.
-    """
-    found: dict[str, tuple[pa.Table, tuple[Share, ...]]] = {}
-    taken = {name}
-    for run in map(Path, runs):
-        manifest = read_manifest(run)
-        asked = manifest.get("labels", {}).get("content_hash")
-        require(
-            asked == content_hash,
-            "a run on other labels cannot be a row beside this one",
-            got=f"expressions {asked}",
-            expected=f"expressions {content_hash}",
-            path=run,
-        )
-        own = str(manifest["name"])
-        choices = [own, f"{own} ({run.resolve().name})"]
-        choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]
-        own = next(n for n in choices if n not in taken)
-        taken.add(own)
-        found[own] = read_records(run), shared_makers(makers, measured_of_run(manifest))
-    return found
 
 
 RECORDS = "records"

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.camera import Camera
-from pipeline.system.errors import InputError, require
+from pipeline.geometry.camera import Camera, project
+from pipeline.system.errors import InputError, as_input_error, require
 
 NEAREST_MEDIAN_M = 0.1
 FARTHEST_MEDIAN_M = 20.0
@@ -40,6 +40,8 @@ class Annotation:
         The dataset's number of this very object, the same in all frames that show it.
     difficulty : int or None
         How hard the dataset says the object is to find: 1 is easy.
+    fixed : bool
+        Its 3D box stands as it is: none is fitted to the points.
     """
 
     index: int
@@ -50,6 +52,7 @@ class Annotation:
     visible: float | None = None
     instance: int | None = None
     difficulty: int | None = None
+    fixed: bool = False
 
     def __post_init__(self) -> None:
         bbox = np.asarray(self.bbox, dtype=np.float32)
@@ -149,8 +152,9 @@ class Frame:
         depth: np.ndarray,
         K: np.ndarray,
         *,
-        masks: Sequence[np.ndarray] | np.ndarray = (),
+        masks: Sequence[np.ndarray] | np.ndarray | None = None,
         names: Sequence[str] | None = None,
+        boxes: Sequence[Box3D | None] | None = None,
         up: Sequence[float] | np.ndarray | None = None,
         T_world_camera: np.ndarray | None = None,
         id: str = "frame",
@@ -164,10 +168,12 @@ class Frame:
             Metres along the camera's z axis; 0 or NaN where nothing was measured.
         K : (3, 3) float
             Intrinsics, pixels.
-        masks : (N, H, W) bool
-            The pixels of each object.
-        names : sequence of str, optional
+        masks : (N, H, W) bool, optional
+            The pixels of each object; integers 0 and 1 will do.
+        names : N str, optional
             What each of them is; by default "object 1", "object 2", ...
+        boxes : N Box3D or None, optional
+            Their 3D boxes, camera frame, metres: these stand, and none is fitted. They may come without masks.
         up : (3,) float, optional
             Against gravity, camera frame.
         T_world_camera : (4, 4) float, optional
@@ -176,25 +182,17 @@ class Frame:
         Raises
         ------
         InputError
-            Arrays of other shapes, types or units; an empty mask; another number of names than of masks.
+            Arrays of other shapes, types or units; an empty mask, or a box that is not in view; another number of names
+            or boxes than of masks.
         """
-        rgb, depth = np.asarray(rgb), np.asarray(depth)
-        names = tuple(f"object {n}" for n in range(1, len(masks) + 1)) if names is None else tuple(names)
-        require(
-            len(names) == len(masks), f"frame {id}: a name for each mask", got=f"{len(names)} names, {len(masks)} masks"
-        )
-        if depth.dtype.kind == "f":
-            # NaN and infinity are how others write that nothing was measured.
-            depth = np.where(np.isfinite(depth), depth, 0).astype(np.float32)
-        annotations = []
-        for index, (mask, name) in enumerate(zip(masks, names, strict=True)):
-            rows, columns = (np.flatnonzero(np.any(mask, axis=axis)) for axis in (1, 0))
-            require(len(rows), f"frame {id}: the mask of {name!r} is empty")
-            bbox = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float32)
-            annotations.append(Annotation(index, name, bbox, np.asarray(mask)))
+        rgb, depth = _array(rgb, "rgb", id), _array(depth, "depth", id)
+        _check_units(rgb, depth, id)
+        # NaN and infinity are how others write that nothing was measured.
+        depth = np.where(np.isfinite(depth), depth, 0).astype(np.float32)
         known = None if up is None else np.asarray(up, np.float64)
         camera = Camera(K, rgb.shape[1], rgb.shape[0], T_world_camera, known, None if up is None else "given")
-        return cls(id, rgb, depth, camera, tuple(annotations))
+        whole = cls(id, rgb, depth, camera)
+        return replace(whole, annotations=_annotations(whole, masks, names, boxes))
 
     def __repr__(self) -> str:
         return f"<Frame {self.id!r}: {self.width}x{self.height}, {len(self.annotations)} annotations>"
@@ -220,3 +218,98 @@ class Frame:
 
 def _pixels(bbox: np.ndarray) -> str:
     return " ".join(f"{x:.0f}" for x in bbox)
+
+
+def _array(values: object, what: str, frame: str) -> np.ndarray:
+    with as_input_error(f"frame {frame}: {what} is no array", ValueError, TypeError, got=str):
+        return np.asarray(values)
+
+
+def _check_units(rgb: np.ndarray, depth: np.ndarray, frame: str) -> None:
+    """InputError where a picture or a depth map at hand is of another type, order of axes or unit, with what to do."""
+    turned = rgb.ndim == 3 and rgb.shape[0] == 3 and rgb.shape[2] != 3
+    advice = "are channels first? rgb.transpose(1, 2, 0)" if turned else None
+    if rgb.dtype.kind == "f":
+        advice = "is it 0 to 1? (255 * rgb).astype(np.uint8)"
+    require(
+        rgb.dtype == np.uint8 and rgb.ndim == 3 and rgb.shape[2] == 3,
+        f"frame {frame}: colour must be uint8 (H, W, 3)",
+        got=f"{rgb.dtype} {rgb.shape}",
+        cause=advice,
+    )
+    millimetres = "is it in millimetres? depth / 1000.0"
+    require(
+        depth.dtype.kind == "f" and depth.shape == rgb.shape[:2],
+        f"frame {frame}: depth must be float metres of shape {rgb.shape[:2]}",
+        got=f"{depth.dtype} {depth.shape}",
+        cause="is it in millimetres? depth / 1000.0"
+        if depth.dtype.kind in "ui"
+        else "is it registered to the picture?",
+    )
+    valid = depth[np.isfinite(depth) & (depth > 0)]
+    median = float(np.median(valid)) if len(valid) else 1.0
+    require(
+        median <= FARTHEST_MEDIAN_M,
+        f"frame {frame}: depth of the wrong unit",
+        got=f"a median of {median:.4g}",
+        expected=f"metres, {NEAREST_MEDIAN_M:g} to {FARTHEST_MEDIAN_M:g}",
+        cause=millimetres,
+    )
+
+
+def _annotations(
+    frame: Frame,
+    masks: Sequence[np.ndarray] | np.ndarray | None,
+    names: Sequence[str] | None,
+    boxes: Sequence[Box3D | None] | None,
+) -> tuple[Annotation, ...]:
+    """Objects at hand, each with a mask, a 3D box or both; see `Frame.of_arrays`."""
+    given = {"masks": masks, "names": names, "boxes": boxes}
+    numbers = {what: len(values) for what, values in given.items() if values is not None}
+    objects = numbers.get("masks") or numbers.get("boxes") or 0
+    told = ", ".join(f"{n} {what}" for what, n in numbers.items())
+    require(
+        not isinstance(names, str) and set(numbers.values()) <= {objects},
+        f"frame {frame.id}: a name for each mask, and a box or None",
+        got=repr(names) if isinstance(names, str) else told,
+    )
+    found = []
+    for index in range(objects):
+        name = f"object {index + 1}" if names is None else str(names[index])
+        mask = None if masks is None else _mask(masks[index], f"frame {frame.id}: the mask of {name!r}", frame)
+        box = None if boxes is None else boxes[index]
+        if mask is None and box is None:
+            raise InputError(f"frame {frame.id}: {name!r} has neither a mask nor a box")
+        bbox = np.zeros(4) if box is None else _seen(box, frame, f"frame {frame.id}: the 3D box of {name!r}")
+        if mask is not None:
+            rows, columns = (np.flatnonzero(np.any(mask, axis=axis)) for axis in (1, 0))
+            bbox = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float32)
+        found.append(Annotation(index, name, bbox, mask, box, fixed=box is not None))
+    return tuple(found)
+
+
+def _mask(mask: object, what: str, frame: Frame) -> np.ndarray:
+    array = np.asarray(mask)
+    require(
+        array.dtype.kind in "bui" and array.shape == frame.depth.shape,
+        f"{what} must be bool of shape {frame.depth.shape}",
+        got=f"{array.dtype} {array.shape}",
+        cause="are these probabilities or logits? mask > 0.5, mask > 0" if array.dtype.kind == "f" else None,
+    )
+    require(array.any(), f"{what} is empty")
+    return array.astype(np.bool_)
+
+
+def _seen(box: Box3D, frame: Frame, what: str) -> np.ndarray:
+    """(4,) float32: the rectangle of a 3D box in the picture; InputError where it is not in view."""
+    front = box.corners[box.corners[:, 2] > 0]
+    seen = project(front, frame.camera) if len(front) else np.zeros((1, 2))
+    low, high = (np.clip(end, 0, [frame.width, frame.height]) for end in (seen.min(axis=0), seen.max(axis=0)))
+    require(
+        (high > low).all() and box.center[2] < 2 * frame.depth.max(),
+        f"{what} is not in view",
+        got=f"center {box.center.round(3).tolist()}",
+        expected="camera frame, x right, y down, z forward, metres",
+        cause="is it in millimetres, in the world frame, or with y up?",
+    )
+    return np.concatenate([low, high]).astype(np.float32)

@@ -57,7 +57,7 @@ def checked(
     except ValidationError as error:
         first = error.errors()[0]
         location = ".".join(str(p) for p in (*inside, *first["loc"])) or "the top"
-        known = ", ".join(keys) if "extra" in first["type"] else ""
+        known = ", ".join(keys) if first["type"] in ("extra_forbidden", "unexpected_keyword_argument") else ""
         raise InputError(
             wrong.replace("{}", location), got=first["msg"], expected=f"one of {known}" if known else None, path=path
         ) from error

@@ -1,27 +1,40 @@
-"""An answer and a run as HTML for a notebook: a headline, a picture with the roles, tables. Nothing is loaded.
+"""Answers, runs and failures as HTML for a notebook: a headline, a picture with the roles, tables with bars; nothing
+is loaded, and no style or script is needed.
 
 The elements are built as a tree and written by the standard library, which escapes every text and attribute.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 from xml.etree.ElementTree import Element, tostring
 
+from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import probability
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.evaluation.failures import Failure, Failures
+from pipeline.evaluation.plots import LOSS_COLORS, VERDICT_COLORS
 from pipeline.evaluation.run_folder import Run
-from spatialviz.report.picture import answer_picture, jpeg_url
+from pipeline.evaluation.summary import summarise_run
+from pipeline.geometry.palette import ON_LIGHT, hex_color, ink
+from pipeline.language.counted import counted
+from pipeline.metrics.intervals import Estimate
+from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.in_notebook import InNotebook
+from spatialviz.report.picture import QUALITY, WIDEST, answer_picture, answer_roles, jpeg_url
 
 SHOWN_PAIRS = 8
 SHOWN_ROWS = 12
 _QUIET = "color:gray"
 
 
-def notebook_html(shown: Answer | Run) -> str:
-    """What a notebook shows of an answer or a run."""
-    return tostring(_answer(shown) if isinstance(shown, Answer) else _run(shown), encoding="unicode", method="html")
+def notebook_html(shown: InNotebook) -> str:
+    """What a notebook shows of an answer, a run, a failure or several."""
+    build = next(build for kind, build in _BUILDERS.items() if isinstance(shown, kind))
+    return tostring(build(shown), encoding="unicode", method="html")
 
 
 def element(tag: str, *children: Element | str | None, style: str = "", **attributes: str) -> Element:
@@ -38,10 +51,10 @@ def element(tag: str, *children: Element | str | None, style: str = "", **attrib
 
 
 def _answer(answer: Answer) -> Element:
-    verdict = None if answer.verdict is None else element("b", f" {answer.verdict}")
-    trace = answer.trace
+    verdict = None if answer.verdict is None else _chip(answer.verdict, answer.verdict)
+    trace, judged = answer.trace, answer.diagnosis
     frame = None if trace is None else element("span", f" {trace.frame.id}", style=_QUIET)
-    picture = None if trace is None else jpeg_url(answer_picture(trace))
+    picture = None if trace is None else jpeg_url(answer_picture(trace, answer_roles(answer)), WIDEST, QUALITY)
     return element(
         "div",
         element("p", element("b", f"“{answer.text}”"), frame, verdict),
@@ -49,6 +62,57 @@ def _answer(answer: Answer) -> Element:
         None if answer.why is None else element("p", answer.why, style=_QUIET),
         None if picture is None else element("img", src=picture, style="max-width:100%", alt=answer.sentence),
         None if trace is None or not answer.pairs else _pairs(trace.name, answer.pairs),
+        None if trace is None else element("p", _makers(trace), style=_QUIET),
+        None if judged is None or not judged.contributions else _contributions(judged, judged.contributions),
+    )
+
+
+def _makers(trace: Trace) -> str:
+    """Whose proposals and relations these are."""
+    asked = trace.scores.scored_by.get(trace.relation, trace.scorer)
+    return f"detector {trace.detector} · relations by {asked} · up {trace.viewer.up_source}"
+
+
+def _contributions(judged: Diagnosis, shares: Mapping[str, float]) -> Element | None:
+    """What the answer gains over the best right pair, factor by factor; nothing where it is that pair."""
+    if judged.winner == judged.right:
+        return None
+    widest = max(map(abs, shares.values())) or 1.0
+    rows = [
+        (
+            factor,
+            *(f"{getattr(pair, f'p_{factor}'):.3f}" for pair in (judged.winner, judged.right)),
+            f"{share:+.2f}",
+            _bar(abs(share) / widest, hex_color(ON_LIGHT["bad" if share > 0 else "truth"])),
+        )
+        for factor, share in shares.items()
+    ]
+    return _table(("factor", "answer", "best right pair", "Δ ln product", "red for the answer, green against it"), rows)
+
+
+def _failure(failure: Failure) -> Element:
+    try:
+        return _answer(failure.answer)
+    except (InputError, MissingExtra) as error:
+        row = failure.row
+        lead = _chip(str(row["verdict"]), failure.verdict)
+        frame = element("span", f" {row['frame']}", style=_QUIET)
+        return element(
+            "div",
+            element("p", element("b", f"“{row['text']}”"), frame, lead),
+            element("p", row["said"]),
+            element("p", f"not answered again: {error}", style=_QUIET),
+        )
+
+
+def _failures(found: Failures) -> Element:
+    shown = found[:SHOWN_ROWS]
+    rows = [(str(f.row["frame"]), str(f.row["text"]), f.verdict, f.row["said"] or "") for f in shown]
+    return element(
+        "div",
+        element("p", element("b", found.search or "failed"), f" {counted(len(found), 'expression')}"),
+        _table(("frame", "text", "verdict", "said"), rows) if rows else None,
+        _more(len(found) - len(shown), "expressions"),
     )
 
 
@@ -61,23 +125,49 @@ def _pairs(name: Callable[[int], str], pairs: Sequence[ScoredPair]) -> Element:
             *(f"{p:.2f}" for p in (pair.p_target, pair.p_reference, pair.p_relation)),
             probability(pair.product),
             f"{pair.probability:.3f}",
+            _bar(pair.probability, hex_color(ON_LIGHT["target"])),
         )
         for rank, pair in enumerate(pairs[:SHOWN_PAIRS], start=1)
     ]
-    head = ("#", "target", "reference", "P(target)", "P(reference)", "P(relation)", "product", "posterior")
+    head = ("#", "target", "reference", "P(target)", "P(reference)", "P(relation)", "product", "posterior", "")
     return element("div", _table(head, rows), _more(len(pairs) - SHOWN_PAIRS, "pairs"))
 
 
 def _run(run: Run) -> Element:
-    counts = run.verdicts
-    total = sum(counts.values())
-    verdicts = [(name, str(count), f"{100 * count / total:.1f} %") for name, count in counts.items()]
+    records = run.records
+    summary = summarise_run(records) if run.verdicts else None
+    parts = [] if summary is None else [
+        _shares("verdict", {name: share.estimate for name, share in summary.verdicts.items()}, VERDICT_COLORS),
+        _shares("of all, lost to", {k: v for k, v in summary.loss.items() if k != "accuracy"}, LOSS_COLORS),
+    ]  # fmt: skip
+    theirs = run.manifest.get("imported")
+    whose = "" if theirs is None else f", imported, level {theirs['level']} of 3"
     return element(
         "div",
-        element("p", element("b", run.name), f" {run.manifest.get('expressions')} expressions"),
-        _table(("verdict", "expressions", "share"), verdicts) if verdicts else None,
+        element("p", element("b", run.name), f" {counted(records.num_rows, 'expression')}{whose}"),
+        *parts,
         *(_figures(name, rows) for name, rows in run.tables.items() if name == "grounding"),
+        *(element("p", share.sentence, style=_QUIET) for share in run.shares),
     )
+
+
+def _shares(name: str, shares: Mapping[str, Estimate], tones: Mapping[str, str]) -> Element:
+    """Shares of all expressions with their intervals, each with a bar."""
+    rows = [
+        (key, f"{100 * e.value:.1f} %", f"{100 * e.low:.1f} to {100 * e.high:.1f}", _bar(e.value, tones[key]))
+        for key, e in shares.items()
+        if e.value
+    ]
+    return _table((name, "share", "95 %", ""), rows)
+
+
+def _bar(share: float, color: str) -> Element:
+    return element("div", style=f"background:{color};height:0.7em;width:{160 * min(max(share, 0.0), 1.0):.0f}px")
+
+
+def _chip(verdict: str, text: str) -> Element:
+    color = VERDICT_COLORS[verdict]
+    return element("b", text, style=f"background:{color};color:{ink(color)};padding:0 0.4em;margin-left:0.5em")
 
 
 def _figures(name: str, rows: Sequence[dict[str, str | float]]) -> Element:
@@ -90,7 +180,7 @@ def _cell(value: str | float) -> str:
     return value if isinstance(value, str) else f"{value:.3f}".rstrip("0").rstrip(".")
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Element:
+def _table(head: Sequence[str], rows: Iterable[Sequence[Element | str]]) -> Element:
     body = [element("tr", *(element("td", cell) for cell in row)) for row in rows]
     return element(
         "table", element("thead", element("tr", *(element("th", name) for name in head))), element("tbody", *body)
@@ -99,3 +189,11 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Element:
 
 def _more(count: int, what: str) -> Element | None:
     return element("p", f"and {count} more {what}", style=_QUIET) if count > 0 else None
+
+
+_BUILDERS: dict[type[InNotebook], Callable[[Any], Element]] = {
+    Answer: _answer,
+    Failure: _failure,
+    Failures: _failures,
+    Run: _run,
+}

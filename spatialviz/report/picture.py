@@ -77,8 +77,9 @@ def roles_of(pair: ScoredPair) -> dict[int, Role]:
     return roles
 
 
-def answer_picture(trace: Trace) -> np.ndarray:
-    """The answer of a trace drawn over its frame: (H + caption, W, 3) uint8."""
+def answer_picture(trace: Trace, known: AnswerRoles | None = None) -> np.ndarray:
+    """The answer of a trace drawn over its frame, with the boxes and names of what is true where it is `known` and
+    another: (H + caption, W, 3) uint8."""
     roles = roles_of(trace.ranking.pairs[0]) if trace.ranking is not None and trace.ranking.pairs else {}
     image = tinted(trace.frame.rgb, trace.objects, roles)
     scale = max(1.0, trace.frame.width / 640)
@@ -90,6 +91,12 @@ def answer_picture(trace: Trace) -> np.ndarray:
     for index, role in roles.items():
         entry = trace.objects[index]
         _tag(image, f"{entry.label} {entry.score:.2f}", entry.bbox[:2], ON_DARK[role], 0.5 * scale)
+    answered = set() if known is None else {known.labelled.get(index) for index in roles}
+    for k, (role, entry) in {} if known is None else known.truth.items():
+        if k not in answered and entry.mask.any():
+            x0, y0, x1, y1 = mask_box(entry.mask)
+            cv2.rectangle(image, (x0, y0), (x1, y1), ON_DARK["truth"], max(1, round(1.5 * scale)), cv2.LINE_AA)
+            _tag(image, f"true {role}: {entry.label}", np.array([x0, y1]), ON_DARK["truth"], 0.5 * scale)
     return np.concatenate([image, _caption(trace, image.shape[1], scale)])
 
 

@@ -13,9 +13,9 @@ from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
 from pipeline.evaluation.grounding_tables import relation_gain
 from pipeline.evaluation.job import RunReport, evaluate_dataset
+from pipeline.evaluation.paper_tables import other_systems
 from pipeline.evaluation.plots import PALE_TONE, _tones
 from pipeline.evaluation.run import EvalSpec, VlmOptions
-from pipeline.evaluation.run_folder import other_systems
 from pipeline.evaluation.shared_makers import PERFECT, SIMULATED
 from pipeline.labels.job import label_dataset
 from pipeline.labels.makers import Makers

@@ -1,0 +1,256 @@
+"""Predictions written by a pipeline of one's own as it runs: every call appends one event to a file.
+
+The file is one of predictions whose header says `events`; `import-run` reads it, also while it grows and after a kill.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from contextvars import ContextVar
+from dataclasses import asdict
+from itertools import chain
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from pipeline.answering.predictions import VERSION, PredictionWriter, parse_header, read_contents
+from pipeline.geometry.masks import RunLength
+from pipeline.system.errors import InputError, needed, require
+
+Rows = Mapping[Any, float] | Iterable[Sequence[float]]
+"""Numbers of objects: {(3, 7): 0.9} or rows [3, 7, 0.9]."""
+
+
+class Tracer:
+    """What a pipeline calls as it runs; see `trace`. Threads and tasks may each have an expression open.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    """
+
+    def __init__(self, path: str | Path, append: bool, conventions: Mapping[str, Any]) -> None:
+        path = Path(path)
+        self.path = path if path.suffix else path.with_suffix(".jsonl")
+        content = {"spatialviz_predictions": VERSION, "system": self.path.stem, **conventions, "events": True}
+        self._writer = PredictionWriter(self.path, parse_header(content, self.path), append=append)
+        self._open: ContextVar[tuple[str, str, set[int]]] = ContextVar("expression")
+        self._ids: dict[str, dict[tuple[float, ...], int]] = {}
+        for _, event in read_contents(self.path) if append else ():
+            for told in chain.from_iterable(event.get("proposals", {}).values()):
+                self._ids.setdefault(event["frame"], {})[tuple(told["box"])] = told["id"]
+
+    def expression(
+        self,
+        frame: str,
+        text: str,
+        *,
+        target: str | None = None,
+        relation: str | None = None,
+        reference: str | None = None,
+    ) -> None:
+        """Begin an expression on a frame: what follows belongs to it. Asked once more it begins anew.
+
+        Parameters
+        ----------
+        frame : str
+            Id of the dataset's frame.
+        text : str
+            As the labels have it.
+        target, relation, reference : str, optional
+            How the pipeline reads the words; else spatialviz reads them.
+        """
+        self._open.set((str(frame), text, set()))
+        read = {"target": target, "relation": relation, "reference": reference}
+        self._event((), **{part: word for part, word in read.items() if word is not None})
+
+    def proposals(
+        self,
+        name: str,
+        boxes: Sequence[Sequence[float] | np.ndarray] | np.ndarray,
+        scores: Sequence[float] | np.ndarray,
+        *,
+        masks: Sequence[Any] | np.ndarray | None = None,
+        ids: Sequence[int] | np.ndarray | None = None,
+        names: Sequence[str] | None = None,
+        dropped: Sequence[str | None] | None = None,
+    ) -> list[int]:
+        """What the detector found for a name.
+
+        Parameters
+        ----------
+        name : str
+            That was asked.
+        boxes : (N, 4) float
+            As the header's `boxes` and `box_unit` say.
+        scores : (N,) float
+            0..1.
+        masks : N of (H, W) bool or of COCO's run-length code, optional
+        ids : (N,) int, optional
+            Which objects of the frame they are; by default boxes are numbered, an equal box of the frame by one number.
+        names : N str, optional
+            What the detector calls each.
+        dropped : N str or None, optional
+            Why one does not go on: "rank", "overlap" or "threshold".
+
+        Returns
+        -------
+        list of int
+            The ids, by which `boxes`, `relations` and `answer` name the objects.
+
+        Raises
+        ------
+        InputError
+            Lists of different lengths, or what the schema does not allow: logits for scores, NaN, a mask of numbers.
+        """
+        rows, frame = plain(boxes), self._expression()[0]
+        numbers = self._numbered(frame, rows) if ids is None else plain(ids)
+        parts = {"id": numbers, "score": plain(scores), "box": rows, "name": names, "dropped": dropped}
+        parts["mask"] = None if masks is None else [_run_length(mask) for mask in masks]
+        given = {part: list(values) for part, values in parts.items() if values is not None}
+        lengths = {part: len(values) for part, values in given.items()}
+        require(len(set(lengths.values())) == 1, f"proposals of {name!r} differ in number", got=lengths)
+        told = [dict(zip(given, values, strict=True)) for values in zip(*given.values(), strict=True)]
+        self._event((), proposals={name: [{k: v for k, v in one.items() if v is not None} for one in told]})
+        self._expression()[2].update(numbers)
+        return numbers
+
+    def boxes(self, boxes: Mapping[int, Any]) -> None:
+        """3D boxes by id, in the header's `coordinates` and `length`.
+
+        Each is (8, 3) corners in any order, a mapping of `center`, `size` and `rotation` (columns are the box's axes),
+        an object with `center`, `size` and `R` such as `Box3D`, or None where an object has none.
+        """
+        self._event(boxes, boxes_3d={str(number): given_box(box) for number, box in boxes.items()})
+
+    def relations(self, relations: Mapping[str, Rows]) -> None:
+        """P("a RELATION b") by relation, of every ordered pair of candidates: {"left": {(3, 7): 0.93}}."""
+        rows = {relation: _rows(found) for relation, found in relations.items()}
+        self._event((i for found in rows.values() for row in found for i in row[:-1]), relations=rows)
+
+    def attributes(self, attributes: Mapping[str, Rows]) -> None:
+        """P(attribute | object) by attribute: {"red": {3: 0.8}}."""
+        rows = {name: _rows(found) for name, found in attributes.items()}
+        self._event((row[0] for found in rows.values() for row in found), attributes=rows)
+
+    def pairs(self, scores: Rows) -> None:
+        """The pipeline's own scores of pairs, higher is better: {(3, 7): 4.1}; with `ranking="pair_scores"`."""
+        rows = _rows(scores)
+        self._event((i for row in rows for i in row[:2]), pairs=rows)
+
+    def answer(
+        self,
+        object: int | None = None,
+        reference: int | None = None,
+        *,
+        box: Sequence[float] | np.ndarray | None = None,
+        point: Sequence[float] | np.ndarray | None = None,
+        mask: Any = None,
+        yes: bool | None = None,
+        problem: str | None = None,
+    ) -> None:
+        """What is answered: one of these, with an object also the reference it was found by; or why nothing is."""
+        parts = {"object": object, "reference": reference, "box": box, "point": point, "yes": yes}
+        answer = {part: plain(value) for part, value in parts.items() if value is not None}
+        if mask is not None:
+            answer["mask"] = _run_length(mask)
+        require(answer or problem, "neither an answer nor a problem", expected="an object, box, point, mask or yes")
+        self._event(
+            (i for i in (object, reference)), answer=answer or None, **({"problem": problem} if problem else {})
+        )
+
+    def close(self) -> None:
+        """End the file; expressions without an answer stay as they are."""
+        self._writer.close()
+
+    def __enter__(self) -> Tracer:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _expression(self) -> tuple[str, str, set[int]]:
+        return needed(self._open.get(None), "no expression is open", expected="expression(frame, text) first")
+
+    def _event(self, named: Iterable[int | None], **fields: Any) -> None:
+        """Append an event of the open expression; InputError where it names an object that was not proposed."""
+        frame, text, known = self._expression()
+        unknown = {number for number in named if number is not None} - known
+        require(not unknown, f"{next(iter(fields), text)}: no such object among the proposals", got=_listed(unknown))
+        self._writer.write_json(json.dumps({"frame": frame, "text": text, **fields}, default=plain))
+
+    def _numbered(self, frame: str, boxes: Iterable[Sequence[float]]) -> list[int]:
+        known = self._ids.setdefault(frame, {})
+        return [known.setdefault(tuple(box), len(known)) for box in boxes]
+
+
+def trace(path: str | Path, *, append: bool = False, **conventions: Any) -> Tracer:
+    """Write the predictions of a pipeline as it runs, for `spatialviz import-run`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file to write; ".jsonl" is added to a name without an ending.
+    append : bool
+        Go on with a file of the same conventions, after a kill too; else it must be new.
+    conventions
+        Fields of the header: `system`, `boxes`, `box_unit`, `coordinates`, `length`, `ranking`, ...
+
+    Raises
+    ------
+    InputError
+        The file exists, cannot be written or was begun with other conventions; no such convention.
+    """
+    return Tracer(path, append, conventions)
+
+
+def plain(value: Any) -> Any:
+    """An array, of numpy or another library, or a number of one, as JSON knows it."""
+    if isinstance(value, (list, tuple)):
+        return [plain(part) for part in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _rows(rows: Rows) -> list[list[Any]]:
+    if isinstance(rows, Mapping):
+        return [[*(key if isinstance(key, tuple) else (key,)), plain(value)] for key, value in rows.items()]
+    return [list(plain(row)) for row in rows]
+
+
+def given_box(box: Any) -> Any:
+    """A 3D box in one of the forms of `Tracer.boxes` as a line of predictions has it."""
+    if box is None or isinstance(box, Mapping):
+        parts = box
+    elif hasattr(box, "center"):
+        parts = {"center": box.center, "size": box.size, "rotation": box.R}
+    else:
+        parts = {"corners": box}
+    if parts is None:
+        return None
+    told = {name: plain(value) for name, value in parts.items()}
+    if "rotation" in told and len(told["rotation"]) == 3:
+        told["rotation"] = [number for row in told["rotation"] for number in row]
+    return told
+
+
+def _run_length(mask: Any) -> Any:
+    """A mask in COCO's code, as it is given or of an array."""
+    if isinstance(mask, RunLength) or mask is None:
+        return None if mask is None else asdict(mask)
+    if isinstance(mask, Mapping):
+        counts = mask["counts"]
+        return {"size": mask["size"], "counts": counts.decode() if isinstance(counts, bytes) else counts}
+    array = np.asarray(mask)
+    if array.ndim != 2 or array.dtype.kind not in "bui":
+        raise InputError(
+            "a mask must be bool (H, W)", got=f"{array.dtype} {array.shape}", cause="is it to be cut at .5?"
+        )
+    return asdict(RunLength.of(array.astype(np.bool_)))
+
+
+def _listed(numbers: Iterable[int]) -> str:
+    return ", ".join(map(str, sorted(numbers)[:5]))

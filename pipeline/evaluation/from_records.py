@@ -1,0 +1,63 @@
+"""A run made of predictions that are at hand in Python, as `import-run` makes one of a file."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterable, Mapping
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from pipeline.answering.predictions import Header, Prediction, as_json, parse_header
+from pipeline.answering.tracing import plain
+from pipeline.evaluation.importing import import_run
+from pipeline.system.errors import InputError, require
+
+Record = Prediction | Mapping[str, Any]
+
+
+def import_records(
+    records: str | Path | Iterable[Header | Record],
+    dataset: str | Path,
+    labels: str | Path,
+    out: str | Path | None = None,
+    *,
+    header: Header | Mapping[str, Any] | None = None,
+    **options: Any,
+) -> Path:
+    """Judge predictions and write the run's folder, which is given back; parameters are those of `Run.from_records`.
+
+    Raises
+    ------
+    InputError
+        As `import_run`; messages count the header as line 1, the first record as line 2. No record.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="spatialviz-run-")) / "run" if out is None else Path(out)
+    if isinstance(records, str | Path):
+        require(header is None, "a file has a header of its own", path=records)
+        import_run(records, dataset, labels, folder, **options)
+        return folder
+    rest = iter(records)
+    first = next(rest, None)
+    if first is None:
+        raise InputError("there are no predictions", expected="a record for each expression")
+    if header is None and (isinstance(first, Header) or (not isinstance(first, Prediction) and VERSION_FIELD in first)):
+        header = first
+    else:
+        rest = chain([first], rest)
+    with tempfile.TemporaryDirectory(prefix="spatialviz-") as place:
+        file = Path(place) / "records.jsonl"
+        if not isinstance(header, Header):
+            header = parse_header({VERSION_FIELD: 1, **(header or {})}, file)
+        with file.open("w", encoding="utf-8") as lines:
+            for line in chain([header], rest):
+                lines.write(
+                    as_json(line) if isinstance(line, (Header, Prediction)) else json.dumps(line, default=plain)
+                )
+                lines.write("\n")
+        import_run(file, dataset, labels, folder, **options)
+    return folder
+
+
+VERSION_FIELD = "spatialviz_predictions"

@@ -1,0 +1,99 @@
+"""Relation probabilities that are given, and never computed anew: those of arrays at hand, or of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.features import Appearance
+from pipeline.relations.scorer import RelationScorer, RelationScores
+from pipeline.system.errors import InputError, require
+
+Rows = Iterable[Sequence[float]]
+"""[a, b, p]: P("a RELATION b") of two objects by their numbers."""
+
+
+def with_given(
+    found: RelationScores, given: Mapping[str, Rows], appearance: Appearance | None, name: str
+) -> RelationScores:
+    """Scores with those that are given in their place, by the objects' numbers in `appearance`; `name` gave them."""
+    if appearance is None or not appearance.ids:
+        return found
+    at = {i: k for k, i in enumerate(appearance.ids) if i >= 0}
+    probabilities, scored_by = found.probabilities.copy(), dict(found.scored_by)
+    for relation in given.keys() & set(found.relations):
+        r = found.relations.index(relation)
+        scored_by[relation] = name
+        for a, b, *_, p in given[relation]:
+            if a in at and b in at:
+                probabilities[at[int(a)], at[int(b)], r] = p
+    return replace(found, probabilities=probabilities, scored_by=scored_by)
+
+
+@dataclass(frozen=True)
+class GivenRelations:
+    """A relation scorer of probabilities at hand.
+
+    Attributes
+    ----------
+    relations : mapping of str to rows
+        By relation; see `given_relations`.
+    rest : RelationScorer
+        Scores what is not given.
+    """
+
+    relations: Mapping[str, Rows]
+    rest: RelationScorer
+
+    name = "given"
+
+    def score(
+        self,
+        objects: Sequence[LiftedObject],
+        viewer: ViewerAxes,
+        appearance: Appearance | None = None,
+        relations: Collection[str] = PAIRWISE,
+    ) -> RelationScores:
+        found = self.rest.score(objects, viewer, appearance, relations)
+        return with_given(found, self.relations, appearance, self.name)
+
+
+def given_relations(
+    relations: Mapping[str, np.ndarray | Mapping[tuple[int, int], float]], count: int, rest: RelationScorer
+) -> GivenRelations:
+    """The scorer of these probabilities.
+
+    Parameters
+    ----------
+    relations : mapping
+        By relation P("a RELATION b"), 0..1: (N, N) float, NaN where it is not known, or {(a, b): p}.
+    count : int
+        N, how many objects there are.
+    rest : RelationScorer
+
+    Raises
+    ------
+    InputError
+        No such relation or object, or no probabilities.
+    """
+    rows: dict[str, Rows] = {}
+    for relation, told in relations.items():
+        require(relation in PAIRWISE, "no such relation", got=repr(relation), expected=f"one of {', '.join(PAIRWISE)}")
+        if isinstance(told, Mapping):
+            found = [(*pair, p) for pair, p in told.items()]
+        else:
+            table = np.asarray(told, np.float64)
+            shape = f"relation {relation!r}: probabilities of {count} objects must be ({count}, {count})"
+            require(table.shape == (count, count), shape, got=table.shape)
+            found = [(a, b, table[a, b]) for a, b in np.argwhere(np.isfinite(table)).tolist() if a != b]
+        for row in found:
+            if len(row) != 3 or not all(0 <= k < count for k in row[:2]) or not 0 <= row[2] <= 1:
+                expected = f"two objects of 0 to {count - 1}, and a probability of 0 to 1"
+                raise InputError(f"relation {relation!r}: no such row", got=row, expected=expected)
+        rows[relation] = found
+    return GivenRelations(rows, rest)

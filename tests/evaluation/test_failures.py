@@ -1,0 +1,61 @@
+"""The expressions of a run that a search finds, as a table, and each of them answered again."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+import pytest
+
+import pipeline
+from pipeline.datasets.demo import demo_run
+from pipeline.evaluation.search import find_failures
+from pipeline.system.in_notebook import InNotebook
+
+
+@pytest.fixture(scope="module")
+def run() -> pipeline.Run:
+    return pipeline.open_run(demo_run())
+
+
+def test_failures_are_those_of_the_search_as_an_arrow_table(run: pipeline.Run) -> None:
+    found = run.failures("verdict:SRM,LIFT sort:margin")
+    assert [f.row["id"] for f in found] == find_failures(run.records, found.search).column("id").to_pylist()
+    assert {f.row["verdict"] for f in found} == {"SRM", "LIFT"}
+    assert pa.table(found).equals(found.table)  # pyright: ignore[reportArgumentType]
+    assert found.to_pandas().shape == (len(found), run.records.num_columns + 1)  # And the marks.
+    assert found.shown.column_names[:2] == ["id", "frame"]
+    assert repr(found) == f"<Failures 'verdict:SRM,LIFT sort:margin': {len(found)} expressions>"
+    assert len(run.failures()) == run.records.num_rows - run.verdicts["CORRECT"]
+    with pytest.raises(pipeline.InputError, match="unknown field"):
+        run.failures("verdikt:SRM")
+
+
+def test_failures_are_a_sequence(run: pipeline.Run) -> None:
+    found = run.failures("verdict:LIFT")
+    assert found[-1].row == list(found)[-1].row
+    assert [f.row["id"] for f in found[1:3]] == [f.row["id"] for f in found][1:3]
+    with pytest.raises(IndexError):
+        _ = found[len(found)]
+
+
+@pytest.mark.parametrize("search", ["verdict:SRM", "verdict:LABEL detail:BAD_BOX", "verdict:LIFT"])
+def test_a_failure_answered_again_has_the_verdict_of_its_record(run: pipeline.Run, search: str) -> None:
+    failure = run.failures(search)[0]
+    judged = failure.answer.diagnosis
+    assert judged is not None
+    assert (judged.verdict, judged.detail, judged.text) == tuple(failure.row[n] for n in ("verdict", "detail", "said"))
+    assert failure.answer.text == failure.row["text"]
+
+
+def test_an_expression_that_the_labels_do_not_have_is_said(run: pipeline.Run) -> None:
+    frame = run.failures("verdict:SRM")[0].row["frame"]
+    with pytest.raises(pipeline.InputError, match="the labels have no expression nothing of frame"):
+        run.answer(frame, "nothing")
+
+
+def test_a_result_shows_as_the_face_says_and_without_one_as_its_repr(
+    run: pipeline.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(InNotebook, "html_by", "builtins:repr")
+    assert run.failures("verdict:SRM")._repr_html_() == "<Failures 'verdict:SRM': 2 expressions>"
+    monkeypatch.setattr(InNotebook, "html_by", "")
+    assert run._repr_html_() is None
