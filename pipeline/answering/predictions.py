@@ -1,0 +1,498 @@
+"""Predictions of a pipeline that is not ours: one documented file of JSON lines, read and written here.
+
+The first line is a `Header`, each further one a `Prediction`: an expression on a frame with what was answered, and as
+much of what led there as is known. `docs/predictions.md` is its description. Nothing here looks at a dataset.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Annotated, Any, Literal, TypeVar
+
+from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter
+
+from pipeline.geometry.masks import RunLength
+from pipeline.language.relation_names import RELATIONS
+from pipeline.system.errors import InputError, require
+from pipeline.system.reading import checked
+
+VERSION = 1
+"""Of the schema; a reader refuses files of a later one."""
+_STRICT = ConfigDict(extra="forbid")
+Id = Annotated[int, Field(ge=0, lt=2**63)]
+Name = Annotated[str, Field(min_length=1)]
+Share = Annotated[FiniteFloat, Field(ge=0, le=1)]
+Three = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Four = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+Row = tuple[Id, Id, Share] | tuple[Id, Id, Id, Share]
+"""Two objects, of "between" three, and a probability."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Exponents of the three factors of a ranking by their product."""
+
+    __pydantic_config__ = _STRICT
+
+    target: FiniteFloat = 1.0
+    reference: FiniteFloat = 1.0
+    relation: FiniteFloat = 1.0
+
+
+@dataclass(frozen=True)
+class Header:
+    """Whose predictions a file holds, and by which conventions; as JSON the file's first line.
+
+    Attributes
+    ----------
+    spatialviz_predictions : int
+        Version of the schema.
+    system : str
+        Name of the pipeline.
+    boxes : str
+        How 2D boxes are written.
+    box_unit : str
+        What they and points are in: pixels, or shares (0..1) or thousandths of the picture's width and height.
+    coordinates : str
+        Frame of 3D boxes: the camera's with y down and z forward, or y up and z backward; or the dataset's world.
+    length : str
+        Unit of 3D boxes.
+    ranking : str
+        How pairs are ranked: by the product of P(target), P(reference) and P(relation) with these weights; by scores
+        of the system's own, given as "pairs"; or "none": not told.
+    weights : Weights
+    same : str
+        Which proposals count as one thing, and so never as a pair: those with one id, or also those that overlap.
+    exact : bool
+        The proposals are the dataset's own annotations.
+    scorer : str or None
+        A relation scorer of ours that made the probabilities ("rule", "trained", an ONNX file), which can be asked
+        again; None for one that cannot.
+    settings : dict or None
+        Of a run of ours that was exported: how it was answered.
+    notes : str
+        For people.
+    """
+
+    __pydantic_config__ = _STRICT
+
+    spatialviz_predictions: int = VERSION
+    system: Name = "predictions"
+    boxes: Literal["xyxy", "xywh", "cxcywh", "yxyx"] = "xyxy"
+    box_unit: Literal["pixels", "shares", "thousandths"] = "pixels"
+    coordinates: Literal["camera_opencv", "camera_opengl", "world"] = "camera_opencv"
+    length: Literal["m", "cm", "mm"] = "m"
+    ranking: Literal["product", "pair_scores", "none"] = "none"
+    weights: Weights = field(default_factory=Weights)
+    same: Literal["ids", "overlap"] = "ids"
+    exact: bool = False
+    scorer: str | None = None
+    settings: dict[str, Any] | None = None
+    notes: str = ""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One detection for a name.
+
+    Attributes
+    ----------
+    id : int
+        Which object of the frame it is: the same number in two names, or in two lines of a frame, is one object.
+    score : float
+        P(object | name), 0..1.
+    box : tuple of 4 float or None
+        As the header says; may be left out where an earlier line of the frame told it of this id.
+    name : str
+        What the detector calls it; empty for the name that was asked.
+    mask : RunLength or None
+        COCO's run-length code, of the frame's size; without it the box is all that is known.
+    dropped : str or None
+        It did not go on to the ranking: cut off by K, suppressed by a better one, or below the minimum score.
+    """
+
+    __pydantic_config__ = _STRICT
+
+    id: Id
+    score: Share
+    box: Four | None = None
+    name: str = ""
+    mask: RunLength | None = None
+    dropped: Literal["rank", "overlap", "threshold"] | None = None
+
+
+@dataclass(frozen=True)
+class GivenBox:
+    """A 3D box: center, size and rotation, or its eight corners in any order; in the header's frame and unit.
+
+    Attributes
+    ----------
+    center, size : tuple of 3 float or None
+        Full edge lengths along the box's own axes.
+    rotation : tuple of 9 float or None
+        Row by row; its columns are the box's axes. None for a box along the axes of the frame.
+    corners : tuple of 8 tuples or None
+    """
+
+    __pydantic_config__ = _STRICT
+
+    center: Three | None = None
+    size: tuple[Annotated[FiniteFloat, Field(ge=0)], ...] | None = None
+    rotation: Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=9)] | None = None
+    corners: Annotated[tuple[Three, ...], Field(min_length=8, max_length=8)] | None = None
+
+
+@dataclass(frozen=True)
+class GivenAnswer:
+    """What was answered: one of these; with an object also the reference that it was found by.
+
+    Attributes
+    ----------
+    object, reference : int or None
+        Ids of proposals.
+    box : tuple of 4 float or None
+    point : tuple of 2 float or None
+        x, y in the unit of boxes.
+    mask : RunLength or None
+    yes : bool or None
+    """
+
+    __pydantic_config__ = _STRICT
+
+    object: Id | None = None
+    reference: Id | None = None
+    box: Four | None = None
+    point: tuple[FiniteFloat, FiniteFloat] | None = None
+    mask: RunLength | None = None
+    yes: bool | None = None
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One expression on a frame; as JSON a line of the file.
+
+    Attributes
+    ----------
+    frame : str
+        Id of the dataset's frame.
+    text : str
+    answer : GivenAnswer or None
+        None where there is none, or where the ranking that the file gives says it.
+    problem : str or None
+        Why there is none.
+    target, relation, reference : str or None
+        How the system read the words, where it did; else ours reads them.
+    proposals : dict of str to tuple of Proposal or None
+        By the name that was asked; from level 1 on.
+    boxes_3d : dict of int to GivenBox or None
+        By id, null where an object has none; from level 2 on.
+    relations : dict of str to tuple of (a, b, p), or None
+        P("a RELATION b") by relation; from level 3 on. Of "between" rows of three objects.
+    attributes : dict of str to tuple of (id, p), or None
+        P(attribute | object) by attribute ("red").
+    pairs : tuple of (target, reference, score), or None
+        The system's own scores of pairs, higher is better; the reference is null where none is asked.
+    """
+
+    __pydantic_config__ = _STRICT
+
+    frame: Name
+    text: Name
+    answer: GivenAnswer | None = None
+    problem: str | None = None
+    target: Name | None = None
+    relation: str | None = None
+    reference: Name | None = None
+    proposals: dict[Name, tuple[Proposal, ...]] | None = None
+    boxes_3d: dict[Id, GivenBox | None] | None = None
+    relations: dict[str, tuple[Row, ...]] | None = None
+    attributes: dict[Name, tuple[tuple[Id, Share], ...]] | None = None
+    pairs: tuple[tuple[Id, Id | None, FiniteFloat], ...] | None = None
+
+    @property
+    def level(self) -> int:
+        """0 the answer, 1 with proposals, 2 with their 3D boxes, 3 with relation probabilities."""
+        given = (self.proposals, self.boxes_3d, self.relations)
+        return next((k for k, part in enumerate(given) if part is None), 3)
+
+    @cached_property
+    def objects(self) -> dict[int, Proposal]:
+        """The proposals that went on, by id; of one id under several names the first."""
+        every = [p for found in (self.proposals or {}).values() for p in found if p.dropped is None]
+        return {p.id: p for p in reversed(every)}
+
+
+_HEADER, _LINE = TypeAdapter(Header), TypeAdapter(Prediction)
+Parsed = TypeVar("Parsed", Header, Prediction)
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """A file of predictions, read and checked.
+
+    Attributes
+    ----------
+    path : Path
+    header : Header
+    lines : dict of (str, str) to Prediction
+        By frame and text, boxes and masks filled in from earlier lines of the frame.
+    numbers : dict of (str, str) to int
+        The number of each line in the file, from 1, for messages.
+    """
+
+    path: Path
+    header: Header
+    lines: dict[tuple[str, str], Prediction]
+    numbers: dict[tuple[str, str], int]
+
+    @property
+    def level(self) -> int:
+        """What all lines with an answer have: the least of their levels."""
+        return min((p.level for p in self.lines.values() if p.problem is None), default=0)
+
+    def where(self, line: Prediction, field: str) -> str:
+        """How a message names a field of a line: "line 7, boxes_3d.3"."""
+        return f"line {self.numbers[line.frame, line.text]}, {field}"
+
+
+def read_predictions(path: str | Path) -> Predictions:
+    """Read a whole file and check that its lines agree with each other.
+
+    Raises
+    ------
+    InputError
+        The first fault: the number of its line, the field, what was got, and the likely cause.
+    """
+    path = Path(path)
+    lines = read_lines(path)
+    header = next(lines)[1]
+    assert isinstance(header, Header)
+    seen: dict[tuple[str, int], tuple[int, Proposal]] = {}
+    boxes: dict[tuple[str, int], tuple[int, GivenBox | None]] = {}
+    found: dict[tuple[str, str], Prediction] = {}
+    numbers: dict[tuple[str, str], int] = {}
+    for number, line in lines:
+        assert isinstance(line, Prediction)
+        key = (line.frame, line.text)
+        words = f"line {number}, text: the expression stands in the file already"
+        require(key not in found, words, got=repr(line.text), expected=lambda k=key: f"line {numbers[k]}", path=path)
+        for name, field_, wrong in faults(line, header):
+            raise InputError(f"line {number}, {name}: {field_}", cause=wrong or None, path=path)
+        found[key] = _agreeing(line, number, seen, boxes, path)
+        numbers[key] = number
+    require(found, "the file holds no predictions", expected="a line for each expression after the first", path=path)
+    return Predictions(path, header, found, numbers)
+
+
+def read_lines(path: Path) -> Iterator[tuple[int, Header | Prediction]]:
+    """The header and each line as it stands, with its number from 1; lines are checked each by itself.
+
+    Raises
+    ------
+    InputError
+        As `read_predictions`. A last line without its end that is no JSON is what a killed writer left, and is skipped.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            number = 0
+            for number, text in enumerate(file, 1):
+                if not text.strip() and number > 1:
+                    continue
+                try:
+                    content = json.loads(text)
+                except (json.JSONDecodeError, RecursionError) as error:
+                    if number > 1 and not text.endswith("\n"):
+                        return
+                    raise InputError(f"line {number}: not JSON", got=str(error), path=path) from error
+                yield number, (parse_header(content, path) if number == 1 else parse_line(content, number, path))
+            require(number, "the file is empty", expected="a header and a line for each expression", path=path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("the predictions cannot be read", got=str(error), path=path) from error
+
+
+def parse_header(content: Any, path: Path) -> Header:
+    """The first line; InputError where it is none of ours, or of a later version."""
+    version = content.get("spatialviz_predictions") if isinstance(content, dict) else None
+    require(
+        version is not None,
+        "line 1, spatialviz_predictions: the file does not begin with a header",
+        expected=f'{{"spatialviz_predictions": {VERSION}, "system": "NAME", …}}',
+        cause="is it a published format? then name it with --format",
+        path=path,
+    )
+    require(
+        version == VERSION and not isinstance(version, bool),
+        "line 1, spatialviz_predictions: another version of the schema",
+        got=repr(version),
+        expected=str(VERSION),
+        path=path,
+    )
+    keys = Header.__dataclass_fields__
+    return checked(_HEADER.validate_python, content, "line 1, {}: the header is not well formed", path, keys=keys)
+
+
+def parse_line(content: Any, number: int, path: Path) -> Prediction:
+    """One further line; InputError where it does not follow the schema."""
+    wrong, keys = f"line {number}, {{}}: not as the schema has it", Prediction.__dataclass_fields__
+    return checked(_LINE.validate_python, content, wrong, path, keys=keys)
+
+
+def faults(line: Prediction, header: Header) -> Iterator[tuple[str, str, str]]:
+    """What of a line does not fit together: its field, what is wrong, and the likely cause or nothing."""
+    known = line.objects
+    answer = line.answer
+    kinds = ("object", "box", "point", "mask", "yes")
+    given = [kind for kind in kinds if answer is not None and _of(answer, kind) is not None]
+    ranked = line.relations is not None and header.ranking != "none"
+    if answer is None and line.problem is None and not ranked:
+        yield "answer", "neither an answer nor a problem", 'where there is no answer "problem" says why'
+    if answer is not None and len(given) != 1:
+        yield "answer", f"one answer is asked for; got {' and '.join(given) or 'none'}", ""
+    if line.proposals is None:
+        yield from ((n, "needs proposals", "") for n in ("boxes_3d", "relations", "pairs") if _of(line, n) is not None)
+        if answer is not None and answer.object is not None:
+            yield "answer.object", "an id without proposals; expected a box, point or mask", ""
+        return
+    for name, found in line.proposals.items():
+        ids = [p.id for p in found]
+        for k, i in enumerate(ids):
+            if i in ids[:k]:
+                yield f"proposals.{name}.{k}.id", f"the id {i} stands twice under one name", ""
+    used: list[tuple[str, int | None]] = []
+    if answer is not None:
+        used += [("answer.object", answer.object), ("answer.reference", answer.reference)]
+    for relation, rows in (line.relations or {}).items():
+        if relation not in RELATIONS:
+            yield f"relations.{relation}", f"no such relation; expected one of {', '.join(RELATIONS)}", ""
+        used += [(f"relations.{relation}.{k}", i) for k, row in enumerate(rows) for i in row[:-1]]  # type: ignore[misc]
+    for attribute, told in (line.attributes or {}).items():
+        used += [(f"attributes.{attribute}.{k}", i) for k, (i, _) in enumerate(told)]
+    used += [(f"pairs.{k}", i) for k, row in enumerate(line.pairs or ()) for i in row[:2]]
+    for field_, i in used:
+        if i is not None and i not in known:
+            yield field_, f"the id {i} is not among the proposals that went on", ""
+    every = {p.id for found in line.proposals.values() for p in found}
+    for i in (line.boxes_3d or {}).keys() - every:
+        yield f"boxes_3d.{i}", f"the id {i} is not among the proposals", ""
+    for i, box in (line.boxes_3d or {}).items():
+        if box is not None and (box.corners is None) == (box.center is None or box.size is None or len(box.size) != 3):
+            yield f"boxes_3d.{i}", "a box is center and size (three numbers each), or its eight corners", ""
+    if header.ranking == "pair_scores" and line.relations is not None and line.pairs is None:
+        yield "pairs", "the header says that pairs have scores of their own, and this line has none", ""
+    if line.relation is not None and line.relation not in RELATIONS:
+        yield "relation", f"no such relation; got {line.relation!r}; expected one of {', '.join(RELATIONS)}", ""
+
+
+def _of(thing: Any, name: str) -> Any:
+    return getattr(thing, name)
+
+
+def _agreeing(
+    line: Prediction,
+    number: int,
+    seen: dict[tuple[str, int], tuple[int, Proposal]],
+    boxes: dict[tuple[str, int], tuple[int, GivenBox | None]],
+    path: Path,
+) -> Prediction:
+    """A line with what earlier ones of its frame told of its objects; InputError where the two differ."""
+    proposals: dict[str, tuple[Proposal, ...]] = {}
+    for name, found in (line.proposals or {}).items():
+        filled = []
+        for k, p in enumerate(found):
+            at = f"line {number}, proposals.{name}.{k}"
+            before, known = seen.setdefault((line.frame, p.id), (number, p))
+            for part in ("box", "mask"):
+                mine, theirs = _of(p, part), _of(known, part)
+                require(
+                    mine is None or theirs is None or mine == theirs,
+                    f"{at}.{part}: the object {p.id} of frame {line.frame} has another {part} than in line {before}",
+                    cause="an id is one object in all lines of a frame",
+                    path=path,
+                )
+            p = replace(p, box=p.box or known.box, mask=p.mask or known.mask)
+            require(p.box is not None, f"{at}.box: no box, and no earlier line of the frame gave one", path=path)
+            seen[line.frame, p.id] = (before, p)
+            filled.append(p)
+        proposals[name] = tuple(filled)
+    for i, box in (line.boxes_3d or {}).items():
+        before, known = boxes.setdefault((line.frame, i), (number, box))
+        words = f"line {number}, boxes_3d.{i}: another 3D box than in line {before}"
+        require(box == known, words, cause="an id is one object in all lines of a frame", path=path)
+    return line if line.proposals is None else replace(line, proposals=proposals)
+
+
+class PredictionWriter:
+    """Writes predictions as they come; each line is whole on the disk before the next begins.
+
+    Parameters
+    ----------
+    path : Path
+    header : Header
+    append : bool
+        Go on with a file that has this very header; else the file must be new.
+    """
+
+    def __init__(self, path: str | Path, header: Header, *, append: bool = False) -> None:
+        self.path = Path(path)
+        there = self.path.exists() and self.path.stat().st_size > 0
+        require(append or not there, "the file exists", expected="another name, or to append to it", path=self.path)
+        if there:
+            known = next(read_lines(self.path))[1]
+            require(known == header, "the file was begun with another header", path=self.path)
+        try:
+            self._file: IO[bytes] = open(self.path, "ab")  # noqa: SIM115
+        except OSError as error:
+            raise InputError("the predictions cannot be written", got=error.strerror, path=self.path) from error
+        if not there:
+            self._write(as_json(header))
+
+    def write(self, line: Prediction) -> None:
+        """Append a line; InputError where it does not follow the schema (arrays of 3 instead of 4 numbers, NaN, …)."""
+        content = as_json(line)
+        parse_line(json.loads(content), 0, self.path)
+        self._write(content)
+
+    def _write(self, content: str) -> None:
+        self._file.write(content.encode() + b"\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+    def __enter__(self) -> PredictionWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+
+def write_predictions(path: str | Path, header: Header, lines: Iterable[Prediction]) -> None:
+    """Write a new file; raises as `PredictionWriter`."""
+    with PredictionWriter(path, header) as writer:
+        for line in lines:
+            writer.write(line)
+
+
+def as_json(thing: Header | Prediction) -> str:
+    """One line of JSON, without what is not given."""
+    record = _without_nothing(asdict(thing))
+    if isinstance(thing, Prediction) and thing.answer is None:
+        record["answer"] = None
+    return json.dumps(record, ensure_ascii=False, separators=(",", ":"))
+
+
+def _without_nothing(content: Any) -> Any:
+    if isinstance(content, dict):
+        boxes = {k: None for k, v in content.items() if v is None and isinstance(k, int)}
+        return {k: _without_nothing(v) for k, v in content.items() if v is not None and v != ""} | boxes
+    if isinstance(content, Sequence) and not isinstance(content, str):
+        return [_without_nothing(v) for v in content]
+    return content
