@@ -8,13 +8,12 @@ What a file may make this process hold is bounded, and the bytes of an array are
 from __future__ import annotations
 
 import gzip
-import io
 import math
 import pickle
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
@@ -30,6 +29,7 @@ LONG = 1 << 16
 """From so many bytes on a pickle writes an array outside its frames."""
 
 _PASSED_OVER = ("omegaconf", "pathlib", "typing", "torch")
+_NUMBERS = ("int", "float", "str", "bool", "bytes", "long")
 _DTYPE = re.compile(r"[<>|=]?([biufcSU][0-9]{1,5})")
 
 
@@ -121,20 +121,23 @@ _KNOWN: dict[tuple[str, str], Any] = {
     ("OrderedDict", "collections"): dict,
     ("defaultdict", "collections"): lambda *_: {},
     **{(kind.__name__, home): kind for kind in (dict, list, set, tuple) for home in ("builtins", "__builtin__")},
-    **{(name, home): Passed for name in ("int", "float", "str", "bool", "bytes", "long") for home in ("builtins", "__builtin__")},
+    **{(name, home): Passed for name in _NUMBERS for home in ("builtins", "__builtin__")},
 }
 
 
 class _Reader(pickle._Unpickler):
     """The unpickler in Python: that in C gives a file as much memory as it asks for."""
 
-    dispatch = dict(pickle._Unpickler.dispatch)
+    stack: list[Any]
+    memo: dict[int, Any]
+    read: Callable[[int], bytes]
+    dispatch: ClassVar[dict[int, Any]] = dict(pickle._Unpickler.dispatch)
     for _code in (pickle.EXT1, pickle.EXT2, pickle.EXT4):
         del dispatch[_code[0]]
 
-    def __init__(self, file: Any, keep: Callable[[np.ndarray], Any], lists: tuple[str, ...]) -> None:
+    def __init__(self, file: Any, keep: Callable[[np.ndarray], Any]) -> None:
         super().__init__(file)
-        self._keep, self._lists = keep, lists
+        self._keep = keep
 
     def find_class(self, module: str, name: str) -> Any:
         parts = module.split(".")
@@ -144,8 +147,6 @@ class _Reader(pickle._Unpickler):
             if name == "_frombuffer":
                 return lambda *given: Array(self._keep).fill(*given)
             parts = parts[-1:]
-        if f"{module}.{name}" in self._lists:
-            return list
         if parts[0] in _PASSED_OVER:
             return Passed
         what = "the pickle holds something that is not read"
@@ -185,7 +186,7 @@ class _Bounded:
         self._rest = self._all = 0
 
     def read(self, size: int) -> bytes:
-        require(size <= MOST_OF_ARRAY, "an array is too large", got=f"{size} bytes", expected=f"at most {MOST_OF_ARRAY}")
+        require(size <= MOST_OF_ARRAY, "an array is too large", got=f"{size} bytes", expected=f"to {MOST_OF_ARRAY}")
         return self._counted(self._file.read(size))
 
     def readline(self) -> bytes:
@@ -202,3 +203,39 @@ class _Bounded:
         self._rest += len(data) if len(data) < 4 * LONG else 0
         require(self._all <= MOST and self._rest <= MOST_OF_REST, "it unpacks to too much", expected=f"{MOST} bytes")
         return data
+
+
+def read_plain_pickle(path: Path, keep: Callable[[np.ndarray], Any] = np.asarray) -> Any:
+    """What a pickle holds, also one within gzip.
+
+    Parameters
+    ----------
+    path : Path
+    keep : callable
+        What is kept of each array: the array itself, or something smaller. It stands as `Array.value`.
+
+    Returns
+    -------
+    Any
+        Numbers, text, dict, list, tuple, set, `Array` and, for what is passed over, `Passed`.
+
+    Raises
+    ------
+    InputError
+        It is no pickle, names something that is not read, or asks for too much memory.
+    """
+    try:
+        with open(path, "rb") as raw:
+            packed = raw.read(2) == b"\x1f\x8b"
+            raw.seek(0)
+            source: Any = gzip.GzipFile(fileobj=raw) if packed else raw
+            return _Reader(_Bounded(source), keep).load()
+    except InputError as error:
+        raise InputError(str(error), path=path) from error
+    except (Exception, MemoryError) as error:  # Damaged bytes fail in each part of the reader with another class.
+        raise InputError("not a pickle that can be read", got=kind_and_text(error)[:120], path=path) from error
+
+
+def plain(value: Any) -> Any:
+    """An array's value; anything else as it is."""
+    return value.value if isinstance(value, Array) else value
