@@ -7,6 +7,7 @@ expressions of a frame is computed once.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from time import process_time
 
 import numpy as np
@@ -17,7 +18,7 @@ from pipeline.answering.opening import Pipeline
 from pipeline.answering.pair_table import PairTable, one_object_twice, pair_table, side
 from pipeline.answering.ranking import Candidates
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.proposals.base import Proposals
+from pipeline.proposals.base import Proposals, is_final, told_by_ids
 from pipeline.relations.scorer import RelationScores
 from pipeline.system.errors import InputError
 
@@ -63,7 +64,7 @@ class FrameAnswers:
                     found[name] = propose(context, detector, name, source.config.k)
                 except InputError as error:
                     unknown[name] = str(error)
-        calibration = None if detector.exact else source.config.score_calibration
+        calibration = None if is_final(detector) else source.config.score_calibration
         with self.clock.stage("lift"):
             objects, candidates = merged(context, detector, found, calibration)
         with self.clock.stage("srm"):
@@ -81,12 +82,15 @@ class FrameAnswers:
         scores: RelationScores | None,
         unknown: dict[str, str],
     ) -> None:
+        rank = source.config.rank.of([o.id for o in objects])
+        if rank is not source.config.rank:
+            source = replace(source, config=replace(source.config, rank=rank))
         self.source, self.context, self.objects, self.candidates = source, context, objects, candidates
         self.unknown = unknown
         self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
         self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
         with self.clock.stage("rank"):
-            self.same = same_object(objects, source.needed_detector().exact)
+            self.same = same_object(objects, told_by_ids(source.needed_detector()))
         self._scores = scores
 
     @classmethod

@@ -21,7 +21,7 @@ from pipeline.language.expression import Reader, parse
 from pipeline.language.lexicon import wording
 from pipeline.language.naming import Synonyms
 from pipeline.language.tree import Attachment, Node, Query
-from pipeline.proposals.base import Detector, Proposals, top_k
+from pipeline.proposals.base import Detector, Proposals, is_final, told_by_ids, top_k
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.relations.scorer import (
     RelationScorer,
@@ -188,7 +188,7 @@ def ask(
             relations=config.relations,
             synonyms=synonyms,
         )
-    calibration = None if detector.exact else config.score_calibration
+    calibration = None if is_final(detector) else config.score_calibration
     context = frame if isinstance(frame, PreparedFrame) else PreparedFrame(frame, config.lift)
     timings["frame"] = context.seconds
     before = getattr(detector, "seconds", 0.0)
@@ -215,7 +215,7 @@ def ask(
         exact=detector.exact,
         score_calibration=calibration,
     )
-    return ranked(trace, config.rank, lambda objects: same_object(objects, detector.exact))
+    return ranked(trace, config.rank, lambda objects: same_object(objects, told_by_ids(detector)))
 
 
 def ranked(
@@ -241,6 +241,7 @@ def ranked(
         alike = same(trace.objects)
         lookup = edited(relation_lookup(trace.scores, trace.objects, alike))
         sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
+        config = config.of([o.id for o in trace.objects])
         ranking = rank(trace.query.readings, trace.candidates, lookup, alike, sizes, config, scene_evidence(trace))
     return replace(trace, ranking=ranking)
 
@@ -265,7 +266,7 @@ def propose(context: PreparedFrame, detector: Detector, name: str, k: int) -> Pr
 
 def of_run(proposals: Proposals, detector: Detector, k: int) -> Proposals:
     """What goes on of a whole run: the best K, or all where they are the truth."""
-    return proposals if detector.exact else top_k(proposals, k)
+    return proposals if is_final(detector) else top_k(proposals, k)
 
 
 def merged(

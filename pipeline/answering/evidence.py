@@ -80,9 +80,13 @@ class SceneEvidence:
         """(K,) float64: P(attribute | x) of some objects, compared with each other; None where it is not judged."""
         some = [self.objects[i] for i in index]
         alike = np.ones((len(some), len(some)), np.bool_)
-        return attribute_probabilities(
-            attribute, self.frame.rgb, [o.mask for o in some], [o.box for o in some], alike, viewer=self.viewer
-        )
+        given = np.array([o.told.get(str(attribute), np.nan) for o in some], np.float64)
+        found = None
+        if np.isnan(given).any() or not len(some):
+            found = attribute_probabilities(
+                attribute, self.frame.rgb, [o.mask for o in some], [o.box for o in some], alike, viewer=self.viewer
+            )
+        return found if np.isnan(given).all() else np.where(np.isnan(given), HOLDS if found is None else found, given)
 
     @cached_property
     def _positions(self) -> dict[str, np.ndarray]:

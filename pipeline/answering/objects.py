@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import cv2
@@ -41,6 +41,8 @@ class SceneObject:
         x0, y0, x1, y1, pixels.
     mask : (H, W) bool
     lifted : LiftedObject
+    told : mapping of str to float
+        P(attribute | object) where an imported file gives it, by attribute.
     """
 
     id: int
@@ -49,6 +51,7 @@ class SceneObject:
     bbox: np.ndarray
     mask: np.ndarray
     lifted: LiftedObject
+    told: Mapping[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<SceneObject {self.label!r}, score {self.score:.2f}, {self.box or 'no 3D box'}>"
@@ -122,7 +125,10 @@ class PreparedFrame:
                 if key[1] >= 0:
                     self._lifted[key] = known
             label, score = proposals.label(i), float(proposals.scores[i])
-            found.append(SceneObject(key[1], label, score, proposals.boxes[i], known[1], known[0]))
+            entry = SceneObject(key[1], label, score, proposals.boxes[i], known[1], known[0])
+            # Imported boxes take the place of those that are made here.
+            finished = getattr(detector, "finished", None)
+            found.append(entry if finished is None else finished(entry, self))
         return tuple(found)
 
     def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, MaskSource]:
@@ -224,4 +230,5 @@ def mask_iou(masks: Sequence[np.ndarray]) -> np.ndarray:
 def appearance_of(objects: Sequence[SceneObject], frame: Frame) -> Appearance:
     """How the objects look in the frame they were lifted from."""
     bboxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
-    return Appearance(bboxes, tuple(o.label for o in objects), frame.width, frame.height)
+    labels, ids = tuple(o.label for o in objects), tuple(o.id for o in objects)
+    return Appearance(bboxes, labels, frame.width, frame.height, ids)

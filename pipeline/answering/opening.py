@@ -130,17 +130,22 @@ class Pipeline:
         """An expression as it is read here; InputError where it cannot be."""
         return self.reader(text, class_names=self.names, relations=self.config.relations, synonyms=self.synonyms)
 
+    def asked(self, frame_id: str, text: str) -> Pipeline:
+        """What answers one expression: itself, unless the answers were given elsewhere, each with what led to it."""
+        return self
+
     def ask(self, frame: Frame | PreparedFrame, text: str) -> Trace:
         """Answer an expression on a frame with these models; raises as `pipeline.answering.ask.ask`."""
+        own = self.asked(frame.id if isinstance(frame, Frame) else frame.frame.id, text)
         return ask(
             frame,
             text,
-            self.needed_detector(),
-            scorer=self.scorer,
-            config=self.config,
-            class_names=self.names,
-            synonyms=self.synonyms,
-            reader=self.reader,
+            own.needed_detector(),
+            scorer=own.scorer,
+            config=own.config,
+            class_names=own.names,
+            synonyms=own.synonyms,
+            reader=own.reader,
         )
 
 

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -34,6 +34,15 @@ class RankConfig:
     reference_weight: float = 1.0
     relation_weight: float = 1.0
     aggregate: Literal["max", "marginal"] = "max"
+
+    @property
+    def rule(self) -> Any:
+        """What scores pairs in place of the product: a `pair_rules.PairRule` of an imported ranking, or None."""
+        return None
+
+    def of(self, ids: Sequence[int]) -> RankConfig:
+        """The same for a list of objects with these identities."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -190,6 +199,9 @@ def pair_table(
         Pixels of the mask of every object; the larger target wins a tie.
     config : RankConfig
     """
+    if config.rule is not None and len(ends) < 2:
+        log_score = np.where(forbidden, -np.inf, config.rule.scores(target, ends, p))
+        return PairTable(target, tuple(ends), p, log_score, sizes, config)
     # The same order of sums everywhere, so that S is the same to the last bit.
     log_score = _along(target.log, 0, 1 + len(ends)) + attached(p, ends, forbidden, config)
     return PairTable(target, tuple(ends), p, log_score, sizes, config)

@@ -21,6 +21,7 @@ from pipeline.geometry.masks import RunLength
 from pipeline.language.relation_names import RELATIONS
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
+from pipeline.system.whole_files import sha256_of
 
 VERSION = 1
 """Of the schema; a reader refuses files of a later one."""
@@ -74,6 +75,9 @@ class Header:
     scorer : str or None
         A relation scorer of ours that made the probabilities ("rule", "trained", an ONNX file), which can be asked
         again; None for one that cannot.
+    confidence : float or None
+        Score that is given to an object that was not proposed, where the truth is put in place; None for the median of
+        the right proposals.
     settings : dict or None
         Of a run of ours that was exported: how it was answered.
     notes : str
@@ -93,6 +97,7 @@ class Header:
     same: Literal["ids", "overlap"] = "ids"
     exact: bool = False
     scorer: str | None = None
+    confidence: Share | None = None
     settings: dict[str, Any] | None = None
     notes: str = ""
 
@@ -221,6 +226,11 @@ class Prediction:
         given = (self.proposals, self.boxes_3d, self.relations)
         return next((k for k, part in enumerate(given) if part is None), 3)
 
+    @property
+    def ranked(self) -> bool:
+        """Whether the pairs and their probabilities are told, so that modules can be put in place of each other."""
+        return self.relations is not None and self.problem is None
+
     @cached_property
     def objects(self) -> dict[int, Proposal]:
         """The proposals that went on, by id; of one id under several names the first."""
@@ -255,6 +265,42 @@ class Predictions:
     def level(self) -> int:
         """What all lines with an answer have: the least of their levels."""
         return min((p.level for p in self.lines.values() if p.problem is None), default=0)
+
+    def record(self) -> dict[str, Any]:
+        """As JSON: whose they are, for a run's manifest."""
+        return {"system": self.header.system, "level": self.level, "lines": len(self.lines), "file": self.content_hash}
+
+    def line(self, frame: str, text: str) -> Prediction | None:
+        """The line of an expression, whatever its spaces and capitals; None where there is none."""
+        return self._by_words.get((frame, " ".join(text.casefold().split())))
+
+    def of_frame(self, frame: str) -> tuple[Prediction, ...]:
+        """The lines of a frame, in order."""
+        return tuple(self._by_frame.get(frame, ()))
+
+    def box_of(self, frame: str, i: int) -> GivenBox | None:
+        """The 3D box of an object, by whichever line of its frame gives it."""
+        return self._boxes.get((frame, i))
+
+    @cached_property
+    def content_hash(self) -> str:
+        """Of the file."""
+        return sha256_of(self.path)
+
+    @cached_property
+    def _by_words(self) -> dict[tuple[str, str], Prediction]:
+        return {(frame, " ".join(text.casefold().split())): line for (frame, text), line in self.lines.items()}
+
+    @cached_property
+    def _by_frame(self) -> dict[str, list[Prediction]]:
+        found: dict[str, list[Prediction]] = {}
+        for line in self.lines.values():
+            found.setdefault(line.frame, []).append(line)
+        return found
+
+    @cached_property
+    def _boxes(self) -> dict[tuple[str, int], GivenBox | None]:
+        return {(line.frame, i): box for line in self.lines.values() for i, box in (line.boxes_3d or {}).items()}
 
     def where(self, line: Prediction, field: str) -> str:
         """How a message names a field of a line: "line 7, boxes_3d.3"."""

@@ -171,6 +171,7 @@ def answer(
     source.needed_detector()
     rank: RankConfig | None = None
     try:
+        source = source.asked(context.frame.id, text)
         trace = source.ask(context, text)
     except ServerError:
         raise  # Nothing is told about the expression.
@@ -311,6 +312,7 @@ def judge_trace(
     rank : RankConfig, optional
         The weights the trace was ranked with, where they are not the source's.
     """
+    source = source.asked(context.frame.id, trace.query.text)
     case = case or labelled_case(truth, trace.query.text)
     if case is None:
         made = case_of(truth, trace, source, context)

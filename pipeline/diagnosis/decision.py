@@ -31,25 +31,23 @@ still goes farther, and SRM is named.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from math import prod
 
 import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
+from pipeline.diagnosis.imported_answers import by_rule, decided_given
+from pipeline.diagnosis.missed import not_proposed
 from pipeline.diagnosis.needed import Needed, needed_changes
 from pipeline.diagnosis.oracles import ATTRIBUTE, CONF, LIFT, RECALL, SRM, CandidateSet, OracleScores, names_of
 from pipeline.diagnosis.substitution import substitute
-from pipeline.diagnosis.verdict import Diagnosis, Missed, explain
-from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.frame import Frame
+from pipeline.diagnosis.verdict import Diagnosis, explain
 from pipeline.labels.cases import HIT, Case, misread
 from pipeline.language.tree import Query
-from pipeline.proposals.base import Detector, Proposals, suppress
 from pipeline.system.errors import InputError
 
-_FLIPS = {LIFT: "LIFT", ATTRIBUTE: "ATTRIBUTE", SRM: "SRM", CONF: "OPM-CONF"}
+FLIPS = {LIFT: "LIFT", ATTRIBUTE: "ATTRIBUTE", SRM: "SRM", CONF: "OPM-CONF"}
 """The oracles that are applied where a right pair stood among the candidates and lost, in the order of the stages."""
 SAME_MARGIN = 1e-6
 
@@ -85,6 +83,8 @@ def diagnose(
 
 
 def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
+    if (line := getattr(evidence.answers.source, "line", None)) is not None and not line.ranked:
+        return decided_given(evidence, case, parse_ok, mark)
     found = substitute(evidence, case)
     pair, alone = found.pair(), found.alone()
     winner = None if pair is None else found.pair_at(int(found.winners[0]))
@@ -121,16 +121,12 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
         return replace(diagnosis, verdict="LABEL", detail=mark, repair=())
     if pair is not None and found.covered[pair]:
         return replace(diagnosis, verdict="LABEL", detail="SUSPECT", repair=())
-    if not found.right[: found.target.found].any():
-        missed = _missed(evidence, case.target, case.acceptable)
-        return replace(diagnosis, verdict="OPM-TARGET", detail=missed.kind, missed=missed, missed_name=case.target)
-    if not found.covered[: found.target.found, : found.reference.found].any():
-        pairs = evidence.truth.acceptable_pairs(case)
-        shown = found.target.overlap[: found.target.found] >= HIT
-        wanted = pairs[np.asarray((shown & np.asarray(pairs.any(axis=1))[None]).any(axis=0))].any(axis=0)
-        missed = _missed(evidence, case.reference, np.flatnonzero(wanted))
-        return replace(diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference)
-    flips = [bit for bit in _FLIPS if bit < found.subsets and found.accepted[bit]]
+    unproposed = not_proposed(evidence, case, found, diagnosis)
+    if unproposed is not None:
+        return unproposed
+    if found.table.config.rule is not None:
+        return by_rule(found, diagnosis)
+    flips = [bit for bit in FLIPS if bit < found.subsets and found.accepted[bit]]
     verdict, detail, repair = _flipped(found, diagnosis, flips)
     mends = tuple(name for bit in flips for name in names_of(bit))
     return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair), mends=mends)
@@ -138,6 +134,8 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
 
 def _needed(found: OracleScores, case: Case, right: int) -> tuple[Needed, ...]:
     winner = int(found.winners[0])
+    if found.table.config.rule is not None:
+        return ()
     if case.meant is None:
         return needed_changes(found.plain, winner, right)
     if case.meant.chooses:
@@ -172,7 +170,7 @@ def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tup
     if chosen == CONF:
         real = not (diagnosis.false_target or diagnosis.false_reference)
         return ("PRM" if real else "OPM-CONF"), None, CONF
-    return _FLIPS[chosen], None, chosen
+    return FLIPS[chosen], None, chosen
 
 
 def _smallest(found: OracleScores, subsets: range | list[int]) -> int | None:
@@ -186,72 +184,3 @@ def _pseudo(evidence: FrameEvidence, found: OracleScores, pairs: list[tuple[int,
         return role.shape_of[k] >= 0 and bool(evidence.objects.pseudo[role.shape_of[k]])
 
     return any(boxed(found.target, i) or boxed(found.reference, j) for i, j in pairs)
-
-
-def _missed(evidence: FrameEvidence, name: str, objects: np.ndarray) -> Missed:
-    source, frame = evidence.answers.source, evidence.answers.context.frame
-    right = evidence.truth.boxes[objects]
-    return why_missed(frame, name, right, source.config.k, source.needed_detector(), source.unfiltered_detector)
-
-
-NEAR_MISS = 0.1
-"""A box that overlaps at least this much, and less than a half, is of the object but badly placed."""
-
-
-def why_missed(
-    frame: Frame,
-    name: str,
-    right: np.ndarray,
-    k: int,
-    detector: Detector,
-    unfiltered: Callable[[], Detector],
-) -> Missed:
-    """Look for a right box among all that the detector gives, then among what it drops.
-
-    Parameters
-    ----------
-    frame : Frame
-    name : str
-        The class name that was asked.
-    right : (M, 4) float
-        Boxes of the objects that would have been right, pixels.
-    k : int
-    detector : Detector
-    unfiltered : callable
-        Gives the same detector without a minimum score; called only when it is needed.
-    """
-    seen = _detections(detector, frame, name)
-    best = 0.0
-    score: float | None = None
-    if seen is not None and len(seen):
-        overlap = iou_2d(seen.boxes, right).max(axis=1, initial=0.0)
-        order = np.argsort(-seen.scores, kind="stable")
-        hits = np.flatnonzero(overlap[order] >= HIT)
-        if len(hits):
-            rank = int(hits[0])
-            survives = set(suppress(seen.boxes[order]).tolist())
-            return Missed(
-                "RANK",
-                float(overlap[order[rank]]),
-                float(seen.scores[order[rank]]),
-                rank + 1,
-                not detector.exact and not any(int(h) in survives for h in hits),
-            )
-        best, score = float(overlap.max()), float(seen.scores[int(overlap.argmax())])
-    loose = _detections(unfiltered(), frame, name)
-    if loose is not None and len(loose):
-        overlap = iou_2d(loose.boxes, right).max(axis=1, initial=0.0)
-        if overlap.max() >= HIT:
-            at = int(np.where(overlap >= HIT, loose.scores, -1.0).argmax())
-            return Missed("THRESHOLD", float(overlap[at]), float(loose.scores[at]))
-        if overlap.max() > best:
-            best, score = float(overlap.max()), float(loose.scores[int(overlap.argmax())])
-    return Missed("LOCALISATION", best, score) if best >= NEAR_MISS else Missed("ABSENT", best)
-
-
-def _detections(detector: Detector, frame: Frame, name: str) -> Proposals | None:
-    """All detections of a name; None where the detector cannot know it."""
-    try:
-        return detector.detect(frame, [name])
-    except InputError:
-        return None

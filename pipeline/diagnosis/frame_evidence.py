@@ -16,6 +16,7 @@ from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.cases import HIT, Case, FrameCases
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.proposals.annotations import box_mask
+from pipeline.proposals.base import told_by_ids
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import RelationScorer, RuleScorer
 from pipeline.system.errors import InputError
@@ -87,7 +88,7 @@ class FrameEvidence:
         self.same[d:, :d] = self.same[:d, d:].T
         self.same[d:, d:] = np.eye(n, dtype=np.bool_)
         self.same_box = self.same.copy()
-        if d and not answers.source.needed_detector().exact:
+        if d and not told_by_ids(answers.source.needed_detector()):
             ids = np.array([o.id for o in answers.objects])
             one = (ids[:, None] == ids[None, :]) & (ids[:, None] >= 0)
             boxes_alike = iou_2d(answers.boxes, answers.boxes) >= SAME_BOX_IOU
@@ -97,6 +98,7 @@ class FrameEvidence:
         self.mask_sizes = np.concatenate([answers.mask_sizes, true_sizes])
         self.roles: dict[tuple[str, bytes], Any] = {}
         self._probabilities: dict[str, np.ndarray] = {}
+        self._stand_ins: dict[str, np.ndarray] = {}
 
     def object_at(self, index: int) -> SceneObject:
         """A detection, or from index D on a labelled object with its own pixels; none where it has only a box."""
@@ -123,8 +125,16 @@ class FrameEvidence:
             self._score(together or [relation])
         return self._probabilities[relation]
 
+    def stand_in(self, relation: str) -> np.ndarray | None:
+        """As `probabilities`, all by what stands in for a scorer that cannot be asked again; None where ours can."""
+        self.probabilities(relation)
+        return self._stand_ins.get(relation)
+
     def _score(self, relations: Sequence[str]) -> None:
         source, d = self.answers.source, self.detections
+        stand_in = (
+            None if getattr(source.scorer, "asked_again", True) else replace(source, scorer=source.scorer.stand_in)
+        )
         points = any(needs_points(source.scorer, relation) for relation in relations)
         indices = self._involved(relations)
         true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}
@@ -132,6 +142,11 @@ class FrameEvidence:
         objects = [self.answers.objects[p] if p < d else true[p - d] for p in indices.tolist()]
         present = [o for o in objects if o is not None]
         scores = source.score(self.answers.context, present, relations) if present else None
+        if stand_in is not None and present:
+            other = stand_in.score(self.answers.context, present, relations)
+            for relation in relations:
+                table = self._stand_ins[relation] = np.full((d + self.labelled, d + self.labelled), np.nan)
+                table[np.ix_(indices, indices)] = other.of(relation)
         for relation in relations:
             table = np.full((d + self.labelled, d + self.labelled), np.nan)
             if scores is not None:
@@ -224,6 +239,7 @@ def needs_points(scorer: RelationScorer, relation: str) -> bool:
     """Whether a scorer looks at the points of objects for a relation, and not only at their extents."""
     if relation not in DIRECTIONAL:
         return True
+    scorer = getattr(scorer, "stand_in", scorer)
     if isinstance(scorer, OnnxScorer):
         return scorer.name.partition("+")[0] in _POINTED
     return not isinstance(scorer, RuleScorer)

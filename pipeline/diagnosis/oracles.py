@@ -52,6 +52,8 @@ RECALL, LIFT, SRM, CONF, ATTRIBUTE = (1 << k for k in range(5))
 SUBSETS = 16
 STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
 RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
+CHANGED = 0.4
+"""Probabilities of the rule that are so far apart are of other states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +232,11 @@ def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, re
     lifted = np.where(shaped[0][:, None] == shaped[1][None, :], STATE_PROBABILITY[-1], lifted)
     moved = (target.shape_of >= 0)[:, None] | (reference.shape_of >= 0)[None, :]
     lifted = np.where(moved & np.isfinite(lifted), lifted, base)
+    stand_in = evidence.stand_in(relation)
+    if stand_in is not None:
+        # A scorer that cannot be asked again says the same as before where true geometry is judged as theirs is.
+        before, after = stand_in[target.index[:, None], reference.index], stand_in[shaped[0][:, None], shaped[1]]
+        lifted = np.where(np.abs(after - before) < CHANGED, base, lifted)
     a, b = (np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference))
     if evidence.labelled:
         known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])

@@ -149,7 +149,9 @@ class SubstitutedTree:
             return decided(p, HOLDS) if decide else p
 
         scene = self._scene(lift, bool(attribute), decide)
-        config = self._evidence.answers.source.config.rank
+        objects, known = self._evidence.answers.objects, self._evidence.detections
+        ids = [objects[k].id if k < known else -1 for k in every.index.tolist()]
+        config = self._evidence.answers.source.config.rank.of(ids)
         sizes = self._evidence.mask_sizes[every.index]
         return solve(self._meant.root, candidates, lookup, self._same[lift], sizes, config, scene)
 

@@ -27,14 +27,16 @@ ORACLE_WORDS = {
 
 VERDICTS: tuple[str, ...] = (
     "CORRECT", "PARSE", "LABEL", "OPM-TARGET", "OPM-REF", "LIFT", "ATTRIBUTE", "SRM", "OPM-CONF", "PRM",
-    "COMPOUND",
+    "COMPOUND", "UNEXPLAINED",
 )  # fmt: skip
-"""In the order in which they are decided; ATTRIBUTE only of expressions with attributes."""
+"""In the order in which they are decided; ATTRIBUTE only of expressions with attributes, UNEXPLAINED only of imported
+predictions."""
+_OCCASIONAL = ("ATTRIBUTE", "UNEXPLAINED")
 
 
 def shown_verdicts(occurring: Collection[str]) -> tuple[str, ...]:
-    """VERDICTS; ATTRIBUTE only where it occurs, for plain expressions cannot have it."""
-    return tuple(v for v in VERDICTS if v != "ATTRIBUTE" or v in occurring)
+    """VERDICTS; ATTRIBUTE and UNEXPLAINED only where they occur: plain expressions of our own cannot have them."""
+    return tuple(v for v in VERDICTS if v not in _OCCASIONAL or v in occurring)
 
 
 MODULE_OF = {
@@ -54,15 +56,18 @@ class Diagnosis:
         One of VERDICTS.
     detail : str or None
         WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK,
-        THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; the oracles of COMPOUND.
+        THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; SCORE (of imported pair scores: the right pair would stand
+        first by what all others scored); the oracles of COMPOUND; of UNEXPLAINED what the file gives (ANSWER,
+        PROPOSALS, BOXES), or NOT-SEPARABLE.
     lucky : bool
         Right, but with a pair that is not acceptable.
     repair : tuple of str
         The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps.
     mends : tuple of str
         Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win.
-    right_with : int
-        Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple.
+    right_with : int or None
+        Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple; None where
+        predictions that were imported do not tell.
     margins : (S,) float64
         Of all S subsets, sixteen or with attributes thirty-two:
         S of the best acceptable pair less S of the best other one under each subset; NaN without any pair.
@@ -90,7 +95,7 @@ class Diagnosis:
     detail: str | None
     lucky: bool
     repair: tuple[str, ...]
-    right_with: int
+    right_with: int | None
     margins: np.ndarray
     winner: ScoredPair | None
     right: ScoredPair | None
@@ -127,7 +132,7 @@ class Diagnosis:
 
         "attributes" only where something is said of the objects alone.
         """
-        if self.winner is None or self.right is None:
+        if self.winner is None or self.right is None or self.evidence.answers.source.config.rank.rule is not None:
             return None
         ours, theirs = self.winner.log_factors, self.right.log_factors
         return {name: ours[name] - theirs[name] for name in ours}
@@ -202,8 +207,23 @@ def explain(
         return _parse(case, query, problem)
     if diagnosis.verdict in ("OPM-TARGET", "OPM-REF"):
         return _missed(diagnosis, unknown)
-    told = {"CORRECT": _correct, "LABEL": _label}.get(diagnosis.verdict, _lost)
+    told = {"CORRECT": _correct, "LABEL": _label, "UNEXPLAINED": _unexplained}.get(diagnosis.verdict, _lost)
     return told(diagnosis, case)
+
+
+def _unexplained(d: Diagnosis, case: Case) -> str:
+    return {
+        "ANSWER": "Wrong. The file gives the answer alone; with its proposals (level 1) it could be said whether the "
+        "right thing was seen at all.",
+        "PROPOSALS": f"Wrong, and the right {case.target} was proposed. With 3D boxes (level 2) and relation "
+        "probabilities (level 3) it could be said why it lost.",
+        "BOXES": f"Wrong, and the right {case.target} was proposed, where it is. With relation probabilities (level 3) "
+        "it could be said whether these or the ranking are to blame.",
+    }.get(
+        d.detail or "",
+        "Wrong, and not separable: what a pair would have scored with a true module does not follow from the scores of "
+        "the file. A callback that ranks again would tell, or the probabilities that the ranking went by.",
+    )
 
 
 def _lost(d: Diagnosis, case: Case) -> str:
@@ -274,6 +294,11 @@ def _flipped(d: Diagnosis, case: Case) -> str:
             else f"The right {case.target} and {case.reference}"
         )
         return f"{first} count as one thing. {_repaired(d) if d.repair else ''}".strip() + f" Verdict: {d.verdict}."
+    if d.detail == "SCORE":
+        return (
+            f"The right {case.target} and {case.reference} lost, though with these confidences and this probability "
+            f"other pairs of the file score enough to win. Verdict: PRM."
+        )
     text = _said_of_both(d.verdict, winner, right, case)
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""

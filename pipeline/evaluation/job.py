@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
+from shutil import copyfile
 from time import perf_counter
 from typing import Any
 
+from pipeline.answering.imported import ImportedPipeline
 from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_confusion, network_confusion
 from pipeline.evaluation.grounding_tables import (
@@ -200,6 +202,13 @@ def evaluate_dataset(
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
         config = {**recorded_config(source.config), "options": options}
         plain = json.loads(json.dumps(config, default=str))
+        imported = None
+        if isinstance(source, ImportedPipeline):
+            # The run keeps what it was made of.
+            copyfile(source.predictions.path, folder / PREDICTIONS_FILE)
+            plain_options = {k: v for k, v in spec.options.items() if k != "rescore"}
+            spec = replace(spec, options={**plain_options, "predictions": out.resolve() / PREDICTIONS_FILE})
+            imported = source.predictions.record()
         write_json(
             folder / RUN_FILE,
             {
@@ -213,6 +222,7 @@ def evaluate_dataset(
                 "vlm": None if spec.vlm is None else {"url": spec.vlm.url, "model": spec.vlm.model},
                 "limit": spec.limit,
                 "spec": json.loads(json.dumps(spec_record(spec, out.resolve()), default=str)),
+                **({} if imported is None else {"imported": imported}),
                 "marks": len(spec.marks),
                 "recalled_confidence": {"median": spec.confidence, "of": seen},
                 "config": plain,
@@ -328,6 +338,8 @@ def make_tables(
     return [with_caveats(table, shares) for table in tables if table is not None]
 
 
+PREDICTIONS_FILE = "predictions.jsonl"
+"""The copy of what was imported, in its run's folder."""
 DIAGNOSIS_FILE = "diagnosis.json"
 MOST = 20
 """Classes, scenes and frames of their own in files; the rest is one slice."""

@@ -267,7 +267,7 @@ def reliability_figures(diagrams: Diagrams) -> list[Any]:
 VERDICT_COLORS = {
     "CORRECT": "#009988", "PARSE": "#aa3377", "LABEL": "#b4bdca", "OPM-TARGET": "#cc3311", "OPM-REF": "#ee7733",
     "LIFT": "#0077bb", "ATTRIBUTE": "#999933", "SRM": "#33bbee", "OPM-CONF": "#ddaa33", "PRM": "#ee3377",
-    "COMPOUND": "#46536a",
+    "COMPOUND": "#46536a", "UNEXPLAINED": "#8a8f98",
 }  # fmt: skip
 LOSS_COLORS = {
     "accuracy": VERDICT_COLORS["CORRECT"], "PARSE": VERDICT_COLORS["PARSE"], "RECALL": VERDICT_COLORS["OPM-TARGET"],

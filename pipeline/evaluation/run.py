@@ -10,11 +10,13 @@ import numpy as np
 
 from pipeline.answering.answering import FrameAnswers, StageClock
 from pipeline.answering.ask import propose
+from pipeline.answering.imported import ImportedPipeline, open_source
 from pipeline.answering.objects import PreparedFrame, prepare_frame
-from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering.opening import Pipeline
 from pipeline.datasets.base import load_picture
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence, matched
+from pipeline.evaluation.imported_rows import imported_rows, told_cases
 from pipeline.evaluation.records import (
     COLUMNS,
     asked_columns,
@@ -90,7 +92,7 @@ class EvalSpec:
 
     def open(self) -> tuple[Pipeline, Labels]:
         """The dataset with its models, and the labels."""
-        return open_pipeline(self.dataset, **self.options), open_labels(self.labels)
+        return open_source(self.dataset, **self.options), open_labels(self.labels)
 
 
 class Evaluator:
@@ -131,6 +133,8 @@ class Evaluator:
         if self._chosen is not None:
             kept = tuple(c for c in truth.cases if (truth.frame_index, c.id) in self._chosen)
             truth = replace(truth, cases=kept)
+        if isinstance(self.source, ImportedPipeline):
+            truth = told_cases(self.source, truth)
         if not truth.cases:
             return []
         if context is not None:
@@ -147,8 +151,15 @@ class Evaluator:
             return [record_whole(c, truth, p) for c, p in zip(truth.cases, pointed, strict=True)]
         if context is None:
             # No answer depends on 3D boxes: features that are made of boxes fit them to the points themselves.
+            boxes = isinstance(self.source, ImportedPipeline)
             with self.clock.stage("lift"):
-                context = prepare_frame(self.source.dataset, frame, self.source.config.lift, boxes=False)
+                context = prepare_frame(self.source.dataset, frame, self.source.config.lift, boxes=boxes)
+        if isinstance(self.source, ImportedPipeline):
+            spec = self.spec
+            return imported_rows(
+                self.source, truth, context, self.class_names, confidence=spec.confidence, marks=spec.marks,
+                verdicts=spec.verdicts, clock=self.clock,
+            )  # fmt: skip
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
         relations = {case.relation for case in truth.cases}
         answers = FrameAnswers(self.source, context, tuple(names), relations, self.clock)

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering.imported import open_source
+from pipeline.answering.opening import Pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.records import read_records
@@ -99,8 +100,8 @@ class Run:
 
     @cached_property
     def source(self) -> Pipeline:
-        """The dataset with the run's models; raises as `open_pipeline`."""
-        return open_pipeline(self.spec.dataset, **self.spec.options)
+        """The dataset with the run's models, or with the predictions that were imported; raises as `open_source`."""
+        return open_source(self.spec.dataset, **self.spec.options)
 
     @cached_property
     def shares(self) -> tuple[Share, ...]:

@@ -160,7 +160,10 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
         raise AssertionError(f"shares of verdicts sum to {total}, not to one")
     details = dict(zip(pairs, shares[len(kinds) :], strict=False))
     ordered = sorted(details, key=lambda p: (VERDICTS.index(p[0]), -details[p].count, p[1]))
-    right_with = column(records, "right_with").astype(np.int64)
+    # Of imported predictions that do not tell: what is right stays so, and no oracle is known to mend the rest.
+    answered_right = column(records, "set_correct") > 0
+    right_with = column(records, "right_with")
+    right_with = np.where(np.isnan(right_with), answered_right * ((1 << SUBSETS) - 1), right_with).astype(np.int64)
     deltas = oracle_deltas(right_with, clusters, config)
     explained = sum(e.value for e in deltas.shapley.values())
     if abs(explained - (deltas.value[-1] - deltas.value[0])) > EXACT:

@@ -99,6 +99,7 @@ VERDICTS: dict[str, RGB] = {
     "OPM-CONF": (92, 92, 214),
     "PRM": (226, 122, 24),
     "COMPOUND": (140, 92, 60),
+    "UNEXPLAINED": (96, 100, 108),
 }
 """A colour for each verdict; the blues are the detector's. Wherever it is shown, the word stands beside it."""
 

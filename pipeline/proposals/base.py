@@ -160,6 +160,16 @@ def reads_annotations(detector: Detector) -> bool:
     return bool(getattr(detector, "reads_annotations", True))
 
 
+def is_final(detector: Detector) -> bool:
+    """Whether what a detector gives goes on as it is: nothing is suppressed, cut off or calibrated."""
+    return bool(getattr(detector, "final", detector.exact))
+
+
+def told_by_ids(detector: Detector) -> bool:
+    """Whether only equal identities are one thing, whatever overlaps."""
+    return bool(getattr(detector, "told_by_ids", detector.exact))
+
+
 def unknown_class(label: str, names: Sequence[str], where: str, advice: str | None = None) -> UnknownClass:
     """The error for a class name that a detector of limited vocabulary does not know; `advice` says what else helps."""
     close = suggest(label, names)

@@ -270,12 +270,15 @@ class Appearance:
     labels : tuple of str
     width, height : int
         Of the image, pixels.
+    ids : tuple of int
+        The detector's own identity of each, -1 for none; empty where they are not told.
     """
 
     bboxes: np.ndarray
     labels: tuple[str, ...]
     width: int
     height: int
+    ids: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         require(
@@ -289,4 +292,5 @@ class Appearance:
     def take(self, index: Sequence[int]) -> Appearance:
         """Those objects alone, in this order."""
         labels = tuple(self.labels[k] for k in index)
-        return Appearance(self.bboxes[list(index)].reshape(-1, 4), labels, self.width, self.height)
+        ids = tuple(self.ids[k] for k in index) if self.ids else ()
+        return Appearance(self.bboxes[list(index)].reshape(-1, 4), labels, self.width, self.height, ids)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from pipeline.system.errors import require
 
-FILES = ("model", "model_config", "segmenter_model", "srm", "vectors", "synonyms")
+FILES = ("model", "model_config", "segmenter_model", "srm", "vectors", "synonyms", "predictions")
 """The arguments of `open_pipeline` that name files."""
 _WORDS = ("trained", "rule")
 Fusion = Literal["wbf", "nms"]

@@ -84,7 +84,7 @@ def verdict_html(state: State) -> Element | None:
         return None
     if isinstance(judged, str):
         return h.div(h.p(f"No verdict: {judged}", cls="dim sentence"), cls="verdict")
-    stage = MODULE_OF.get(judged.verdict, "" if judged.verdict == "COMPOUND" else "LABEL")
+    stage = MODULE_OF.get(judged.verdict, "" if judged.verdict in ("COMPOUND", "UNEXPLAINED") else "LABEL")
     return h.div(
         h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why"),
         None if state.task == "explain" and judged.verdict in MODULE_OF else h.p(judged.text, cls="sentence"),

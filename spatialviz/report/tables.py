@@ -43,7 +43,7 @@ def blamed_modules(judged: Diagnosis | None) -> frozenset[str]:
         return frozenset()
     if judged.verdict == "COMPOUND":
         return frozenset(_ORACLE_MODULE[name] for name in judged.repair)
-    return frozenset({MODULE_OF[judged.verdict]})
+    return frozenset({MODULE_OF[judged.verdict]} if judged.verdict in MODULE_OF else ())
 
 
 def decomposition_html(d: Diagnosis, cast: AnswerRoles) -> str:

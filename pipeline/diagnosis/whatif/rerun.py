@@ -28,7 +28,7 @@ from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import RunLength, mask_box
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
-from pipeline.proposals.base import top_k_indices
+from pipeline.proposals.base import is_final, told_by_ids, top_k_indices
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
@@ -84,6 +84,7 @@ class Baseline:
     """
 
     def __init__(self, source: Pipeline, context: PreparedFrame, text: str) -> None:
+        source = source.asked(context.frame.id, text)
         self.source, self.context, self.text = source, context, text
         self.detector = source.needed_detector()
         start = perf_counter()
@@ -134,7 +135,7 @@ class Baseline:
         if before is not None and before[0] == marks:
             return before[2]
         # The masks are kept too, so that their numbers stay their own.
-        kept = marks, tuple(o.mask for o in objects), same_object(objects, self.detector.exact)
+        kept = marks, tuple(o.mask for o in objects), same_object(objects, told_by_ids(self.detector))
         return self.keep("same", len(objects), kept)[2]
 
 
@@ -167,7 +168,7 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
     keys: dict[int, str] = {}
     with timed(stages, "opm"):
         indices = {name: _selected(baseline, edits, name) for name in baseline.found}
-    calibration = None if detector.exact else config.score_calibration
+    calibration = None if is_final(detector) else config.score_calibration
     with timed(stages, "lift"):
         for name, at in indices.items():
             entries = [_edited(baseline, context, edits, name, int(k)) for k in at]
@@ -217,7 +218,7 @@ def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
 
     def select() -> np.ndarray:
         shown = np.flatnonzero([key not in hidden for key in keys]).astype(np.int64)
-        if baseline.detector.exact:
+        if is_final(baseline.detector):
             return shown
         bare = replace(found, masks=None, has_mask=None, segmented=None)
         return shown[top_k_indices(bare.take(shown), k, min_score=least)]

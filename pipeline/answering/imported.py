@@ -1,0 +1,324 @@
+"""Predictions of another pipeline as a source of ours: its proposals, boxes, probabilities and scores as they stand.
+
+A detector that gives its proposals, a relation scorer that gives its probabilities, a ranking that gives its scores.
+What was given is never computed anew. Where the truth is put in place of a part of it, the relations of what is new are
+scored by the scorer that the file names, else by the rule, as a stand-in that is told as such.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from pipeline.answering.ask import AskConfig
+from pipeline.answering.objects import PreparedFrame, SceneObject
+from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering.pair_rules import PairRule, Rescore, RuledConfig, RunRules, line_rule
+from pipeline.answering.placing import box_2d, box_3d
+from pipeline.answering.predictions import Prediction, Predictions, Proposal, read_predictions
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.expression import parse
+from pipeline.language.naming import match, suggest
+from pipeline.language.relation_names import PAIRWISE, PHRASE
+from pipeline.language.tree import Query
+from pipeline.proposals.base import Proposals, no_proposals
+from pipeline.proposals.class_names import meant_names
+from pipeline.relations import make_scorer
+from pipeline.relations.features import Appearance
+from pipeline.relations.scorer import RelationScorer, RelationScores
+from pipeline.system.errors import InputError, as_input_error, require
+
+
+def label_of(predictions: Predictions) -> str:
+    """Whose and how much, as it stands wherever something of theirs is shown."""
+    return f"{predictions.header.system} (imported, level {predictions.level})"
+
+
+class GivenDetector:
+    """Gives the proposals of a line; without a line those of all lines of the frame.
+
+    Parameters
+    ----------
+    predictions : Predictions
+    line : Prediction, optional
+    below : bool
+        `everything` holds also what was below the minimum score.
+
+    Attributes
+    ----------
+    final : bool
+        What is given goes on as it is: nothing is suppressed, cut off or calibrated.
+    told_by_ids : bool
+        Only one id is one thing.
+    """
+
+    final = True
+    reads_annotations = False
+
+    def __init__(self, predictions: Predictions, line: Prediction | None = None, below: bool = False) -> None:
+        self.predictions, self.line, self.below = predictions, line, below
+        self.name = label_of(predictions)
+        self.exact = predictions.header.exact
+        self.told_by_ids = predictions.header.same == "ids"
+        self._drops = {"rank", "overlap", "threshold"} if below else {"rank", "overlap"}
+
+    @cached_property
+    def vocabulary(self) -> tuple[str, ...]:
+        lines = self.predictions.lines.values() if self.line is None else (self.line,)
+        return tuple(dict.fromkeys(name for line in lines for name in line.proposals or {}))
+
+    def fingerprint(self) -> str:
+        return f"imported:{self.predictions.content_hash}"
+
+    def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        return self._found(frame, labels, lambda p: p.dropped is None)
+
+    def everything(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        """As `detect`, with what did not go on."""
+        return self._found(frame, labels, lambda p: p.dropped is None or p.dropped in self._drops)
+
+    def _found(self, frame: Frame, labels: Sequence[str] | None, keep: Callable[[Proposal], bool]) -> Proposals:
+        header, lines = self.predictions.header, self.predictions.of_frame(frame.id)
+        lines = lines if self.line is None else (self.line,)
+        names: tuple[str, ...] = self.vocabulary
+        if labels is not None:
+            where = f"the file {self.predictions.path.name}"
+            names = tuple(dict.fromkeys(n for label in labels for n in meant_names(label, names, None, where)))
+        best: dict[int, tuple[str, Proposal]] = {}
+        for line in lines:
+            for name in names:
+                for p in (line.proposals or {}).get(name, ()):
+                    if keep(p) and (p.id not in best or best[p.id][1].score < p.score):
+                        best[p.id] = p.name or name, p
+        if not best:
+            return no_proposals(frame.height, frame.width)
+        found = [p for _, p in best.values()]
+        called = [name for name, _ in best.values()]
+        known = tuple(dict.fromkeys(called))
+        masks = np.zeros((len(found), frame.height, frame.width), np.bool_)
+        for k, p in enumerate(found):
+            if p.mask is not None:
+                masks[k] = p.mask.decoded(masks.shape[1:], f"frame {frame.id}, mask of {p.id}", self.predictions.path)
+        assert all(p.box is not None for p in found)
+        boxes = [box_2d(p.box, header, frame.width, frame.height) for p in found if p.box is not None]
+        return Proposals(
+            np.array(boxes, np.float32).reshape(-1, 4),
+            np.array([p.score for p in found], np.float32),
+            np.array([known.index(name) for name in called], np.int64),
+            known,
+            masks,
+            np.array([p.id for p in found], np.int64),
+            np.array([p.mask is not None for p in found], np.bool_),
+        )
+
+    def box(self, frame: Frame, i: int) -> Box3D | None:
+        """The 3D box of an object; None where none is given."""
+        given = self.predictions.box_of(frame.id, i)
+        return None if given is None else box_3d(given, self.predictions.header, frame.camera)
+
+    def finished(self, entry: SceneObject, context: PreparedFrame) -> SceneObject:
+        """An object as it was lifted here, with their box, to which its points are moved, and their attributes."""
+        told = {} if self.line is None else {
+            name: p for name, rows in (self.line.attributes or {}).items() for i, p in rows if i == entry.id
+        }  # fmt: skip
+        box = self.box(context.frame, entry.id)
+        moved = entry.lifted
+        if box is not None and not (moved.box is not None and alike(moved.box, box)):
+            moved = moved.moved_to(box, context.viewer)
+        return replace(entry, lifted=moved, told=told)
+
+
+def alike(a: Box3D, b: Box3D) -> bool:
+    """Whether two boxes are one, up to rounding."""
+    return all(np.allclose(x, y, atol=1e-6) for x, y in ((a.center, b.center), (a.R, b.R), (a.size, b.size)))
+
+
+class GivenScorer:
+    """Gives the relation probabilities of a line, and those of a stand-in for pairs that the line does not have.
+
+    Attributes
+    ----------
+    stand_in : RelationScorer
+        What scores the relations of true geometry.
+    asked_again : bool
+        The stand-in is what made the probabilities.
+    """
+
+    def __init__(self, predictions: Predictions, line: Prediction | None, stand_in: RelationScorer) -> None:
+        self.predictions, self.line, self.stand_in = predictions, line, stand_in
+        self.name = label_of(predictions)
+        self.asked_again = predictions.header.scorer is not None
+
+    def score(
+        self,
+        objects: Sequence[LiftedObject],
+        viewer: ViewerAxes,
+        appearance: Appearance | None = None,
+        relations: Collection[str] = PAIRWISE,
+    ) -> RelationScores:
+        found = self.stand_in.score(objects, viewer, appearance, relations)
+        given = {} if self.line is None else self.line.relations or {}
+        if appearance is None or not appearance.ids:
+            return found
+        at = {i: k for k, i in enumerate(appearance.ids) if i >= 0}
+        probabilities, scored_by = found.probabilities.copy(), dict(found.scored_by)
+        for relation, rows in given.items():
+            if relation not in found.relations:
+                continue
+            r = found.relations.index(relation)
+            scored_by[relation] = self.name
+            for a, b, *_, p in rows:
+                if a in at and b in at:
+                    probabilities[at[a], at[b], r] = p
+        return replace(found, probabilities=probabilities, scored_by=scored_by)
+
+
+@dataclass(frozen=True)
+class ImportedPipeline(Pipeline):
+    """A dataset with the predictions of another pipeline.
+
+    Attributes
+    ----------
+    predictions : Predictions
+    line : Prediction or None
+        The expression that this one is about; None for the whole file.
+    rescore : callable or None
+        Asks the other pipeline's ranking again; see `pair_rules.Rescore`.
+    """
+
+    predictions: Predictions = field(kw_only=True)
+    line: Prediction | None = None
+    rescore: Rescore | None = None
+
+    @cached_property
+    def _rules(self) -> RunRules:
+        return RunRules.of(self.predictions)
+
+    def asked(self, frame_id: str, text: str) -> Pipeline:
+        """The source of one expression; InputError where the file has no line for it."""
+        line = self.predictions.line(frame_id, text)
+        if line is None:
+            known = [p.text for p in self.predictions.of_frame(frame_id)]
+            close = suggest(text, known)
+            raise InputError(
+                f"{label_of(self.predictions)} has no line for this expression on frame {frame_id}",
+                got=repr(text),
+                expected=f"one of {len(known)} lines" + (f", such as {close[0]!r}" if close else ""),
+                path=self.predictions.path,
+            )
+        if line is self.line:
+            return self
+        detector = GivenDetector(self.predictions, line)
+        assert isinstance(self.scorer, GivenScorer)
+        scorer = GivenScorer(self.predictions, line, self.scorer.stand_in)
+        rule = line_rule(self._rules, self.predictions.header, line, self.rescore)
+        config = self.config if rule is None else replace(self.config, rank=ruled(self.config, rule))
+        below = GivenDetector(self.predictions, line, below=True)
+        reader = _given_reader(line, label_of(self.predictions)) if line.relation and line.target else self.reader
+        return replace(
+            self,
+            detector=detector,
+            scorer=scorer,
+            config=config,
+            line=line,
+            open_unfiltered=lambda: below,
+            reader=reader,
+        )
+
+
+def ruled(config: AskConfig, rule: PairRule) -> RuledConfig:
+    """The ranking's weights with a rule that is not the product."""
+    rank = config.rank
+    return RuledConfig(rank.target_weight, rank.reference_weight, rank.relation_weight, rank.aggregate, rule)
+
+
+def _given_reader(line: Prediction, system: str) -> Callable[..., Query]:
+    """Reads the expression as the line says that it was read."""
+
+    def read(text: str, **options: Any) -> Query:
+        phrase = PHRASE.get(line.relation or "", line.relation)
+        names = tuple(n for n in (line.target, line.reference) if n)
+        options["class_names"] = (*names, *options.get("class_names", ()))
+        words = f"{line.target} {phrase} {line.reference}" if line.reference else str(line.target)
+        return replace(parse(words, **options), text=text, spans=(), reader=system)
+
+    return read
+
+
+def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPipeline:
+    """A dataset with the predictions of a file.
+
+    Parameters
+    ----------
+    predictions : Path
+    dataset, options
+        As for `open_pipeline`; what names models is refused.
+
+    Raises
+    ------
+    InputError
+        As `open_pipeline` and `read_predictions`; a line of a frame that the dataset does not have.
+    """
+    for name in ("detector", "model", "segmenter", "fuse", "also", "config"):
+        require(not options.get(name), f"{name} is not for imported predictions", cause="the file says what was seen")
+    rescore = options.pop("rescore", None)
+    options.pop("srm", None)
+    source = open_pipeline(dataset, srm="rule", **options)
+    read = read_predictions(predictions)
+    known = set(source.dataset.frame_ids)
+    for line in read.lines.values():
+        if line.frame not in known:
+            close = suggest(line.frame, source.dataset.frame_ids, 1)
+            cause = f"did you mean {close[0]!r}?" if close else "is it another dataset?"
+            raise InputError(
+                f"{read.where(line, 'frame')}: the dataset has no such frame",
+                got=repr(line.frame),
+                cause=cause,
+                path=read.path,
+            )
+    config = AskConfig()
+    if read.header.settings is not None:
+        with as_input_error("line 1, settings: not those of a run", ValueError, path=read.path):
+            config = TypeAdapter(AskConfig).validate_python(read.header.settings)
+    weights = read.header.weights
+    if read.header.settings is None:
+        rank = replace(
+            config.rank,
+            target_weight=weights.target,
+            reference_weight=weights.reference,
+            relation_weight=weights.relation,
+        )
+        config = replace(config, rank=rank)
+    scorer = make_scorer(read.header.scorer or "rule", options.get("vectors"))
+    return ImportedPipeline(
+        source.dataset, GivenDetector(read), GivenScorer(read, None, scorer), config, source.synonyms,
+        predictions=read, rescore=rescore,
+    )  # fmt: skip
+
+
+def open_source(dataset: Any, **options: Any) -> Pipeline:
+    """`open_pipeline`, or with `predictions` what another pipeline gave: `open_imported`."""
+    if options.get("predictions") is None:
+        return open_pipeline(dataset, **{k: v for k, v in options.items() if k != "predictions"})
+    return open_imported(dataset=dataset, **options)
+
+
+def needed_names(line: Prediction, names: Collection[str], predictions: Predictions) -> None:
+    """InputError where a line with proposals has none, not even an empty list, for a name that the expression asks."""
+    for name in names:
+        require(
+            line.proposals is None or match(name, tuple(line.proposals)),
+            f"{predictions.where(line, 'proposals')}: nothing for {name!r}, which the expression asks for",
+            got=", ".join(line.proposals or ()) or "no names",
+            expected="an empty list where nothing was found",
+            path=predictions.path,
+        )

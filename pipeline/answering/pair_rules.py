@@ -1,0 +1,295 @@
+"""Rankings that are not a product of ours: known by the scores that they gave, and not by how they come about.
+
+What a pair scored is taken as it stands. What it would score with other factors, P(target), P(reference) and
+P(relation), is bounded by what other pairs scored: a ranking that uses its factors at all gives no less to a pair that
+is better or equal in all of them. Pairs of all lines of a file are samples of one rule where they agree with each
+other. A ranking that contradicts this is not separable into modules, and nothing is said of them; where the pipeline
+can be asked again (`Rescore`), it is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, RankConfig, Side
+from pipeline.answering.predictions import Header, Prediction, Predictions
+from pipeline.language.expression import parse
+from pipeline.language.naming import match
+from pipeline.system.errors import InputError
+
+Rescore = Callable[[Prediction, np.ndarray, np.ndarray], np.ndarray]
+"""(line, ids (P, 2) int64, factors (P, 3) float64) -> scores (P,): the other pipeline's own ranking, asked again. An id
+is -1 for a thing that was not proposed, and for the reference of an expression without one."""
+CONTRADICTED = 0.05
+"""A rule is no rule of the factors where more of the comparable pairs than this contradict it."""
+MOST_SAMPLES = 4000
+LEAST_SAMPLES = 30
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What pairs scored.
+
+    Attributes
+    ----------
+    factors : (N, 3) float64
+    scores : (N,) float64
+    """
+
+    factors: np.ndarray
+    scores: np.ndarray
+
+    def bounds(self, factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The least and the most that pairs of these factors ((P, 3)) can score; (P,) each, infinite where unknown."""
+        low, high = np.full(len(factors), -np.inf), np.full(len(factors), np.inf)
+        for k in range(0, len(factors), 256):
+            part = factors[k : k + 256, None]
+            below = (self.factors[None] <= part + _SAME).all(axis=2)
+            above = (self.factors[None] >= part - _SAME).all(axis=2)
+            low[k : k + 256] = np.where(below, self.scores, -np.inf).max(axis=1, initial=-np.inf)
+            high[k : k + 256] = np.where(above, self.scores, np.inf).min(axis=1, initial=np.inf)
+        return low, high
+
+    @cached_property
+    def contradictions(self) -> float:
+        """Share of the comparable pairs of samples whose scores stand the other way round."""
+        f, s = self.factors, self.scores
+        better = (f[:, None] >= f[None] - _SAME).all(axis=2) & (f[:, None] > f[None] + 1e-6).any(axis=2)
+        comparable = int(better.sum())
+        wrong = int((better & (s[:, None] < s[None] - 1e-9)).sum())
+        return wrong / comparable if comparable else 0.0
+
+
+def factors_of(line: Prediction) -> dict[tuple[int, int], tuple[float, float, float]]:
+    """P(target), P(reference), P(relation) of the pairs of a line that says one relation of two names, by ids."""
+    proposals, asked = line.proposals or {}, _asked(line)
+    rows = (line.relations or {}).get(asked[1] if asked else "", ())
+    names = [match(name, tuple(proposals)) for name in (asked[0], asked[2])] if asked else []
+    first, second = (
+        {p.id: p.score for name in known for p in proposals[name] if p.dropped is None} for known in names or ((), ())
+    )
+    return {(r[0], r[1]): (first[r[0]], second[r[1]], r[-1]) for r in rows if r[0] in first and r[1] in second}
+
+
+def _asked(line: Prediction) -> tuple[str, str, str] | None:
+    """Target, relation and reference of a line that says no more; None for others, and where it cannot be read."""
+    if line.target and line.relation and line.reference:
+        return line.target, line.relation, line.reference
+    try:
+        query = parse(line.text, class_names=tuple(line.proposals or ()))
+    except InputError:
+        return None
+    e = query.expression
+    plain = e is not None and query.default.root.triple is not None and not e.inverse and e.second_reference is None
+    return (e.target, e.relation, e.reference) if plain and e is not None else None
+
+
+@dataclass(frozen=True)
+class RunRules:
+    """What the lines of a file say together of the rule that ranks.
+
+    Attributes
+    ----------
+    by_line : dict of (frame, text) to Samples
+    """
+
+    by_line: dict[tuple[str, str], Samples]
+
+    @staticmethod
+    def of(predictions: Predictions) -> RunRules:
+        """The samples of a file whose pairs have scores of their own."""
+        found: dict[tuple[str, str], Samples] = {}
+        for key, line in predictions.lines.items():
+            factors, scores = factors_of(line), {(a, b): s for a, b, s in line.pairs or () if b is not None}
+            both = [pair for pair in factors if pair in scores]
+            if both:
+                found[key] = Samples(np.array([factors[p] for p in both]), np.array([scores[p] for p in both]))
+        return RunRules(found)
+
+    @cached_property
+    def separable(self) -> bool:
+        """Whether within lines more or equal in all factors is no less in score."""
+        parts = [(s.contradictions, len(s.scores)) for s in self.by_line.values() if len(s.scores) > 1]
+        return not parts or float(np.average([c for c, _ in parts], weights=[n for _, n in parts])) <= CONTRADICTED
+
+    @cached_property
+    def common(self) -> bool:
+        """Whether the scores of different lines are on one scale."""
+        every = self._spread(MOST_SAMPLES // 4, None)
+        return self.separable and len(every.scores) >= LEAST_SAMPLES and every.contradictions <= CONTRADICTED
+
+    def others(self, key: tuple[str, str]) -> Samples:
+        """The samples of all lines but one; none where scales differ."""
+        return self._spread(MOST_SAMPLES, key) if self.common else Samples(np.zeros((0, 3)), np.zeros(0))
+
+    def _spread(self, most: int, but: tuple[str, str] | None) -> Samples:
+        parts = [s for key, s in self.by_line.items() if key != but]
+        if not parts:
+            return Samples(np.zeros((0, 3)), np.zeros(0))
+        factors, scores = np.concatenate([s.factors for s in parts]), np.concatenate([s.scores for s in parts])
+        chosen = np.unique(np.linspace(0, len(scores) - 1, min(most, len(scores))).astype(int))
+        return Samples(factors[chosen], scores[chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class PairRule:
+    """How the pairs of one line score.
+
+    Attributes
+    ----------
+    line : Prediction
+    given : dict of (target id, reference id) to float
+        As the line says.
+    factors : dict of (target id, reference id) to (P(target), P(reference), P(relation))
+        What these scores were given for.
+    own, others : Samples
+        Of this line, and of the rest of the file.
+    separable : bool
+    product : RankConfig or None
+        The header's product, where the line's answer is not what it gives; the scores of changed pairs are then its.
+    rescore : callable or None
+    ids : (N,) int64 or None
+        Of the list of objects that the table of pairs is about.
+    """
+
+    line: Prediction
+    given: dict[tuple[int, int], float]
+    factors: dict[tuple[int, int], tuple[float, float, float]]
+    own: Samples
+    others: Samples
+    separable: bool
+    product: RankConfig | None = None
+    rescore: Rescore | None = None
+    ids: np.ndarray | None = None
+
+    def scores(self, target: Side, ends: Sequence[Side], p: np.ndarray, regular: bool = False) -> np.ndarray:
+        """S of a table of pairs, of the shape of `p` with all axes of scenes; see `bounds`."""
+        low, high = self.bounds(target, ends, p, regular)
+        known = np.isfinite(low) & np.isfinite(high)
+        middle = np.where(
+            known, (np.where(known, low, 0) + np.where(known, high, 0)) / 2, np.where(np.isfinite(low), low, high)
+        )
+        return middle
+
+    def bounds(
+        self, target: Side, ends: Sequence[Side], p: np.ndarray, regular: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The least and the most that each pair can score; the same where it is known.
+
+        Parameters
+        ----------
+        target, ends, p
+            As for `pair_table`; one end at most.
+        regular : bool
+            By the rule alone: also pairs whose factors are the line's own score what other lines' pairs would.
+        """
+        one = np.ones(p.shape)
+        t = target.scores[..., :, None] * one if ends else target.scores * one
+        r = ends[0].scores[..., None, :] * one if ends else one
+        t, r, p = np.broadcast_arrays(t, r, p)
+        factors = np.stack([t, r, p], axis=-1).reshape(-1, 3)
+        ids = self._pairs(target, ends, t.shape)
+        if self.product is not None:
+            low = self._product(factors)
+            high = low.copy()
+        elif self.rescore is not None:
+            scores = np.concatenate(
+                [
+                    self.rescore(self.line, i, f)
+                    for i, f in zip(
+                        ids.reshape(-1, *self._flat(t, ends)), factors.reshape(-1, *self._flat(t, ends, 3)), strict=True
+                    )
+                ]
+            )
+            low, high = scores, scores.copy()
+        else:
+            samples = self.others if regular else self._all
+            low, high = samples.bounds(factors)
+            least, most = self._range
+            low, high = np.maximum(low, least), np.minimum(high, most)
+        if not regular:
+            for pair, score in self.given.items():
+                here = (ids == pair).all(axis=1)
+                if pair in self.factors:
+                    here &= np.abs(factors - np.array(self.factors[pair])).max(axis=1) < 1e-6
+                low[here] = high[here] = score
+        return low.reshape(t.shape), high.reshape(t.shape)
+
+    def _flat(self, t: np.ndarray, ends: Sequence[Side], width: int = 2) -> tuple[int, int]:
+        return int(np.prod(t.shape[-(1 + len(ends)) :])), width
+
+    def _pairs(self, target: Side, ends: Sequence[Side], shape: tuple[int, ...]) -> np.ndarray:
+        """(P, 2) int64: ids of every pair of a table of that shape."""
+        assert self.ids is not None
+        ids = np.concatenate([self.ids, [-1]])
+
+        def named(side: Side) -> np.ndarray:
+            return ids[np.minimum(side.index, len(ids) - 1)]
+
+        a = named(target)[:, None] if ends else named(target)
+        b = named(ends[0])[None, :] if ends else np.full(1, -1)
+        return np.stack([np.broadcast_to(x, shape) for x in (a, b)], axis=-1).reshape(-1, 2)
+
+    def _product(self, factors: np.ndarray) -> np.ndarray:
+        assert self.product is not None
+        c, least = self.product, np.array([MIN_SCORE, MIN_SCORE, MIN_RELATION])
+        logs = np.log(np.clip(factors, least, [1 - MIN_SCORE, 1 - MIN_SCORE, np.inf]))
+        return logs @ np.array([c.target_weight, c.reference_weight, c.relation_weight])
+
+    @cached_property
+    def _all(self) -> Samples:
+        parts = (self.own, self.others)
+        return Samples(np.concatenate([s.factors for s in parts]), np.concatenate([s.scores for s in parts]))
+
+    @cached_property
+    def _range(self) -> tuple[float, float]:
+        scores = self._all.scores
+        return (float(scores.min()), float(scores.max())) if len(scores) else (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class RuledConfig(RankConfig):
+    """Weights that a rule stands in for."""
+
+    rule: PairRule | None = field(default=None, compare=False)
+
+    def of(self, ids: Sequence[int]) -> RuledConfig:
+        """The same for a list of objects with these ids."""
+        return self if self.rule is None else replace(self, rule=replace(self.rule, ids=np.array(ids, np.int64)))
+
+
+def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore | None) -> PairRule | None:
+    """The rule of a line; None where its ranking is the header's product, and gives the line's answer."""
+    factors = factors_of(line)
+    key = (line.frame, line.text)
+    if line.relations is None:
+        return None
+    if header.ranking == "pair_scores":
+        given = {(a, -1 if b is None else b): s for a, b, s in line.pairs or ()}
+        own = run.by_line.get(key, Samples(np.zeros((0, 3)), np.zeros(0)))
+        return PairRule(line, given, factors, own, run.others(key), run.separable, rescore=rescore)
+    if line.answer is None or line.answer.object is None:
+        return None
+    answered = line.answer.object, line.answer.reference
+    weights = header.weights
+    product = RankConfig(weights.target, weights.reference, weights.relation)
+    nothing = Samples(np.zeros((0, 3)), np.zeros(0))
+    rule = PairRule(line, {}, factors, nothing, nothing, True, product)
+    scores = dict(zip(factors, rule._product(np.array(list(factors.values())).reshape(-1, 3)).tolist(), strict=True))
+    theirs = {pair: s for pair, s in scores.items() if pair[0] == answered[0] and answered[1] in (None, pair[1])}
+    if not theirs:
+        return None
+    pair, best = max(theirs, key=theirs.__getitem__), max(scores.values())
+    if header.ranking == "product" and scores[pair] >= best - 1e-6:
+        return None
+    given = {**scores, pair: max(best, scores[pair]) + 1.0}
+    if header.ranking == "product":
+        return replace(rule, given=given)
+    # What ranked is not told: of the answer it is known that it stands above all others, and no more.
+    own = Samples(np.array(list(factors.values())).reshape(-1, 3), np.array([float(p == pair) for p in factors]))
+    return PairRule(line, {p: float(p == pair) for p in factors}, factors, own, nothing, True, rescore=rescore)

@@ -1,0 +1,155 @@
+"""Verdicts on imported predictions: as far as the file goes, by the answer as it is, or by a ranking not of ours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.answering.pair_table import PairTable
+from pipeline.answering.placing import box_2d, pixel_scale
+from pipeline.answering.predictions import Prediction, Predictions
+from pipeline.diagnosis.frame_evidence import FrameEvidence
+from pipeline.diagnosis.missed import not_proposed
+from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, SUBSETS, OracleScores, names_of
+from pipeline.diagnosis.substitution import substitute
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.masks import decode_run_length, mask_box
+from pipeline.labels.cases import HIT, Case, FrameCases
+
+_ALONE = {LIFT: "LIFT", SRM: "SRM", CONF: "OPM-CONF"}
+
+
+def answered_box(line: Prediction, predictions: Predictions, frame: Frame, end: str = "object") -> np.ndarray | None:
+    """(4,) float64: where the answer, or the "reference" that it was found by, is, pixels; None for a point or none."""
+    answer, size = line.answer, (frame.width, frame.height)
+    number = None if answer is None else getattr(answer, end)
+    if number is not None:
+        box = line.objects[number].box
+        return None if box is None else box_2d(box, predictions.header, *size)
+    if answer is None or end != "object":
+        return None
+    if answer.mask is not None:
+        mask = answer.mask.decoded(size[::-1], predictions.where(line, "answer.mask"), predictions.path)
+        return np.array(mask_box(mask), np.float64)
+    return None if answer.box is None else box_2d(answer.box, predictions.header, *size)
+
+
+def answered_overlap(line: Prediction, predictions: Predictions, truth: FrameCases, frame: Frame) -> np.ndarray:
+    """(N,) float64: IoU of the answer with each labelled object; of a point 1 for those whose pixels it is among."""
+    box = answered_box(line, predictions, frame)
+    if box is not None:
+        return iou_2d(box[None], truth.boxes)[0]
+    found = np.zeros(len(truth.labels))
+    if line.answer is None or line.answer.point is None:
+        return found
+    u, v = np.array(line.answer.point) * pixel_scale(predictions.header, frame.width, frame.height)
+    for k, (x0, y0, x1, y1) in enumerate(truth.boxes):
+        code = truth.masks[k]
+        if x0 <= u < x1 and y0 <= v < y1 and 0 <= u < frame.width and 0 <= v < frame.height:
+            found[k] = 1.0 if code is None else decode_run_length((frame.height, frame.width), code)[int(v), int(u)]
+    return found
+
+
+def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
+    """The verdict on an answer whose ranking is not told: levels 0 to 2, and lines without an answer."""
+    source = evidence.answers.source
+    line: Prediction = source.line  # type: ignore[attr-defined]
+    predictions: Predictions = source.predictions  # type: ignore[attr-defined]
+    truth, frame = evidence.truth, evidence.answers.context.frame
+    overlap = answered_overlap(line, predictions, truth, frame)
+    hits, pairs = overlap >= HIT, truth.acceptable_pairs(case)
+    reference = answered_box(line, predictions, frame, "reference")
+    ends = np.ones(len(hits), np.bool_) if reference is None else iou_2d(reference[None], truth.boxes)[0] >= HIT
+    fits = bool((pairs & hits[:, None] & ends[None]).any())
+    diagnosis = Diagnosis(
+        verdict="", detail=None, lucky=False, repair=(), right_with=None, margins=np.full(SUBSETS, np.nan),
+        winner=None, right=None, gold=parse_ok, case=case, evidence=evidence,
+    )  # fmt: skip
+    if hits[case.target_object] or (line.answer is not None and line.answer.yes):
+        return replace(diagnosis, verdict="CORRECT", lucky=reference is not None and not fits)
+    if not parse_ok:
+        return replace(diagnosis, verdict="PARSE")
+    if hits[case.acceptable].any():
+        return replace(diagnosis, verdict="LABEL", detail="AMBIGUOUS")
+    if mark is not None:
+        return replace(diagnosis, verdict="LABEL", detail=mark)
+    if fits:
+        return replace(diagnosis, verdict="LABEL", detail="SUSPECT")
+    if line.level == 0:
+        return replace(diagnosis, verdict="UNEXPLAINED", detail="ANSWER")
+    found = substitute(evidence, case)
+    unproposed = not_proposed(evidence, case, found, diagnosis)
+    if unproposed is not None:
+        return unproposed
+    if line.level == 1:
+        return replace(diagnosis, verdict="UNEXPLAINED", detail="PROPOSALS")
+    if _misplaced(evidence, found, line):
+        return replace(diagnosis, verdict="LIFT", repair=("LIFT",), mends=("LIFT",))
+    return replace(diagnosis, verdict="UNEXPLAINED", detail="BOXES")
+
+
+def _misplaced(evidence: FrameEvidence, found: OracleScores, line: Prediction) -> bool:
+    """Whether by their boxes no right pair is one, or the answer is, and by true boxes the opposite; by the rule."""
+    t, r = found.target.found, found.reference.found
+    theirs, true = found.p_relation[0, 0, :t, :r], found.p_relation[1, 0, :t, :r]
+    right = found.covered[:t, :r]
+    denied = bool((theirs[right] < HIT).all() and (true[right] >= HIT).any())
+    answer = line.answer
+    if answer is None or answer.object is None:
+        return denied
+    ids = np.array([o.id for o in evidence.answers.objects])
+    chosen = ids[found.target.index[:t]] == answer.object
+    ends = ids[found.reference.index[:r]] == answer.reference
+    pair = np.ix_(chosen, ends if answer.reference is not None else np.ones(r, np.bool_))
+    held = theirs[pair] > HIT
+    return denied or bool(held.any() and (true[pair][held] < HIT).all())
+
+
+def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis:
+    """The verdict where a right pair stood among the candidates and lost by scores that are not a product of ours.
+
+    PRM where the right pair would stand first by what all other pairs scored; else the oracle that for certain makes a
+    right pair win; where none does for certain it is not separable.
+    """
+    rule = found.table.config.rule
+    if wins(found, 0, regular=True):
+        return replace(diagnosis, verdict="PRM", detail="SCORE", repair=())
+    if not rule.separable and rule.rescore is None and rule.product is None:
+        return replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=(), right_with=None)
+    flips = [bit for bit in _ALONE if wins(found, bit)]
+    if flips:
+        margin = {bit: found.decided_margin(bit) for bit in flips}
+        chosen = next(bit for bit in flips if margin[bit] >= max(margin.values()) - 1e-6)
+        verdict = _ALONE[chosen]
+        if chosen == CONF and not (diagnosis.false_target or diagnosis.false_reference):
+            verdict = "PRM"
+        mends = tuple(name for bit in flips for name in names_of(bit))
+        return replace(diagnosis, verdict=verdict, detail=None, repair=names_of(chosen), mends=mends)
+    several = [s for s in range(SUBSETS) if not s & RECALL and s.bit_count() > 1 and wins(found, s)]
+    if not several:
+        return replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=())
+    smallest = min(several, key=lambda s: (s.bit_count(), s))
+    names = names_of(smallest)
+    return replace(diagnosis, verdict="COMPOUND", detail="+".join(names), repair=names)
+
+
+def wins(found: OracleScores, subset: int, regular: bool = False) -> bool:
+    """Whether a right pair stands first for certain under a subset of the oracles; `regular` as of `PairRule`."""
+    table: PairTable = found.table.scene(subset)
+    low, high = table.config.rule.bounds(table.target, table.ends, table.p_relation, regular)
+    allowed = np.isfinite(table.log_score)
+    right, wrong = np.nonzero(allowed & found.covered), np.nonzero(allowed & ~found.covered)
+    if not len(right[0]):
+        return False
+    factors = np.stack(
+        [*np.broadcast_arrays(table.target.scores[:, None], table.ends[0].scores[None, :], table.p_relation)], axis=-1
+    )
+    (a, b), (low_a, high_b) = (factors[right], factors[wrong]), (low[right], high[wrong])
+    fixed = low == high
+    no_less = (a[:, None] >= b[None] - 1e-9).all(axis=2) & (a[:, None] > b[None] + 1e-9).any(axis=2)
+    no_less &= ~(fixed[right][:, None] & fixed[wrong][None])
+    above = low_a[:, None] > high_b[None] + 1e-12
+    return bool((no_less | above).all(axis=1).any())

@@ -1,0 +1,101 @@
+"""Why a right thing is not among the candidates: cut off, below the threshold, badly placed, or not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.diagnosis.frame_evidence import FrameEvidence
+from pipeline.diagnosis.oracles import OracleScores
+from pipeline.diagnosis.verdict import Diagnosis, Missed
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Frame
+from pipeline.labels.cases import HIT, Case
+from pipeline.proposals.base import Detector, Proposals, suppress
+from pipeline.system.errors import InputError
+
+
+def not_proposed(evidence: FrameEvidence, case: Case, found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
+    """OPM-TARGET or OPM-REF, where no candidate is a right target, or no candidate pair a right one; else None."""
+    if not found.right[: found.target.found].any():
+        missed = missed_of(evidence, case.target, case.acceptable)
+        return replace(diagnosis, verdict="OPM-TARGET", detail=missed.kind, missed=missed, missed_name=case.target)
+    if not found.covered[: found.target.found, : found.reference.found].any():
+        pairs = evidence.truth.acceptable_pairs(case)
+        shown = found.target.overlap[: found.target.found] >= HIT
+        wanted = pairs[np.asarray((shown & np.asarray(pairs.any(axis=1))[None]).any(axis=0))].any(axis=0)
+        missed = missed_of(evidence, case.reference, np.flatnonzero(wanted))
+        return replace(diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference)
+    return None
+
+
+def missed_of(evidence: FrameEvidence, name: str, objects: np.ndarray) -> Missed:
+    source, frame = evidence.answers.source, evidence.answers.context.frame
+    right = evidence.truth.boxes[objects]
+    return why_missed(frame, name, right, source.config.k, source.needed_detector(), source.unfiltered_detector)
+
+
+NEAR_MISS = 0.1
+"""A box that overlaps at least this much, and less than a half, is of the object but badly placed."""
+
+
+def why_missed(
+    frame: Frame,
+    name: str,
+    right: np.ndarray,
+    k: int,
+    detector: Detector,
+    unfiltered: Callable[[], Detector],
+) -> Missed:
+    """Look for a right box among all that the detector gives, then among what it drops.
+
+    Parameters
+    ----------
+    frame : Frame
+    name : str
+        The class name that was asked.
+    right : (M, 4) float
+        Boxes of the objects that would have been right, pixels.
+    k : int
+    detector : Detector
+    unfiltered : callable
+        Gives the same detector without a minimum score; called only when it is needed.
+    """
+    seen = _detections(detector, frame, name)
+    best = 0.0
+    score: float | None = None
+    if seen is not None and len(seen):
+        overlap = iou_2d(seen.boxes, right).max(axis=1, initial=0.0)
+        order = np.argsort(-seen.scores, kind="stable")
+        hits = np.flatnonzero(overlap[order] >= HIT)
+        if len(hits):
+            rank = int(hits[0])
+            survives = set(suppress(seen.boxes[order]).tolist())
+            return Missed(
+                "RANK",
+                float(overlap[order[rank]]),
+                float(seen.scores[order[rank]]),
+                rank + 1,
+                not detector.exact and not any(int(h) in survives for h in hits),
+            )
+        best, score = float(overlap.max()), float(seen.scores[int(overlap.argmax())])
+    loose = _detections(unfiltered(), frame, name)
+    if loose is not None and len(loose):
+        overlap = iou_2d(loose.boxes, right).max(axis=1, initial=0.0)
+        if overlap.max() >= HIT:
+            at = int(np.where(overlap >= HIT, loose.scores, -1.0).argmax())
+            return Missed("THRESHOLD", float(overlap[at]), float(loose.scores[at]))
+        if overlap.max() > best:
+            best, score = float(overlap.max()), float(loose.scores[int(overlap.argmax())])
+    return Missed("LOCALISATION", best, score) if best >= NEAR_MISS else Missed("ABSENT", best)
+
+
+def _detections(detector: Detector, frame: Frame, name: str) -> Proposals | None:
+    """All detections of a name; None where the detector cannot know it."""
+    try:
+        # An imported file also tells of what did not go on.
+        return getattr(detector, "everything", detector.detect)(frame, [name])
+    except InputError:
+        return None
