@@ -38,6 +38,7 @@ from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
 from pipeline.proposals.coco_files import Detections, MaskCode, RecordedDetection
+from pipeline.proposals.concept_graphs import Corners, SceneMap
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files, format_of, read_detections
 from pipeline.system.errors import FrameUnusable, InputError, needed, require
 from pipeline.system.reading import Content, checked, read_content
@@ -150,6 +151,8 @@ class RecordedDetector:
     ----------
     made_by : str or None
         "name: fingerprint" of the detector that was recorded, where the recording says so.
+    corners : dict of int to Corners
+        Of the objects of a map: the corners of their 3D boxes in the world, metres, by id; empty otherwise.
 
     Raises
     ------
@@ -187,10 +190,21 @@ class RecordedDetector:
                 files = []
                 self.made_by, self._recording = _maker(_object(content)), _read_frames(_object(content), self.path)
         require(files or key is None, "a recording of our own needs no file beside it", path=key)
+        self.corners: dict[int, Corners] = {}
         if files:
             self._published = read_detections(files, key)
+            if len(files) == 1 and isinstance(files[0].value, SceneMap):
+                self.corners = files[0].value.corners
             if frame_ids:
                 self._recording = _of_frames(self._published, frame_ids, self.path)
+                some = next(iter(self._published), None)
+                require(
+                    self._recording or some is None,
+                    "no picture of the recording is a frame of the dataset",
+                    got=f"such as {some!r}",
+                    expected=f"such as {frame_ids[0]!r}",
+                    path=self.path,
+                )
         maker = "" if self.made_by is None else f"<{self.made_by}"
         stamps = [f"{p.resolve()}:{p.stat().st_mtime_ns}" for p in (self.path, *([] if key is None else [key]))]
         self._fingerprint = f"recorded:{':'.join(stamps)}:{min_score}{maker}"

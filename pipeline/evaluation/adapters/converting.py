@@ -1,0 +1,163 @@
+"""Turning a published file into one of predictions, by the name of its format or by what it holds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.answering.predictions import Header, Prediction, write_predictions
+from pipeline.datasets import Dataset
+from pipeline.evaluation.adapters.answers import ANSWER_FORMATS
+from pipeline.evaluation.adapters.base import PredictionFormat, Published
+from pipeline.evaluation.adapters.detections import read_recording
+from pipeline.labels.reading import Labels
+from pipeline.language.expression import parse
+from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files
+from pipeline.system.errors import InputError, needed, require
+from pipeline.system.plugins import load_plugins
+
+ENTRY_POINT_GROUP = "spatialviz.predictions"
+"""Entry points of this group name a PredictionFormat, and so add a format."""
+OWN = "spatialviz"
+"""The format that needs no adapter."""
+_DETECTIONS = {
+    "coco": ("results of the COCO API", 1, "the annotation file, which names pictures and classes"),
+    "supervision": (
+        "rows of supervision's JSONSink and CSVSink",
+        1,
+        "a list of class names, where no row has class_name",
+    ),
+    "grounded-sam2": ("results of Grounded-SAM-2's demos, a file or a folder of them", 1, ""),
+    "grounded-sam": ("mask.json of Grounded-Segment-Anything, a file or a folder of them", 1, ""),
+    "concept-graphs": ("a map of ConceptGraphs (.pkl.gz)", 2, ""),
+}
+FORMATS: dict[str, PredictionFormat] = {
+    **ANSWER_FORMATS,
+    **{
+        name: PredictionFormat(read_recording, DETECTION_FORMATS[name].recognises, *about[:2], needs=about[2])
+        for name, about in _DETECTIONS.items()
+    },
+    "recording": PredictionFormat(
+        read_recording,
+        lambda content: "frames" in content.first,
+        "a recording of detections, JSON or a folder of NPZ",
+        1,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Converted:
+    """A file that was turned into predictions.
+
+    Attributes
+    ----------
+    format : str
+    path : Path
+        The predictions.
+    header : Header
+    lines, answers : int
+        How many lines there are, and how many of them have an answer.
+    notes : tuple of str
+    """
+
+    format: str
+    path: Path
+    header: Header
+    lines: int
+    answers: int
+    notes: tuple[str, ...]
+
+
+def convert_predictions(
+    path: str | Path,
+    out: str | Path,
+    *,
+    dataset: Dataset,
+    labels: Labels,
+    format: str | None = None,
+    key: Path | None = None,
+) -> Converted:
+    """Write what a published file holds as predictions.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, or a folder of files.
+    out : str or Path
+        A new file.
+    dataset : Dataset
+        Its frames are what pictures are matched to.
+    labels : Labels
+        Their expressions are what is asked of detections, and how questions are worded.
+    format : str, optional
+        A name of FORMATS, or a plugin's; by default what the file's content says.
+    key : Path, optional
+        What the file leaves open; see the format's `needs`.
+
+    Raises
+    ------
+    InputError
+        No such format or none that the file is of; what does not follow it, with its line or entry; a picture that is
+        no frame, or may be of several; a file with nothing to ask.
+    """
+    path = Path(path)
+    require(path.exists(), "there are no predictions", path=path)
+    name, chosen = _chosen(path, format)
+    require(key is None or chosen.needs, f"the format {name} needs no --key", path=key)
+    published = Published(path, key, dataset, _sentences(dataset, labels))
+    header, lines = chosen.read(published)
+    counts = Counter[str]()
+
+    def counted() -> Iterator[Prediction]:
+        for line in lines:
+            counts["lines"] += 1
+            counts["answers"] += line.answer is not None
+            yield line
+
+    write_predictions(out, header, counted())
+    require(counts["lines"], "the file holds no predictions", path=path)
+    return Converted(name, Path(out), header, counts["lines"], counts["answers"], tuple(published.notes))
+
+
+def is_published(path: Path) -> bool:
+    """Whether a file is not of our own schema: it does not begin with its header."""
+    if path.is_dir():
+        return True
+    with suppress(OSError), open(path, "rb") as file:
+        return b'"spatialviz_predictions"' not in file.readline(1 << 16)
+    return False
+
+
+def _chosen(path: Path, name: str | None) -> tuple[str, PredictionFormat]:
+    known = FORMATS
+    if name not in FORMATS:
+        known = {**dict(load_plugins(ENTRY_POINT_GROUP, "prediction", PredictionFormat)), **FORMATS}
+    if name is not None:
+        found = needed(known.get(name), "no such format of predictions", got=repr(name), expected=" | ".join(known))
+        return name, found
+    if path.is_dir() and any(path.glob("*.npz")):
+        return "recording", FORMATS["recording"]
+    for content in detection_files(path, "the file")[:1]:
+        for name, form in known.items():
+            if form.recognises(content):
+                return name, form
+    raise InputError(
+        "the file does not say of which format it is", expected=f"--format {' | '.join((OWN, *known))}", path=path
+    )
+
+
+def _sentences(dataset: Dataset, labels: Labels) -> dict[str, dict[str, tuple[str, ...]]]:
+    """The labels' expressions by frame, in order, each with the names that it asks for."""
+    table = labels.expressions.select(["frame", "text", "target", "reference"])
+    found: dict[str, dict[str, tuple[str, ...]]] = {}
+    for row in table.to_pylist():
+        names: dict[str, Any] = dict.fromkeys(name for name in (row["target"], row["reference"]) if name)
+        with suppress(InputError):
+            names |= dict.fromkeys(parse(row["text"], class_names=dataset.class_names).labels)
+        found.setdefault(row["frame"], {})[row["text"]] = tuple(names)
+    return found
