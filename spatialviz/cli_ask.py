@@ -244,6 +244,39 @@ class Eval(Output):
 
 
 @dataclass(frozen=True)
+class ImportRun(Output):
+    """Judge the predictions of another pipeline: a run with verdicts as far as they go, and all that runs have.
+
+    The file is described in docs/predictions.md. Whatever it gives is taken as it stands.
+    """
+
+    predictions: Positional[Path]
+    """JSON lines: a header, and a line for each expression."""
+    dataset: str
+    """Dataset folder, or demo."""
+    labels: Path
+    """Labels folder that says what is asked and right."""
+    out: Path
+    """Run folder to write."""
+    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    name: str | None = None
+    """Of the system in the tables. Default: as the file names it."""
+    workers: Workers = CPUS
+    plots: bool = True
+    """Draw plots (extra: report)."""
+    overwrite: Overwrite = False
+
+
+@dataclass(frozen=True)
+class ExportRun(Output):
+    """Write a run of `eval` as predictions, with all that led to each answer; `import-run` makes the same run of it."""
+
+    run_folder: RunArg
+    out: Path
+    """JSON lines to write (docs/predictions.md)."""
+
+
+@dataclass(frozen=True)
 class Failures(Output):
     """What a run got wrong: what a search finds, with the reasons, or, without a search, verdicts, what each module
     costs, slices, and all that failed. With --json also its facets under the search, marks and kept searches."""

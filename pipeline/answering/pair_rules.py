@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -80,8 +80,13 @@ def _asked(line: Prediction) -> tuple[str, str, str] | None:
     """Target, relation and reference of a line that says no more; None for others, and where it cannot be read."""
     if line.target and line.relation and line.reference:
         return line.target, line.relation, line.reference
+    return _read(line.text, tuple(line.proposals or ()))
+
+
+@lru_cache(maxsize=20_000)
+def _read(text: str, names: tuple[str, ...]) -> tuple[str, str, str] | None:
     try:
-        query = parse(line.text, class_names=tuple(line.proposals or ()))
+        query = parse(text, class_names=names)
     except InputError:
         return None
     e = query.expression
@@ -265,10 +270,10 @@ class RuledConfig(RankConfig):
 
 def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore | None) -> PairRule | None:
     """The rule of a line; None where its ranking is the header's product, and gives the line's answer."""
-    factors = factors_of(line)
-    key = (line.frame, line.text)
-    if line.relations is None:
+    if not line.ranked or (header.ranking == "product" and header.same == "overlap"):
+        # What overlaps is no pair, and so the best product need not be the answer.
         return None
+    factors, key = factors_of(line), (line.frame, line.text)
     if header.ranking == "pair_scores":
         given = {(a, -1 if b is None else b): s for a, b, s in line.pairs or ()}
         own = run.by_line.get(key, Samples(np.zeros((0, 3)), np.zeros(0)))

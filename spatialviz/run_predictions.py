@@ -1,0 +1,50 @@
+"""Predictions of other pipelines judged as runs, and runs written as predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pipeline.evaluation.importing import export_run, import_run
+from pipeline.evaluation.job import RunReport
+from pipeline.evaluation.run_folder import open_run
+from pipeline.language.counted import counted
+from spatialviz.cli_ask import ExportRun, ImportRun
+from spatialviz.options import warn
+from spatialviz.printing import rate_bar, say
+from spatialviz.run_eval import print_run, run_record
+
+
+def run_import_run(command: ImportRun) -> None:
+    with rate_bar("judging", "expressions") as advance:
+        report = import_run(
+            command.predictions,
+            command.dataset,
+            command.labels,
+            command.out,
+            name=command.name,
+            workers=command.workers,
+            plots=command.plots,
+            overwrite=command.overwrite,
+            progress=advance,
+            **command.camera.camera(),
+        )
+    imported = open_run(report.folder).manifest["imported"]
+
+    command.write({**run_record(report), "imported": imported}, print_imported, report, imported)
+    for warning in report.warnings:
+        warn(warning)
+
+
+def print_imported(report: RunReport, imported: Mapping[str, Any]) -> None:
+    """The tables, and whose answers they are of."""
+    print_run(report, 0)
+    lines = counted(imported["lines"], "line")
+    say(f"{imported['system']}: imported, level {imported['level']} of 3, {lines} as they stand in the file")
+
+
+def run_export_run(command: ExportRun) -> None:
+    run = open_run(command.run_folder)
+    lines = export_run(run, command.out)
+    record = {"out": str(command.out), "lines": lines, "system": run.name}
+    command.write(record, say, f"{counted(lines, 'line')} of {run.name} -> {command.out}")
