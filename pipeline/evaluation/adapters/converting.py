@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from pipeline.answering.opening import open_pipeline
 from pipeline.answering.predictions import Header, Prediction, write_predictions
 from pipeline.datasets import Dataset
 from pipeline.evaluation.adapters.answers import ANSWER_FORMATS
 from pipeline.evaluation.adapters.base import PredictionFormat, Published
 from pipeline.evaluation.adapters.detections import read_recording
-from pipeline.labels.reading import Labels
+from pipeline.evaluation.importing import import_run
+from pipeline.evaluation.job import RunReport
+from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.expression import parse
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files
 from pipeline.system.errors import InputError, needed, require
@@ -29,7 +33,7 @@ _DETECTIONS = {
     "supervision": (
         "rows of supervision's JSONSink and CSVSink",
         1,
-        "a list of class names, where no row has class_name",
+        "a list of class names, where the rows have no class_name",
     ),
     "grounded-sam2": ("results of Grounded-SAM-2's demos, a file or a folder of them", 1, ""),
     "grounded-sam": ("mask.json of Grounded-Segment-Anything, a file or a folder of them", 1, ""),
@@ -111,10 +115,13 @@ def convert_predictions(
     require(key is None or chosen.needs, f"the format {name} needs no --key", path=key)
     published = Published(path, key, dataset, _sentences(dataset, labels))
     header, lines = chosen.read(published)
-    counts = Counter[str]()
+    counts, seen = Counter[str](), set[tuple[str, str]]()
 
     def counted() -> Iterator[Prediction]:
         for line in lines:
+            twice = f"two lines ask {line.text!r} of frame {line.frame}"
+            require((line.frame, line.text) not in seen, twice, path=path)
+            seen.add((line.frame, line.text))
             counts["lines"] += 1
             counts["answers"] += line.answer is not None
             yield line
@@ -122,6 +129,44 @@ def convert_predictions(
     write_predictions(out, header, counted())
     require(counts["lines"], "the file holds no predictions", path=path)
     return Converted(name, Path(out), header, counts["lines"], counts["answers"], tuple(published.notes))
+
+
+def import_published(
+    predictions: str | Path,
+    dataset: str | Path,
+    labels: str | Path,
+    out: str | Path,
+    *,
+    format: str | None = None,
+    key: Path | None = None,
+    **more: Any,
+) -> RunReport:
+    """`import_run` of any file: one that another program publishes is turned into predictions first.
+
+    Parameters
+    ----------
+    predictions, dataset, labels, out, more
+        As for `import_run`.
+    format, key
+        As for `convert_predictions`; the format "spatialviz" is that of `docs/predictions.md`.
+
+    Raises
+    ------
+    InputError
+        As those two; nothing is written then.
+    """
+    path = Path(predictions)
+    if format == OWN or (format is None and not is_published(path)):
+        require(key is None, "predictions of our own schema need no --key", path=key)
+        return import_run(path, dataset, labels, out, **more)
+    camera = {name: more[name] for name in ("intrinsics", "depth_scale", "up", "level_at") if name in more}
+    opened = open_pipeline(dataset, **camera).dataset
+    with TemporaryDirectory() as folder:
+        converted = convert_predictions(
+            path, Path(folder) / path.name, dataset=opened, labels=open_labels(labels), format=format, key=key
+        )
+        report = import_run(converted.path, dataset, labels, out, **more)
+    return replace(report, warnings=(*converted.notes, *report.warnings))
 
 
 def is_published(path: Path) -> bool:
