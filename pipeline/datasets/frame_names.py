@@ -25,12 +25,12 @@ def fit(frame_id: str, picture: Picture) -> int:
     folders, stem = path.parts[:-1], path.stem
     if frame_id in (str(path), str(path.with_name(stem))):
         return 1000
-    known = sum(part in folders for part in scene)
+    known = sum(1 if part in folders else -1 for part in scene)
     if last in (stem, path.name):
-        return 200 + known
+        return 300 + known
     if f"/{frame_id}/" in f"/{'/'.join(folders)}/":
-        return 100
-    return 10 + known if stem.isdecimal() and last.isdecimal() and int(stem) == int(last) else 0
+        return 200
+    return 100 + known if stem.isdecimal() and last.isdecimal() and int(stem) == int(last) else 0
 
 
 class FrameNames:

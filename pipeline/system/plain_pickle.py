@@ -29,7 +29,7 @@ LONG = 1 << 16
 """From so many bytes on a pickle writes an array outside its frames."""
 
 _PASSED_OVER = ("omegaconf", "pathlib", "typing", "torch")
-_NUMBERS = ("int", "float", "str", "bool", "bytes", "long")
+_NUMBERS = ("int", "float", "str", "bool", "long")
 _DTYPE = re.compile(r"[<>|=]?([biufcSU][0-9]{1,5})")
 
 
@@ -122,6 +122,8 @@ _KNOWN: dict[tuple[str, str], Any] = {
     ("defaultdict", "collections"): lambda *_: {},
     **{(kind.__name__, home): kind for kind in (dict, list, set, tuple) for home in ("builtins", "__builtin__")},
     **{(name, home): Passed for name in _NUMBERS for home in ("builtins", "__builtin__")},
+    # Bytes of none, as old protocols write them.
+    ("bytes", "__builtin__"): lambda: b"",
 }
 
 
@@ -170,7 +172,10 @@ class _Reader(pickle._Unpickler):
 
     def _remember(self, index: int) -> None:
         value = self.stack[-1]
-        self.memo[index] = _Let() if isinstance(value, bytes | bytearray) and len(value) >= LONG else value
+        # An array's state is a tuple of its bytes; without this every one of them would be kept to the end.
+        inside = value if isinstance(value, tuple) else (value,)
+        long = any(isinstance(part, bytes | bytearray | str) and len(part) >= LONG for part in inside)
+        self.memo[index] = _Let() if long else value
 
     dispatch[pickle.BUILD[0]] = load_build
     dispatch[pickle.MEMOIZE[0]] = load_memoize
@@ -190,7 +195,7 @@ class _Bounded:
         return self._counted(self._file.read(size))
 
     def readline(self) -> bytes:
-        return self._counted(self._file.readline(LONG))
+        return self._counted(self._file.readline(MOST_OF_REST))
 
     def readinto(self, buffer: Any) -> int:
         data = self.read(len(buffer))
