@@ -23,8 +23,8 @@ CFG = zlib.decompress(
         "T73lH4VRNHzO/Czz1/4ChPcqRw=="
     )
 )
-"""`pickle.dumps(OmegaConf.create({...}), protocol=2)` of settings such as the code saves beside the objects: dataset_root
-(a Path), scene_id, stride, gsa_variant, and a name that is put together."""
+"""`pickle.dumps(OmegaConf.create({...}), protocol=2)` of settings such as the code saves beside the objects:
+dataset_root (a Path), scene_id, stride, gsa_variant, and a name that is put together."""
 
 
 def corners(center: Any, size: Any) -> np.ndarray:
