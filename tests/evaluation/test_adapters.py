@@ -12,7 +12,7 @@ import pytest
 from concept_graph_maps import corners, map_object, write_map
 from scenes import frame_of, upright
 
-from pipeline.answering.predictions import Header, Prediction, Predictions, read_predictions
+from pipeline.answering.predictions import Header, Predictions, read_predictions
 from pipeline.datasets.base import InMemoryDataset
 from pipeline.datasets.frame_names import FrameNames
 from pipeline.evaluation.adapters import FORMATS, PredictionFormat, convert_predictions
@@ -289,8 +289,9 @@ def test_a_file_that_does_not_say_what_it_is_is_refused(tmp_path: Path, world: d
 def test_a_plugin_adds_a_format(tmp_path: Path, world: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     def read(published: Any) -> Any:
         frame = published.frame(published.content.value["picture"], "picture")
-        return Header(system="ours"), [Prediction(frame, published.text(frame, [f"the {MUG}"]), problem="none")]
+        return {"system": "ours"}, [{"frame": frame, "text": published.text(frame, [f"the {MUG}"]), "problem": problem}]
 
+    problem: Any = "none"
     ours = PredictionFormat(read, lambda content: "picture" in content.first, "ours", 0)
     point = SimpleNamespace(name="ours", value="ours:FORMAT", load=lambda: ours)
     monkeypatch.setattr(plugins, "entry_points", lambda group: [point] if group == "spatialviz.predictions" else [])
@@ -299,3 +300,5 @@ def test_a_plugin_adds_a_format(tmp_path: Path, world: dict[str, Any], monkeypat
         found = convert_predictions(path, tmp_path / f"{k}.predictions", **world, format=format)
         assert (found.format, found.header.system, found.lines, found.answers) == ("ours", "ours", 1, 0)
         assert (IDS[1], MUG) in read_predictions(found.path).lines
+    problem = 5
+    refused(path, world, "line 2, problem: not as the schema has it")

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from pipeline.answering.predictions import Header, Prediction
 from pipeline.datasets import Dataset
@@ -95,7 +96,7 @@ class PredictionFormat:
     Attributes
     ----------
     read : callable
-        The header and the lines of a file.
+        The header and the lines of a file, also as the dicts that `docs/predictions.md` describes.
     recognises : callable
         Whether a file's content is of the format. Must be fast and must not raise.
     description : str
@@ -106,7 +107,7 @@ class PredictionFormat:
         What must be given besides, with --key; empty for nothing.
     """
 
-    read: Callable[[Published], tuple[Header, Iterable[Prediction]]]
+    read: Callable[[Published], tuple[Header | dict[str, Any], Iterable[Prediction | dict[str, Any]]]]
     recognises: Callable[[Content], bool]
     description: str
     level: int

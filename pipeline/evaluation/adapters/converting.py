@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from pipeline.answering.opening import open_pipeline
-from pipeline.answering.predictions import Header, Prediction, write_predictions
+from pipeline.answering.predictions import VERSION, Header, Prediction, parse_header, parse_line, write_predictions
 from pipeline.datasets import Dataset
 from pipeline.evaluation.adapters.answers import ANSWER_FORMATS
 from pipeline.evaluation.adapters.base import PredictionFormat, Published
@@ -114,11 +114,13 @@ def convert_predictions(
     name, chosen = _chosen(path, format)
     require(key is None or chosen.needs, f"the format {name} needs no --key", path=key)
     published = Published(path, key, dataset, _sentences(dataset, labels))
-    header, lines = chosen.read(published)
+    given, lines = chosen.read(published)
+    header = given if isinstance(given, Header) else parse_header({"spatialviz_predictions": VERSION, **given}, path)
     counts, seen = Counter[str](), set[tuple[str, str]]()
 
     def counted() -> Iterator[Prediction]:
-        for line in lines:
+        for number, found in enumerate(lines, 2):
+            line = found if isinstance(found, Prediction) else parse_line(found, number, path)
             twice = f"two lines ask {line.text!r} of frame {line.frame}"
             require((line.frame, line.text) not in seen, twice, path=path)
             seen.add((line.frame, line.text))
