@@ -113,9 +113,9 @@ def test_the_grid_has_metre_cells_on_the_floor() -> None:
     desk = Desk()
     plain = desk.state
     desk.aided(replace(plain, flags=replace(plain.flags, grid=True)))
-    assert {"/grid/cells", "/grid/fine"} <= desk.client.scene.nodes.keys()
+    assert {"/grid/cells", "/grid/fine"} <= desk.client.nodes.keys()
     desk.aided(plain)
-    assert not any(name.startswith("/grid") for name in desk.client.scene.nodes)
+    assert not any(name.startswith("/grid") for name in desk.client.nodes)
     loaded = desk.state.loaded
     assert loaded is not None
     heights = loaded.cloud.points[:, 2]

@@ -16,7 +16,7 @@ import difflib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -106,15 +106,15 @@ _KINDS: tuple[tuple[str, Kind], ...] = (
 """Types of Arrow, as it writes them, and what can be asked of them."""
 
 
+@cache
+def _kind_of(type_: str) -> Kind | None:
+    return next((kind for pattern, kind in _KINDS if re.fullmatch(pattern, type_)), None)
+
+
 def fields_of(schema: pa.Schema) -> dict[str, Field]:
     """What a run's records can be searched by, short names first."""
-    types = {field.name: str(field.type) for field in schema}
-    kinds: dict[str, Kind] = {
-        name: "words" if name in WORDS else kind
-        for name, type_ in types.items()
-        for pattern, kind in _KINDS
-        if re.fullmatch(pattern, type_)
-    }
+    found = ((field.name, _kind_of(str(field.type))) for field in schema)
+    kinds: dict[str, Kind] = {name: "words" if name in WORDS else kind for name, kind in found if kind is not None}
     short = {name: Field(name, c, kinds[c]) for name, c in ALIASES.items() if c in kinds}
     return short | {name: Field(name, name, kind) for name, kind in kinds.items()}
 

@@ -22,6 +22,14 @@ REFUSAL = (
     '<meta name="color-scheme" content="dark light"><title>spatialviz: no access</title></head>'
     "<body><main><h1>No access</h1><p>{}</p></main></body></html>\n"
 )
+KINDS = {".html": "text/html", ".mjs": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml",
+         ".jpg": "image/jpeg", ".png": "image/png"}  # fmt: skip
+SAFE = {
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+}
 
 
 class Access:
@@ -71,16 +79,16 @@ class Access:
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         host = hosts[0] if len(hosts) == 1 else ""
         if not self._names(host):
-            return _refused(http.HTTPStatus.MISDIRECTED_REQUEST, "This server does not go by that name.")
+            return refused(http.HTTPStatus.MISDIRECTED_REQUEST, "This server does not go by that name.")
         if len(origins) > 1 or (origins and urlsplit(origins[0]).netloc != host):
-            return _refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
+            return refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
         if request.headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none") and not (
             request.headers.get("Sec-Fetch-Mode") == "navigate" and request.headers.get("Sec-Fetch-Dest") == "document"
         ):
-            return _refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
+            return refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
         asked = _token(urlsplit(request.path).query)
         if self._tokens and self.name(request) is None and asked not in self._tokens:
-            return _refused(
+            return refused(
                 http.HTTPStatus.UNAUTHORIZED, "A token is needed: open the address that the server has printed."
             )
         return None
@@ -147,12 +155,14 @@ def _token(query: str) -> str:
     return dict(parse_qsl(query)).get("token", "")
 
 
-def _refused(status: http.HTTPStatus, text: str) -> Response:
+def refused(status: http.HTTPStatus, text: str) -> Response:
     """A refusal as a page that is read to everybody; `text` is the program's own."""
-    body = REFUSAL.format(text).encode()
-    headers = {
-        "Content-Type": "text/html; charset=utf-8",
-        "Content-Length": str(len(body)),
-        "Cache-Control": "no-store",
-    }
+    return response(status, REFUSAL.format(text).encode(), ".html", {"Cache-Control": "no-store"})
+
+
+def response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: Mapping[str, str] | None = None) -> Response:
+    """An answer with what every one says; `suffix` is that of the file, `more` are headers of its own."""
+    kind = KINDS.get(suffix, "application/octet-stream" if status == http.HTTPStatus.OK else "text/plain")
+    headers = {"Content-Type": f"{kind}; charset=utf-8" if kind.startswith("text") else kind, **SAFE}
+    headers |= {"Cache-Control": "no-cache", "Content-Length": str(len(body)), **(more or {})}
     return Response(status, status.phrase, Headers(headers), body)

@@ -12,12 +12,11 @@ from pipeline.answering.ranking import alone
 from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.palette import VERDICTS as COLORS
-from pipeline.geometry.palette import hex_color, palette
+from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from spatialviz.app.markup import BAD, Child, Element, button, h, hint_of, named, note, panel, term, with_terms
-from spatialviz.app.state import State, same_thing
+from spatialviz.app.state import Edited, OtherAnswer, State, same_thing
 from spatialviz.app.toolbar import level_html, up_chip
 
 HINT = "Type TARGET RELATION REFERENCE above, for example “mug left of the laptop”, and press Enter."
@@ -37,15 +36,13 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
         chip = h.div(verdict_chip("PARSE", state.unread), cls="verdict") if known else None
         return panel(level_html(state), h.p(hint, cls="lead dim"), chip, under, cls="answer")
     reason = why_no_answer(trace)
-    told_: Child = [note(_capital(reason), BAD), _alone(state)] if reason is not None else _pair(state)
-    return panel(level_html(state), before_html(state), told_, verdict_html(state), under, cls="answer")
+    told_: Child = [note(_capital(reason), BAD), _alone(state, trace)] if reason is not None else _pair(state, trace)
+    before = None if state.edited is None else before_html(state, state.edited)
+    return panel(level_html(state), before, told_, verdict_html(state), under, cls="answer")
 
 
-def before_html(state: State) -> Element | None:
-    """What was answered without the edits, in one line; None where nothing is edited."""
-    edited = state.edited
-    if edited is None:
-        return None
+def before_html(state: State, edited: Edited) -> Element:
+    """What was answered without the edits, in one line."""
     trace, colors = edited.before.trace, palette(state.dark)
     reason, count = why_no_answer(trace), len(each_edit(state.edits))
     answer: list[Child] = [h.span(reason or "no answer", cls="dim")]
@@ -101,10 +98,8 @@ def mend_button(state: State) -> Element | None:
     return button("correct this label", "mend", hint, "mend go" if doubted else "mend")
 
 
-def answer_in_words(state: State) -> str:
+def answer_in_words(state: State, trace: Trace) -> str:
     """The answer as a line of the log."""
-    trace = state.trace
-    assert trace is not None
     sentence = why_no_answer(trace)
     if sentence is None and state.pair is not None:
         names = ", ".join(state.shown.names[i] for i in dict.fromkeys(state.pair))
@@ -112,42 +107,37 @@ def answer_in_words(state: State) -> str:
     return f"“{state.text}”: {sentence} ({sum(trace.timings.values()) * 1000:.0f} ms)"
 
 
-def _pair(state: State) -> list[Child]:
+def _pair(state: State, trace: Trace) -> list[Child]:
     """The chosen pair, as the answer or beside it."""
-    trace, best = state.trace, state.ranked[0]
-    assert trace is not None
+    best = state.ranked[0]
     pair = state.chosen or best
     answer = told(trace, state.name_of, pair)
     return [
         # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
         note(_capital(answer.lead.strip())) if pair is best and answer.lead else None,
-        _names(state, pair),
+        _names(state, trace, pair),
         _headline(pair),
         h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None,
         h.div(with_terms(answer.below, "posterior", "margin"), cls="dim", id="answer-below"),
     ]
 
 
-def _alone(state: State) -> Element | None:
+def _alone(state: State, trace: Trace) -> Element | None:
     """What the verdict is of where there is no pair: as in an evaluation, the best target by its name alone."""
-    trace = state.trace
-    if trace is None or trace.missing or not isinstance(state.judged, Diagnosis):
-        return None
     candidates = trace.candidates.get(trace.query.target)
     found = None if candidates is None else alone(candidates)
-    if found is None:
+    if found is None or trace.missing or not isinstance(state.judged, Diagnosis):
         return None
     said = f"The verdict is of the best {trace.query.target} alone, as in an evaluation: {state.name_of(found)}"
     return h.div(said, cls="dim")
 
 
-def _names(state: State, pair: ScoredPair) -> Element:
-    assert state.trace is not None
+def _names(state: State, trace: Trace, pair: ScoredPair) -> Element:
     colors = palette(state.dark)
     target, *ends = state.at(pair)
     parts: list[Child] = [named(colors["target"], state.shown.names[target])]
     for k, end in enumerate(() if pair.reference is None else ends):
-        joint = h.span("and" if k else state.trace.phrase, cls="dim")
+        joint = h.span("and" if k else trace.phrase, cls="dim")
         parts += [" ", joint, " ", named(colors["reference"], state.shown.names[end])]
     return h.h2(parts, cls="names", id="answer-names")
 
@@ -174,28 +164,12 @@ def verdict_evidence(state: State, trace: Trace) -> list[Child]:
     judged = state.judged
     if not isinstance(judged, Diagnosis):
         return [h.p(UNKNOWN if judged is None else f"No verdict: {judged}.", cls="dim")]
-    return [_other(state, trace), _oracles(judged)]
+    return [None if state.other is None else _other(state, trace, state.other), _oracles(judged)]
 
 
 def _oracles(d: Diagnosis) -> list[Child]:
     """Each oracle alone: is the answer right with it, and by what margin."""
-    rows = []
-    for k, name in enumerate(("", *d.oracles)):
-        subset = 0 if k == 0 else 1 << (k - 1)
-        right, margin = bool(d.right_with >> subset & 1), float(d.margins[subset])
-        words, hint = "nothing: as it is", "the pipeline's own answer"
-        if k:
-            words, hint = ORACLE_WORDS[name], glossary()[name].text
-        rows.append(
-            h.tr(
-                h.th(term(name) if name else None, scope="row"),
-                h.td(words),
-                h.td("✓ right" if right else "✗ wrong", cls="right" if right else "wrong"),
-                h.td(f"{margin:+.2f}" if np.isfinite(margin) else "–", cls="n"),
-                cls="on" if name in (d.mends or d.repair) else "",
-                title=hint,
-            )
-        )
+    rows = [_oracle(d, "", 0), *(_oracle(d, name, 1 << k) for k, name in enumerate(d.oracles))]
     repair = f"smallest repair: {' + '.join(d.repair)}" if d.repair else ""
     if len(d.mends) > 1:
         repair = f"each alone would do: {', '.join(d.mends)}"
@@ -206,11 +180,22 @@ def _oracles(d: Diagnosis) -> list[Child]:
     ]
 
 
-def _other(state: State, trace: Trace) -> list[Child]:
+def _oracle(d: Diagnosis, name: str, subset: int) -> Element:
+    right, margin = bool(d.right_with >> subset & 1), float(d.margins[subset])
+    words = ORACLE_WORDS.get(name, "nothing: as it is")
+    return h.tr(
+        h.th(term(name) if name else None, scope="row"),
+        h.td(words),
+        h.td("✓ right" if right else "✗ wrong", cls="right" if right else "wrong"),
+        h.td(f"{margin:+.2f}" if np.isfinite(margin) else "–", cls="n"),
+        cls="on" if name in (d.mends or d.repair) else "",
+        title=glossary()[name].text if name else "the pipeline's own answer",
+    )
+
+
+def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
     """The other run's answer beside this one: what moved."""
-    other, mine = state.other, state.ranked[0] if state.ranked else None
-    if other is None:
-        return []
+    mine = state.ranked[0] if state.ranked else None
     if other.error:
         return [h.h3("The second run", h.span(other.name)), note(other.error)]
     rows = []
@@ -247,4 +232,4 @@ def _named_here(state: State, entry: SceneObject) -> str:
 def verdict_chip(verdict: str, detail: str | None = None) -> Element:
     """A verdict in its colour, with its detail."""
     more = (" ", h.i(detail.lower().replace("_", " "))) if detail else None
-    return h.span(verdict, more, cls="vd", css={"--c": hex_color(COLORS[verdict])}, title=hint_of(verdict))
+    return h.span(verdict, more, cls="vd", css={"--c": hex_color(VERDICTS[verdict])}, title=hint_of(verdict))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import get_args
 
 import numpy as np
@@ -136,30 +136,23 @@ def layers_html(state: State) -> Element | None:
     return h.div(h.span("Boxes", cls="label"), cells, cls="row", title=f"A: {a}, solid; B: {b}, dashed (Shift+B)")
 
 
-def second_overlay(state: State, unit: float) -> list[Element]:
+def second_overlay(state: State, beside: SecondDetections, unit: float) -> Iterator[Element]:
     """The second detector's 2D boxes as parts of an SVG: dashed, faint where the own one found the same."""
-    beside = state.beside
-    if beside is None or not state.second_layer or not (state.boxes_shown or state.second_selected is not None):
-        return []
     color, tag = hex_color(palette(True)["second"]), hex_color(palette(False)["second"])
     alike = _alike(state)
-    parts = []
-    for j, entry in enumerate(beside.objects):
+    for j, entry in enumerate(state.second_layer):
         chosen = j == state.second_selected
         if not chosen and not state.boxes_shown:
             continue
         x0, y0, x1, y1 = (float(v) for v in entry.bbox)
         width, opacity = (1.8, 1.0) if chosen else (0.8, 0.5) if j in alike else (1.2, 0.95)
-        parts.append(
-            h.rect(
-                x=f"{x0:.1f}", y=f"{y0:.1f}", width=f"{x1 - x0:.1f}", height=f"{y1 - y0:.1f}", fill="none",
-                stroke=color, stroke_width=f"{width * unit:.2f}", opacity=opacity,
-                stroke_dasharray=f"{3.2 * unit:.1f} {2.2 * unit:.1f}",
-            )
+        yield h.rect(
+            x=f"{x0:.1f}", y=f"{y0:.1f}", width=f"{x1 - x0:.1f}", height=f"{y1 - y0:.1f}", fill="none",
+            stroke=color, stroke_width=f"{width * unit:.2f}", opacity=opacity,
+            stroke_dasharray=f"{3.2 * unit:.1f} {2.2 * unit:.1f}",
         )  # fmt: skip
         if chosen:
-            parts += name_tag(f"B {second_name(beside, j)}", x0, y1, entry.mask.shape, unit, tag)
-    return parts
+            yield from name_tag(f"B {second_name(beside, j)}", x0, y1, entry.mask.shape, unit, tag)
 
 
 def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> tuple[Element, Element]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from pipeline.answering.ask import Trace
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.object_card import FieldLine, ObjectCard
 from pipeline.corrections.scene import Moved
@@ -71,16 +72,14 @@ def cost_html(state: State, undos: int) -> Element:
     )
 
 
-def edit_html(state: State, source: Pipeline, editable: bool, found: DecisionMap | None) -> Element | None:
+def edit_html(state: State, trace: Trace, source: Pipeline, editable: bool, found: DecisionMap | None) -> Element:
     """Everything that can be edited; `editable` says whether the selected object is among it."""
-    if state.trace is None:
-        return None
     return in_parts(
         handles=row("Handles", segments("edit-mode", MODES, state.mode, "Handles")),
-        object=_object(state, editable),
+        object=_object(state, trace, editable),
         pair=_pair(state),
         map=_map(state, editable, found),
-        settings=_settings(state, source),
+        settings=_settings(state, trace, source),
         list=_list(state),
     )
 
@@ -95,7 +94,7 @@ def row(label: str, *parts: Child, **more: object) -> Element:
     return h.div(h.span(label, cls="label"), parts, cls="row", **more)
 
 
-def _object(state: State, editable: bool) -> Child:
+def _object(state: State, trace: Trace, editable: bool) -> Child:
     i = state.selected
     if i is None or i >= len(state.shown.objects):
         return heading("Object"), h.div("Select one: click its row, its pixels or its box.", cls="dim")
@@ -110,22 +109,17 @@ def _object(state: State, editable: bool) -> Child:
         return head, h.div("Hidden: as if the detector had not found it.", cls="dim")
     box = entry.lifted.box
     numbers = None if box is None or state.loaded is None else box_numbers(box, state.loaded.context.viewer)
-    return head, _box_rows(numbers, "edit", 2), _confidences(state, i), _mask_row(state, entry.mask)
+    return head, _box_rows(numbers, "edit", 2), _confidences(state, trace, i), _mask_row(state, entry.mask)
 
 
-def _confidences(state: State, i: int) -> Child:
-    assert state.trace is not None
-    rows = []
-    for number, (name, candidates) in enumerate(state.trace.candidates.items()):
+def _confidences(state: State, trace: Trace, i: int) -> Iterator[Element]:
+    for number, (name, candidates) in enumerate(trace.candidates.items()):
         at = [k for k, place in enumerate(candidates.index.tolist()) if state.shown.place[place] == i]
         if at:
-            rows.append(
-                _slider(
-                    f"confidence:{number}", f"P(· | {name})", float(candidates.scores[at[0]]),
-                    f"the detector's confidence that this is “{name}”",
-                )
+            yield _slider(
+                f"confidence:{number}", f"P(· | {name})", float(candidates.scores[at[0]]),
+                f"the detector's confidence that this is “{name}”",
             )  # fmt: skip
-    return rows
 
 
 def _mask_row(state: State, mask: np.ndarray) -> Child:
@@ -173,11 +167,11 @@ def _map(state: State, editable: bool, found: DecisionMap | None) -> Child:
     return heading("Decision map", show), h.div(said, cls="dim")
 
 
-def _settings(state: State, source: Pipeline) -> Child:
+def _settings(state: State, trace: Trace, source: Pipeline) -> Child:
     edits, config = state.edits, source.config
     rank, profile = replace(config.rank, **edits.rank), replace(Profile(), **edits.profile)
     detector = None
-    if not state.trace or not state.trace.exact:
+    if not trace.exact:
         fields = _setting("k", edits.k or config.k, "1"), _setting("min_score", edits.min_score or 0.0, "0.01")
         detector = row("OPM", h.div(fields, cls="fields"))
     weights = [_setting(name, getattr(rank, name), "0.1") for name in WEIGHTS]

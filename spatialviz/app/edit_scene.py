@@ -23,9 +23,10 @@ from pipeline.language.relation_names import PAIRWISE, RELATIONS
 from pipeline.relations.relations import Profile, letter
 from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, Part
-from spatialviz.app.frame_cloud import over_floor, set_changed, unlit_glb
+from spatialviz.app.frame_cloud import over_floor, unlit_glb
 from spatialviz.app.markup import Element, dot, h
-from spatialviz.app.scene import edges
+from spatialviz.app.scene import edges, plain_color
+from spatialviz.app.scene_client import Retained, triple
 from spatialviz.app.state import EditMode, State
 
 REGION_COLORS: dict[str, RGB] = {"T": (38, 166, 154), "U": (224, 152, 46)}
@@ -50,11 +51,6 @@ def winner_colors(found: DecisionMap, state: State) -> dict[int, RGB]:
 
 class EditScene(Part):
     """Draws into one client's scene, beside what `SceneView` draws."""
-
-    def __init__(self, ctx: Context) -> None:
-        super().__init__(ctx)
-        self._of: tuple[object, ...] | None = None
-        self._mapped: tuple[DecisionMap | None, bool, dict[int, RGB]] = None, False, {}
 
     def draw(self, state: State, found: DecisionMap | None, keep_map: bool) -> None:
         """Bring all of it up to a state; `keep_map` leaves the map as it is."""
@@ -84,30 +80,26 @@ class EditScene(Part):
     def _draw_region(self, state: State) -> None:
         asked = asked_pair(state) if state.flags.region and state.loaded is not None else None
         marks = None if asked is None else (state.source, state.frame_id, state.dark, *asked.marks)
-        if marks != self._of:
-            self.ctx.client.clear("/region/")
-            self._of = marks
-            region = None if asked is None else asked.region
-            if region is not None:
-                self._add_region(region, state.dark)
-        scene = self.ctx.client.scene
-        target = scene.nodes.get("/region/target")
-        if asked is not None and np.isfinite(asked.target.lo).all():
-            target = target or scene.add_icosphere("/region/target", 0.014, cast_shadow=False)
-            set_changed(target, visible=True)
-            target.position = self.ctx.scene.to_show @ asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2
-            target.color = {**REGION_COLORS, "F": FAILS}[letter(asked.placement.state)]
-        elif target is not None:
-            set_changed(target, visible=False)
+        client = self.ctx.client
+        if client.outdated("/region/", marks) and asked is not None and asked.region is not None:
+            self._add_region(asked.region, state.dark)
+        if asked is None or not np.isfinite(asked.target.lo).all():
+            client.change("/region/target", visible=False)
+            return
+        middle = self.ctx.scene.to_show @ asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2
+        color = {**REGION_COLORS, "F": FAILS}[letter(asked.placement.state)]
+        look = {"radius": 0.014, "cast_shadow": False, "visible": True}
+        client.put("icosphere", "/region/target", position=triple(middle), color=color, **look)
 
     def _add_region(self, region: Region, dark: bool) -> None:
-        scene, lines, R = self.ctx.client.scene, self.ctx.client.lines, self.ctx.scene.to_show.T
+        client, R = self.ctx.client, self.ctx.scene.to_show.T
         for patch in region.patches:
             corners = (patch.triangles @ R).reshape(-1, 3).astype(np.float32)
-            scene.add_mesh_simple(
+            client.put(
+                "mesh_simple",
                 f"/region/{patch.label}",
-                corners,
-                np.arange(len(corners)).reshape(-1, 3),
+                vertices=corners,
+                faces=np.arange(len(corners)).reshape(-1, 3),
                 color=REGION_COLORS[patch.label],
                 opacity=OPACITY[patch.label],
                 side="double",
@@ -116,19 +108,16 @@ class EditScene(Part):
             )
             if len(patch.lines):
                 rim, color = (patch.lines @ R).astype(np.float32), REGION_COLORS[patch.label]
-                lines(f"/region/{patch.label}-rim", rim, color, 1.6)
+                client.lines(f"/region/{patch.label}-rim", rim, color, 1.6)
         if region.dead_zone > 0:
             strip = (_dead_zone(region) @ R).astype(np.float32)
-            color = (245, 247, 250) if dark else (24, 26, 30)
-            lines("/region/dead-zone", strip, color, 1.2)
+            client.lines("/region/dead-zone", strip, plain_color(dark), 1.2)
 
     def _draw_map(self, found: DecisionMap | None, state: State) -> None:
         winners = {} if found is None else winner_colors(found, state)
-        before, self._mapped = self._mapped, (found, state.dark, winners)
-        if found is before[0] and self._mapped[1:] == before[1:]:
-            return
-        self.ctx.client.clear("/map/")
-        if found is None or state.loaded is None or not winners:
+        areas = () if found is None else tuple(a.tobytes() for a in (found.winner, found.margin, found.corners))
+        outdated = self.ctx.client.outdated("/map/", (areas, state.dark, winners))
+        if not outdated or found is None or state.loaded is None or not winners:
             return
         rows, columns = np.nonzero(found.winner >= 0)
         by_winner = np.zeros((len(found.keys), 3))
@@ -145,8 +134,8 @@ class EditScene(Part):
         cells = np.repeat(np.round(colors).astype(np.uint8), 4, axis=0)
         data = unlit_glb(vertices.astype(np.float32), faces, cells, MAP_OPACITY)
         rims = (_rims(found.winner, corners) + np.array([0, 0, MAP_LIFT / 4])).astype(np.float32)
-        self.ctx.client.scene.add_glb("/map/areas", data, cast_shadow=False, receive_shadow=False)
-        self.ctx.client.lines("/map/rims", rims, (245, 247, 250) if state.dark else (24, 26, 30), 1.6)
+        self.ctx.client.put("glb", "/map/areas", glb_data=data, cast_shadow=False, receive_shadow=False)
+        self.ctx.client.lines("/map/rims", rims, plain_color(state.dark), 1.6)
 
 
 def _dead_zone(region: Region) -> np.ndarray:
@@ -235,10 +224,8 @@ def asked_pair(state: State) -> AskedPair | None:
     )
 
 
-def map_legend(state: State, found: DecisionMap | None) -> Element | None:
+def map_legend(state: State, found: DecisionMap) -> Element:
     """Who wins where, with the share of the floor."""
-    if found is None:
-        return None
     colors = winner_colors(found, state)
     winners, counts = np.unique(found.winner, return_counts=True)
     rows = (
@@ -280,10 +267,9 @@ class BoxGizmo:
         self._ctx, self._dragged, self._root = ctx, dragged, root
         self._latest: tuple[Box3D, bool] | None = None
         self._lock = Lock()
-        self._handles: dict[Face | None, Any] = {}
         self._box: Box3D | None = None
-        self._start: tuple[Box3D, np.ndarray] | None = None
-        self._held: Any = None
+        self._held: tuple[Retained, Box3D, np.ndarray] | None = None
+        """A handle with the box and its own turn as they were when the hand took it."""
         self._pulled = False
         self._mode: EditMode = "off"
 
@@ -295,64 +281,58 @@ class BoxGizmo:
     def show(self, box: Box3D | None, mode: EditMode) -> None:
         """Show the handles of a mode around a box; none where there is no box. One that is held stays where it is."""
         self._box, self._mode = (box, mode) if box is not None and mode != "off" else (None, "off")
-        if self._box is not None and not self._handles:
-            self._make()
-        with self._ctx.client.atomic():
-            for face, handle in self._handles.items():
-                wanted = self._mode == "resize" if face else self._mode in ("move", "turn")
-                set_changed(handle, visible=wanted)
-                if wanted and self._box is not None and handle is not self._held:
-                    self._place(handle, face, self._box)
+        client, held = self._ctx.client, "" if self._held is None else self._held[0].name
+        with client.atomic():
+            for face in (None, *FACES):
+                name = f"{self._root}/{'gizmo' if face is None else f'face-{face[0]}{face[1]:+}'}"
+                wanted = self._box is not None and (face is None) == (self._mode != "resize")
+                client.change(name, visible=wanted)
+                if wanted and self._box is not None and name != held:
+                    self._place(name, face, self._box)
 
-    def _place(self, handle: Any, face: Face | None, box: Box3D) -> None:
-        span = float(box.size.max())
-        if face is not None:
+    def _place(self, name: str, face: Face | None, box: Box3D) -> None:
+        span, turning = float(box.size.max()), self._mode == "turn"
+        if face is None:
+            at, yaw = box.center, float(np.arctan2(box.R[1, 0], box.R[0, 0]))
+            turn = vtf.SO3.from_z_radians(yaw if turning else 0.0)
+            look = {
+                "line_width": 3.0,
+                "active_axes": (True, True, not turning),
+                "disable_axes": turning,
+                "disable_sliders": turning,
+                "disable_rotations": not turning,
+                "scale": float(np.clip(span, 0.18, 0.6)),
+            }
+        else:
             axis, side = face
             normal, along = box.R[:, axis] * side, box.R[:, (axis + 1) % 3]
-            handle.position = box.center + normal * box.size[axis] / 2
-            handle.wxyz = vtf.SO3.from_matrix(np.stack([normal, along, np.cross(normal, along)], axis=1)).wxyz
-            set_changed(handle, scale=float(np.clip(0.5 * span, 0.07, 0.24)))
-            return
-        turning, yaw = self._mode == "turn", float(np.arctan2(box.R[1, 0], box.R[0, 0]))
-        set_changed(
-            handle,
-            disable_axes=turning,
-            disable_sliders=turning,
-            disable_rotations=not turning,
-            active_axes=(True, True, not turning),
-            scale=float(np.clip(span, 0.18, 0.6)),
+            at = box.center + normal * box.size[axis] / 2
+            turn = vtf.SO3.from_matrix(np.stack([normal, along, np.cross(normal, along)], axis=1))
+            look = {
+                "line_width": 4.0,
+                "active_axes": (True, False, False),
+                "disable_sliders": True,
+                "disable_rotations": True,
+                "scale": float(np.clip(0.5 * span, 0.07, 0.24)),
+            }
+        is_new = name not in self._ctx.client.nodes
+        handle = self._ctx.client.put(
+            "transform_controls", name, position=triple(at), wxyz=turn.wxyz, depth_test=False, visible=True, **look
         )
-        handle.position = box.center
-        handle.wxyz = vtf.SO3.from_z_radians(yaw if turning else 0.0).wxyz
-
-    def _make(self) -> None:
-        add = self._ctx.client.scene.add_transform_controls
-        self._handles[None] = add(f"{self._root}/gizmo", line_width=3.0, depth_test=False, visible=False)
-        for axis, side in FACES:
-            self._handles[axis, side] = add(
-                f"{self._root}/face-{'xyz'[axis]}{'-' if side < 0 else '+'}",
-                line_width=4.0,
-                active_axes=(True, False, False),
-                disable_sliders=True,
-                disable_rotations=True,
-                depth_test=False,
-                visible=False,
-            )
-        for face, handle in self._handles.items():
+        if is_new:
             self._listen(handle, face)
 
-    def _listen(self, handle: Any, face: Face | None) -> None:
+    def _listen(self, handle: Retained, face: Face | None) -> None:
         @handle.on_update
         async def _(event: Any) -> None:
             if event.phase == "start" and self._box is not None:
-                self._start, self._held = (self._box, _matrix(handle)), handle
-            if self._start is None or self._held is not handle:
+                self._held = handle, self._box, _matrix(handle)
+            if self._held is None or self._held[0] is not handle:
                 return
-            if event.phase == "update":
-                self._pulled = True
-            box, ended, pulled = self._moved(handle, face, *self._start), event.phase == "end", self._pulled
+            self._pulled |= event.phase == "update"
+            box, ended, pulled = self._moved(face, *self._held), event.phase == "end", self._pulled
             if ended:
-                self._start, self._held, self._pulled = None, None, False
+                self._held, self._pulled = None, False
             if pulled:
                 with self._lock:
                     before, self._latest = self._latest, (box, ended or (self._latest or (box, False))[1])
@@ -365,7 +345,7 @@ class BoxGizmo:
         if latest is not None:
             self._dragged(self._ctx.scene.camera_box(latest[0]), latest[1])
 
-    def _moved(self, handle: Any, face: Face | None, box: Box3D, was: np.ndarray) -> Box3D:
+    def _moved(self, face: Face | None, handle: Retained, box: Box3D, was: np.ndarray) -> Box3D:
         """The box as it was when the hand took the handle, after what the hand has done."""
         if face is None and self._mode == "turn":
             return replace(box, R=vtf.SO3.from_matrix(_matrix(handle) @ was.T).as_matrix() @ box.R)
@@ -379,5 +359,5 @@ class BoxGizmo:
         return Box3D(box.center + normal * pull / 2, box.R, box.size + pull * (np.arange(3) == axis))
 
 
-def _matrix(handle: Any) -> np.ndarray:
+def _matrix(handle: Retained) -> np.ndarray:
     return vtf.SO3(np.array(handle.wxyz)).as_matrix()

@@ -26,7 +26,7 @@ def fill_page(ctx: Context, suggestions: Sequence[str]) -> None:
         "ask-problem": toolbar.refusal_html(state),
         "scene-tools": toolbar.scene_tools_html(state),
         "depth-legend": picture.depth_bar(state),
-        "objects": picture.objects_html(state),
+        "objects": picture.objects_html(state, state.loaded) if state.loaded else None,
         "agreement": beside.agreement_html(state) if shared.second else None,
         "image": picture.image_html(state),
         "object": stage_objects.object_html(state) if state.labels is None else None,
@@ -41,12 +41,12 @@ def fill_page(ctx: Context, suggestions: Sequence[str]) -> None:
 def fill_answer(ctx: Context) -> None:
     """Fill what follows a box that is dragged."""
     state = ctx.state
-    labels = state.labels is not None
+    view = state.labels
     regions = {
-        "answer": sentences_html.sentence_html(state) if labels else answer.answer_html(state, ctx.can_ask),
-        "stages": None if labels else stages.stages_html(state, state.stage),
-        "expressions": sentences_html.expressions_html(state) if labels else None,
-        "history": sentences_html.history_html(state) if labels else None,
+        "answer": sentences_html.sentence_html(state, view) if view else answer.answer_html(state, ctx.can_ask),
+        "stages": None if view else stages.stages_html(state, state.stage),
+        "expressions": sentences_html.expressions_html(state, view) if view else None,
+        "history": sentences_html.history_html(view) if view else None,
     }
     for region, content in regions.items():
         ctx.page.show(region, content)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,10 +16,9 @@ from pipeline.geometry.measure import surface_point
 from pipeline.geometry.palette import DROPPED, Role, depth_colors, instance_colors, palette
 from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app.context import Context, Part
-from spatialviz.app.frames import Cloud, LoadedFrame
-from spatialviz.app.frames import Part as CloudPart
+from spatialviz.app.frames import CloudPart, LoadedFrame
 from spatialviz.app.scene import Tag
-from spatialviz.app.scene_client import Node, triple
+from spatialviz.app.scene_client import triple
 from spatialviz.app.state import State
 
 
@@ -31,8 +30,6 @@ class FrameCloud(Part):
         self._loaded: LoadedFrame | None = None
         self._painted: tuple[Any, ...] = ()
         self._points = np.zeros((0, 3), np.uint8)
-        self._parts: list[Node] = []
-        self._room: tuple[LoadedFrame, bool] | None = None
         self.place_anew = False
 
     def follow(self) -> None:
@@ -43,7 +40,7 @@ class FrameCloud(Part):
         was, self._loaded = self._loaded, loaded
         other = viewpoint.look_about(state.about)
         if loaded is None:
-            scene.cloud, self._parts, self._painted = None, [], ()
+            scene.cloud = None
             self.ctx.client.clear("/cloud/")
             self.ctx.client.clear("/camera")
         elif self._painted != state.paint_key or loaded is not was:
@@ -54,8 +51,8 @@ class FrameCloud(Part):
             with self.ctx.client.atomic():
                 if loaded is not was:
                     self._show(loaded)
-                for node, part in zip(self._parts if loaded is was else (), loaded.cloud.parts, strict=False):
-                    node.colors = self._points[part.at]
+                for part in loaded.cloud.parts:
+                    self.ctx.client.change(part.name, colors=self._points[part.at])
             if loaded is not was:
                 if anew:
                     viewpoint.place(state.camera)
@@ -68,14 +65,13 @@ class FrameCloud(Part):
 
     def dress(self) -> None:
         """Show the points and the camera, as large as they are wanted."""
-        parts, state = () if self._loaded is None else self._loaded.cloud.parts, self.state
+        parts, state, client = () if self._loaded is None else self._loaded.cloud.parts, self.state, self.ctx.client
         # Until the rest is there, one point stands for four.
-        factor = state.point_size * (1 if len(self._parts) == len(parts) else 2)
-        with self.ctx.client.atomic():
-            for node, part in zip(self._parts, parts, strict=False):
-                set_changed(node, visible=state.flags.cloud, point_size=part.size * factor)
-            if "/camera" in self.ctx.client.scene.nodes:
-                set_changed(self.ctx.client.scene.nodes["/camera"], visible=state.flags.camera)
+        factor = state.point_size * (1 if all(part.name in client.nodes for part in parts) else 2)
+        with client.atomic():
+            for part in parts:
+                client.change(part.name, visible=state.flags.cloud, point_size=part.size * factor)
+            client.change("/camera", visible=state.flags.camera)
 
     def _show(self, loaded: LoadedFrame) -> None:
         """Another frame, of its points the first cloud."""
@@ -85,8 +81,9 @@ class FrameCloud(Part):
         self.ctx.client.clear("/cloud/")
         # Names of this frame's things are put anew; those of all frames that were looked at would pile up.
         self.ctx.client.clear("/tags/")
-        self._parts = [self._add(part) for part in loaded.cloud.parts if part.first]
-        self.ctx.client.scene.add_camera_frustum(
+        self._add(part for part in loaded.cloud.parts if part.first)
+        self.ctx.client.put(
+            "camera_frustum",
             "/camera",
             fov=float(2 * np.arctan(frame.height / 2 / frame.camera.fy)),
             aspect=frame.width / frame.height,
@@ -102,33 +99,32 @@ class FrameCloud(Part):
         """Send the rest of a frame's cloud, unless another one is shown already."""
         if loaded is self._loaded:
             with self.ctx.client.atomic():
-                self._parts += [self._add(part) for part in loaded.cloud.parts[len(self._parts) :]]
+                self._add(part for part in loaded.cloud.parts if not part.first)
                 self.dress()
 
-    def _add(self, part: CloudPart) -> Node:
-        return self.ctx.client.scene.add_point_cloud(
-            part.name,
-            part.offsets,
-            self._points[part.at],
-            point_size=part.size * self.state.point_size * (2 if part.first else 1),
-            precision="float16",
-            point_shading="flat",
-            point_shape="square",
-            position=triple(part.center),
-            visible=self.state.flags.cloud,
-        )
+    def _add(self, parts: Iterable[CloudPart]) -> None:
+        for part in parts:
+            self.ctx.client.put(
+                "point_cloud",
+                part.name,
+                points=part.offsets,
+                colors=self._points[part.at],
+                point_size=part.size * self.state.point_size * (2 if part.first else 1),
+                precision="float16",
+                point_shading="flat",
+                point_shape="square",
+                position=triple(part.center),
+                visible=self.state.flags.cloud,
+            )
 
     def _show_room(self, state: State) -> None:
         """The frames around this one fused, where that is wanted and possible, dimmed toward the background."""
-        room = (state.loaded, state.dark) if state.flags.context and state.loaded is not None else None
-        if room is not None and self._room is not None and room[0] is self._room[0] and room[1] == self._room[1]:
-            return
-        self._room = room
-        self.ctx.client.clear("/context")
-        if room is None:
+        room = state.loaded if state.flags.context else None
+        key = None if room is None else (room.cloud, state.dark)
+        if not self.ctx.client.outdated("/context", key) or room is None:
             return
         try:
-            mesh = fuse_context(self.ctx.source.dataset, room[0].context.frame)
+            mesh = fuse_context(self.ctx.source.dataset, room.context.frame)
         except (FrameUnusable, MissingExtra) as error:
             self.ctx.note(str(error))
             self.ctx.page.toast("No room to show", str(error))
@@ -137,14 +133,7 @@ class FrameCloud(Part):
         if mesh is not None and len(mesh.faces):
             dimmed = (mesh.colors * 0.45 + (20 if state.dark else 250) * 0.55).astype(np.uint8)
             data = unlit_glb(mesh.vertices @ self.ctx.scene.to_show.T.astype(np.float32), mesh.faces, dimmed)
-            self.ctx.client.scene.add_glb("/context", data, cast_shadow=False, receive_shadow=False)
-
-
-def set_changed(node: Node, **values: Any) -> None:
-    """Set what differs; viser sends every assignment."""
-    for name, value in values.items():
-        if getattr(node, name) != value:
-            setattr(node, name, value)
+            self.ctx.client.put("glb", "/context", glb_data=data, cast_shadow=False, receive_shadow=False)
 
 
 def frame_colors(mode: str, loaded: LoadedFrame, roles: Mapping[int, Role], dark: bool) -> np.ndarray:
@@ -243,10 +232,6 @@ TAG = "/tags/measured"
 class SceneAids(Part):
     """Draws them into one client's scene and page."""
 
-    def __init__(self, ctx: Context) -> None:
-        super().__init__(ctx)
-        self._gridded: tuple[Cloud, bool] | None = None
-
     def follow(self) -> list[Tag]:
         """Bring them up to the state; returns the names that are to be shown."""
         state = self.state
@@ -288,11 +273,7 @@ class SceneAids(Part):
 
     def _draw_grid(self, loaded: LoadedFrame | None, dark: bool) -> None:
         wanted = None if loaded is None or not len(loaded.cloud.points) else (loaded.cloud, dark)
-        if wanted == self._gridded:
-            return
-        self.ctx.client.clear("/grid/")
-        self._gridded = wanted
-        if loaded is None or wanted is None:
+        if not self.ctx.client.outdated("/grid/", wanted) or loaded is None or wanted is None:
             return
         low, high = np.percentile(loaded.cloud.points, [1, 99], axis=0)
         low[2] = high[2] = floor_height(loaded)

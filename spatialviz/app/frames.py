@@ -272,7 +272,7 @@ SPAN = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class CloudPart:
     """Points that are sent as one: of one band of depth, either of the first cloud or of the rest.
 
     Attributes
@@ -311,14 +311,14 @@ class Cloud:
         Pixels.
     points : (N, 3) float32
         In the shown frame: x right, y forward, z up, metres.
-    parts : tuple of Part
+    parts : tuple of CloudPart
         Those of the first cloud come first.
     """
 
     v: np.ndarray
     u: np.ndarray
     points: np.ndarray
-    parts: tuple[Part, ...]
+    parts: tuple[CloudPart, ...]
 
     def painted(self, colors: np.ndarray) -> np.ndarray:
         """(N, 3) uint8 of its points in the colours of the frame's pixels, (H, W, 3)."""
@@ -347,13 +347,13 @@ def cloud_of(context: PreparedFrame) -> Cloud:
     return Cloud(v * stride, u * stride, points, tuple(_part(points, group, int(a), size) for a in starts))
 
 
-def _part(points: np.ndarray, group: np.ndarray, start: int, size: float) -> Part:
+def _part(points: np.ndarray, group: np.ndarray, start: int, size: float) -> CloudPart:
     number = int(group[start])
     at = slice(start, int(np.searchsorted(group, number, side="right")))
     center = cv2.reduce(points[at], 0, cv2.REDUCE_MIN)[0] / 2 + cv2.reduce(points[at], 0, cv2.REDUCE_MAX)[0] / 2
     first = number < SPAN // 2
     size = float(BAND_RATIO ** (number - (0 if first else SPAN) + 0.6) * size)
-    return Part(first, at, center, (points[at] - center).astype(np.float16), size)
+    return CloudPart(first, at, center, (points[at] - center).astype(np.float16), size)
 
 
 KEPT_BYTES = 96 * 2**20

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import depth_colors, depth_ends, hex_color, palette
 from spatialviz.app.beside import name_tag, second_overlay
 from spatialviz.app.frame_cloud import frame_colors
-from spatialviz.app.frames import jpeg_url, png_url
+from spatialviz.app.frames import LoadedFrame, jpeg_url, png_url
 from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
@@ -34,11 +34,11 @@ def image_html(state: State) -> Element:
     step = max(1, round(frame.width / IMAGE_WIDTH))
     alt = (f"frame {frame.id}", *(f"{role} {state.shown.names[i]}" for i, role in state.roles.items()))
     return panel(
-        pixel_row_html(state),
+        None if state.labels is None else pixel_row_html(state, state.labels),
         h.div(
             h.img(src=jpeg_url(picture[::step, ::step]), alt=", ".join(alt), draggable="false", id="photo"),
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
-            _svg(frame, _ghost_marks(state), "ghosts"),
+            _svg(frame, _ghost_marks(state, frame), "ghosts"),
             _svg(frame, overlay_marks(state), "overlay"),
             h.button(
                 cls="large",
@@ -86,7 +86,7 @@ def overlay_marks(state: State) -> list[Element]:
         entry = state.shown.objects[i]
         drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
         marks.append(_path(drawn, hex_color(colors[roles[i]]) if i in roles else "#ffffff", 1.3 * unit))
-    marks += second_overlay(state, unit)
+    marks += () if state.beside is None else second_overlay(state, state.beside, unit)
     for i in order:
         x0, y0 = _name_place(state, i)
         color = hex_color(colors[roles.get(i, "other")])
@@ -101,15 +101,12 @@ def overlay_marks(state: State) -> list[Element]:
     return marks
 
 
-def _ghost_marks(state: State) -> list[Element]:
+def _ghost_marks(state: State, frame: Frame) -> Iterator[Element]:
     """Boxes beside the answer's, which stay while other objects are chosen."""
-    if state.loaded is None or not state.flags.ghosts:
-        return []
-    frame, colors = state.loaded.context.frame, palette(True)
-    unit = frame.width / 360
-    dashes = f"{3 * unit:.1f} {2 * unit:.1f}"
-    drawn = ((_edges(ghost.box, frame.camera), hex_color(colors[ghost.role])) for ghost in state.ghosts)
-    return [_path(edges, color, 1.1 * unit, stroke_dasharray=dashes) for edges, color in drawn]
+    unit, colors = frame.width / 360, palette(True)
+    for ghost in state.ghosts if state.flags.ghosts else ():
+        drawn, dashes = _edges(ghost.box, frame.camera), f"{3 * unit:.1f} {2 * unit:.1f}"
+        yield _path(drawn, hex_color(colors[ghost.role]), 1.1 * unit, stroke_dasharray=dashes)
 
 
 def _rectangle(bbox: np.ndarray) -> str:
@@ -166,12 +163,10 @@ def depth_bar(state: State) -> Element | None:
     )
 
 
-def objects_html(state: State) -> Element | None:
+def objects_html(state: State, loaded: LoadedFrame) -> Element:
     """The objects as they are numbered, and above them those of the chosen pair once more; a click selects one."""
-    if state.loaded is None:
-        return None
     if not state.shown.objects:
-        reason = state.loaded.problem or "Nothing is annotated or detected in this frame."
+        reason = loaded.problem or "Nothing is annotated or detected in this frame."
         return panel(heading("Objects"), note(reason), cls="objects")
     count = len(state.shown.objects)
     # Rows that change places would be sent again, all of them.

@@ -357,7 +357,7 @@ class Pixels(LabelPart):
             "names": vocabulary_of(self.editor.labels, self.ctx.source.dataset).names if fresh else None,
             "color": hex_color(PART_COLORS[0]),
             "mask": mask_url(parts),
-            "others": outlines(state.shown.objects, state.shown.names, draft.number),
+            "others": list(outlines(state.shown.objects, state.shown.names, draft.number)),
             "edges": [] if box is None else (box_edges_2d(box, frame.camera) + 0.5).reshape(-1, 4).round(1).tolist(),
             "steps": draft.at if draft.changed else int(fresh and known),
             "kept": fresh and known,

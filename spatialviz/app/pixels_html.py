@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import cv2
@@ -18,6 +18,7 @@ from pipeline.geometry.masks import decode_crop
 from pipeline.geometry.palette import ON_DARK, RGB, instance_colors, palette
 from spatialviz.app.context import Context
 from spatialviz.app.frames import png_url
+from spatialviz.app.label_view import LabelView
 from spatialviz.app.markup import BAD, IDLE, Element, h, note
 from spatialviz.app.state import State
 
@@ -33,15 +34,12 @@ PART_COLORS: tuple[RGB, ...] = (ON_DARK["edited"], ON_DARK["reference"], ON_DARK
 """Of the parts of a draft; a whole object has the first, that of edits."""
 
 
-def pixel_row_html(state: State) -> Element | None:
+def pixel_row_html(state: State, view: LabelView) -> Element:
     """The tools above the picture, while labels are shown; each opens the large editor."""
-    if state.labels is None:
-        return None
     hint = "select two objects, one after the other"
     if state.pair is not None and state.pair[0] != state.pair[1]:
         one, other = (state.shown.names[i] for i in state.pair[:2])
         hint = f"{one} becomes a part of {other} (Shift+M)"
-    said = state.labels.said
     return h.div(
         h.div(
             (
@@ -53,7 +51,7 @@ def pixel_row_html(state: State) -> Element | None:
             _tool("merge", "px-merge", hint, state.pair is not None, cls="w2"),
             cls="pxrow",
         ),
-        h.div(note(said, BAD if state.labels.bad else IDLE), cls="pxsaid", title=said) if said else None,
+        h.div(note(view.said, BAD if view.bad else IDLE), cls="pxsaid", title=view.said) if view.said else None,
     )
 
 
@@ -71,15 +69,13 @@ def mask_url(parts: Sequence[np.ndarray]) -> str:
     return png_url(image)
 
 
-def outlines(objects: Sequence[SceneObject], names: Sequence[str], without: int | None) -> list[dict[str, Any]]:
+def outlines(objects: Sequence[SceneObject], names: Sequence[str], without: int | None) -> Iterator[dict[str, Any]]:
     """The outlines of objects for the editor: lines as x0, y0, x1, y1, ... in pixels."""
-    found = []
-    others = ((o, name) for o, name in zip(objects, names, strict=True) if o.id != without)
-    for entry, name in others:
-        lines, _ = cv2.findContours(entry.mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
-        kept = [(line.reshape(-1) + 0.5).tolist() for line in lines if len(line) > 2]
-        found.append({"name": name, "size": entry.lifted.quality.mask_pixels, "lines": kept})
-    return found
+    for entry, name in zip(objects, names, strict=True):
+        if entry.id != without:
+            lines, _ = cv2.findContours(entry.mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
+            kept = [(line.reshape(-1) + 0.5).tolist() for line in lines if len(line) > 2]
+            yield {"name": name, "size": entry.lifted.quality.mask_pixels, "lines": kept}
 
 
 def around(draft: Draft) -> list[int] | None:
@@ -124,10 +120,10 @@ def draw_draft(ctx: Context, frame: Frame, mask: np.ndarray, box: Box3D | None) 
         if len(v):
             points = lift_pixels(frame.depth[v, u] * np.float32(0.995), frame.camera, v, u)
             shown = (points @ ctx.scene.to_show.T.astype(np.float32)).astype(np.float32)
-            ctx.client.scene.add_point_cloud(
-                    f"{DRAFT}points", shown, color, point_size=POINT, precision="float32", point_shading="flat",
-                    point_shape="square",
-                )  # fmt: skip
+            ctx.client.put(
+                "point_cloud", f"{DRAFT}points", points=shown, colors=np.array(color, np.uint8), point_size=POINT,
+                precision="float32", point_shading="flat", point_shape="square",
+            )  # fmt: skip
         if box is not None:
             lines = ctx.scene.shown_box(box).corners[EDGES].astype(np.float32)
             ctx.client.lines(f"{DRAFT}box", lines, color, 2.6)

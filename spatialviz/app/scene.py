@@ -22,7 +22,7 @@ from pipeline.geometry.palette import RGB, Role, hex_color, palette
 from pipeline.system.errors import needed
 from spatialviz.app.frames import Cloud
 from spatialviz.app.markup import detector_score
-from spatialviz.app.scene_client import Node, SceneClient, triple
+from spatialviz.app.scene_client import SceneClient, triple
 from spatialviz.app.state import NOTHING, Ghost, Shown, State
 
 CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], np.float32)
@@ -74,8 +74,6 @@ class SceneView:
         self.viewpoint = Viewpoint(client)
         self._client = client
         self._boxed: dict[int, Box3D] = {}
-        self._faces: Node | None = None
-        self._axes_at: tuple[Any, list[Tag]] = (None, [])
         self.cloud: Cloud | None = None
         self.to_show = np.eye(3)
 
@@ -129,28 +127,24 @@ class SceneView:
         return Box3D(self.to_show.T @ box.center, self.to_show.T @ box.R, box.size)
 
     def _draw_faces(self, shown: Sequence[int], role_of: Mapping[int, Role], colors: Mapping[Role, RGB]) -> None:
-        if self._faces is not None and len(self._faces.batched_positions) != len(shown):
-            self._faces.remove()
-            self._faces = None
+        self._client.outdated("/boxes/faces", len(shown))
         if not shown:
             return
         boxes = [self._boxed[i] for i in shown]
-        values = {
-            "batched_wxyzs": vtf.SO3.from_matrix(np.stack([b.R for b in boxes])).wxyz.astype(np.float32),
-            "batched_positions": np.stack([b.center for b in boxes]).astype(np.float32),
-            "batched_scales": np.stack([np.maximum(b.size, 0.005) for b in boxes]).astype(np.float32),
-            "batched_colors": np.array([colors[role_of[i]] for i in shown], np.uint8),
-            "batched_opacities": np.array([FACE_OPACITY[role_of[i]] for i in shown], np.float32),
-        }
-        if self._faces is None:
-            self._faces = self._client.scene.add_batched_meshes_simple(
-                "/boxes/faces", CUBE, CUBE_FACES, lod="off", cast_shadow=False, receive_shadow=False, **values
-            )
-            return
-        # A box that is dragged changes a few numbers; only these are sent.
-        for name, value in values.items():
-            if not np.array_equal(getattr(self._faces, name), value):
-                setattr(self._faces, name, value)
+        self._client.put(
+            "batched_meshes_simple",
+            "/boxes/faces",
+            vertices=CUBE,
+            faces=CUBE_FACES,
+            batched_wxyzs=vtf.SO3.from_matrix(np.stack([b.R for b in boxes])).wxyz.astype(np.float32),
+            batched_positions=np.stack([b.center for b in boxes]).astype(np.float32),
+            batched_scales=np.stack([np.maximum(b.size, 0.005) for b in boxes]).astype(np.float32),
+            batched_colors=np.array([colors[role_of[i]] for i in shown], np.uint8),
+            batched_opacities=np.array([FACE_OPACITY[role_of[i]] for i in shown], np.float32),
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     def _draw_pairs(self, pairs: Sequence[tuple[int, int]], colors: Mapping[Role, RGB]) -> None:
         """Lines between the boxes of pairs, the chosen one first."""
@@ -166,21 +160,18 @@ class SceneView:
         """The viewer's right, forward and up at the reference: the frame in which the relation is judged."""
         pairs = state.pair_lines if state.flags.axes or state.flags.region else ()
         reference = self._boxed.get(pairs[0][1]) if pairs else None
-        marks = None if reference is None else (reference.center.tobytes(), reference.size.tobytes(), state.dark)
-        if marks == self._axes_at[0]:
-            return self._axes_at[1]
-        self._client.clear("/axes/")
         tags: list[Tag] = []
-        self._axes_at = marks, tags
         if reference is None:
+            self._client.clear("/axes/")
             return tags
         length = float(np.clip(np.linalg.norm(reference.size), 0.25, 0.8))
         for name, direction in zip(("right", "forward", "up"), np.eye(3), strict=True):
             tip = reference.center + direction * length
-            self._client.scene.add_arrows(
+            self._client.put(
+                "arrows",
                 f"/axes/{name}",
-                np.array([[reference.center, tip]], np.float32),
-                (245, 247, 250) if state.dark else (24, 26, 30),
+                points=np.array([[reference.center, tip]], np.float32),
+                colors=np.array(plain_color(state.dark), np.uint8),
                 shaft_radius=0.006,
                 head_radius=0.016,
                 head_length=0.05,
@@ -223,6 +214,11 @@ class SceneView:
         return int(self.cloud.u[best]), int(self.cloud.v[best])
 
 
+def plain_color(dark: bool) -> RGB:
+    """Of lines that have no role: nearly white on a dark ground, nearly black on a light one."""
+    return (245, 247, 250) if dark else (24, 26, 30)
+
+
 def half_size(box: Box3D) -> tuple[float, float, float]:
     """Half of what a box takes along the axes of the scene, metres."""
     return triple(np.round((box.corners.max(axis=0) - box.corners.min(axis=0)) / 2, 4))
@@ -234,8 +230,8 @@ def edges(boxes: Sequence[Box3D], growth: float = 0.0) -> np.ndarray:
     return np.concatenate([np.zeros((0, 2, 3)), *grown]).astype(np.float32)
 
 
-SAMPLE = 20_000
-"""Points of a cloud that say where it lies."""
+SAMPLE, FLIGHT = 20_000, 12
+"""Points of a cloud that say where it lies; steps in which the camera moves smoothly."""
 AROUND, NEAREST = 1.12, 0.55
 """A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
 
@@ -277,19 +273,22 @@ class Viewpoint:
         before, self._about = self._about, corners
         return before is not corners if before is None or corners is None else not np.array_equal(before, corners)
 
-    def fly(self, kind: str) -> None:
-        """Move the camera to "pair", "sensor", "orbit" or "top", smoothly."""
+    def place(self, kind: str, steps: int = 1) -> None:
+        """Move the camera to "pair", "sensor", "orbit" or "top", at once, or smoothly in so many steps.
+
+        Repeated when the shape of the page changes before anybody has turned the view.
+        """
         eye, look, fov = self._pose(kind)
-        self._placed = None
-        camera = self._client.camera
-        camera.up_direction = self._up(kind)
+        camera, self._placed = self._client.camera, None
         p0, l0, f0 = np.array(camera.position), np.array(camera.look_at), float(camera.fov)
-        for k in range(1, 13):
-            t = k / 12
+        for k in range(1, steps + 1):
+            t = k / steps
             t = t * t * (3 - 2 * t)
-            self._turn(position=p0 * (1 - t) + eye * t, look_at=l0 * (1 - t) + look * t, fov=f0 * (1 - t) + fov * t)
-            self._client.flush()
-            time.sleep(1 / 40)
+            position, look_at = p0 * (1 - t) + eye * t, l0 * (1 - t) + look * t
+            self._turn(up_direction=self._up(kind), position=position, look_at=look_at, fov=f0 * (1 - t) + fov * t)
+            if k < steps:
+                self._client.flush()
+                time.sleep(1 / 40)
         self._placed, self._reached, self.untouched = (kind, self._aspect, eye), False, True
 
     def _turn(self, **pose: Any) -> None:
@@ -300,12 +299,6 @@ class Viewpoint:
     @property
     def _aspect(self) -> float:
         return float(np.clip(self._client.camera.aspect or 1.3, 0.4, 3.0))
-
-    def place(self, kind: str) -> None:
-        """The same at once; repeated when the shape of the page changes before anybody has turned the view."""
-        eye, look, fov = self._pose(kind)
-        self._placed, self._reached, self.untouched = (kind, self._aspect, eye), False, True
-        self._turn(up_direction=self._up(kind), position=eye, look_at=look, fov=fov)
 
     def turned_to(self) -> tuple[CameraView, float] | None:
         """Where the camera was turned to, in the frame's camera frame, and its field of view; None where it was not."""

@@ -3,9 +3,8 @@ frame is not there yet, or has gone and comes back."""
 
 from __future__ import annotations
 
-import inspect
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any
@@ -46,16 +45,20 @@ class Retained:
         if self.handle is not None:
             setattr(self.handle, name, value)
 
+    def change(self, **values: Any) -> None:
+        """Set what differs; viser sends every assignment."""
+        for name, value in values.items():
+            if not np.array_equal(getattr(self, name), value):
+                setattr(self, name, value)
+
     def _listen(self, event: str, callback: Callable[..., Any]) -> Callable[..., Any]:
         self._callbacks.append((event, callback))
         if self.handle is not None:
             getattr(self.handle, event)(callback)
         return callback
 
-    def show(self, handle: Any, names: Iterable[str]) -> None:
-        """Stand for a handle, which takes the values of these names."""
-        for name in names:
-            setattr(handle, name, self.values[name])
+    def show(self, handle: Any) -> None:
+        """Stand for a handle."""
         for event, callback in self._callbacks:
             getattr(handle, event)(callback)
         vars(self)["handle"] = handle
@@ -67,52 +70,14 @@ class Retained:
         vars(self)["handle"] = None
 
 
-class Node(Retained):
-    """A node of the scene."""
-
-    def __init__(self, owner: RetainedScene, make: str, values: dict[str, Any]) -> None:
-        super().__init__(values, {}, ("position", "wxyz") if make == "add_transform_controls" else ())
-        vars(self).update(_owner=owner, _make=make)
-
-    def attach(self, scene: Any) -> None:
-        """Stand in a scene."""
-        make = getattr(scene, self._make)
-        taken = {k: v for k, v in self.values.items() if k in inspect.signature(make).parameters}
-        self.show(make(**taken), self.values.keys() - taken.keys())
-
-    def remove(self) -> None:
-        """Stand no longer."""
-        self._owner.nodes.pop(self.values["name"], None)
-        if self.handle is not None:
-            self.handle.remove()
-        vars(self)["handle"] = None
-
-
-class RetainedScene:
-    """The scene: viser's `add_…` methods, whose nodes are kept by their names."""
-
-    def __init__(self) -> None:
-        self.nodes: dict[str, Node] = {}
-        self.shown: Any = None
-
-    def __getattr__(self, make: str) -> Callable[..., Node]:
-        return partial(self._add, make, inspect.signature(getattr(viser.SceneApi, make)))
-
-    def _add(self, make: str, signature: inspect.Signature, *args: Any, **kwargs: Any) -> Node:
-        bound = signature.bind(None, *args, **kwargs)
-        bound.apply_defaults()
-        values = {k: v for k, v in bound.arguments.items() if k not in ("self", "_deprecated_kwargs")}
-        node = self.nodes[values["name"]] = Node(self, make, values)
-        if self.shown is not None:
-            node.attach(self.shown)
-        return node
-
-
 class SceneClient:
-    """Stands for a `viser.ClientHandle`: `scene`, `camera`, `atomic`, `flush`."""
+    """Stands for a `viser.ClientHandle`: `camera`, `atomic`, `flush`, and the nodes of its scene by their names."""
 
     def __init__(self) -> None:
-        self.scene, self.camera = RetainedScene(), Retained({}, UNTURNED, CAMERA)
+        self.nodes: dict[str, Retained] = {}
+        self.camera = Retained({}, UNTURNED, CAMERA)
+        self._made_by: dict[str, str] = {}
+        self._drawn: dict[str, object] = {}
         self._clicks: list[Callable[[Any], Any]] = []
         self._client: viser.ClientHandle | None = None
         self._dark = True
@@ -124,22 +89,28 @@ class SceneClient:
             self.detach()
             for callback in self._clicks:
                 client.scene.on_click()(callback)
-            self.camera.show(client.camera, [name for name in CAMERA if name in self.camera.values])
+            for name in CAMERA:
+                if name in self.camera.values:
+                    setattr(client.camera, name, self.camera.values[name])
+            self.camera.show(client.camera)
             self._client = client
             self.set_dark(self._dark)
             with client.atomic():
-                for node in list(self.scene.nodes.values()):
-                    node.attach(client.scene)
-            self.scene.shown = client.scene
+                for name in self.nodes:
+                    self._stand(name, client)
 
     def detach(self, client: viser.ClientHandle | None = None) -> None:
         """The browser's frame has gone; another one may come."""
         with self._lock:
             if self._client is None or client not in (None, self._client):
                 return
-            for retained in (self.camera, *self.scene.nodes.values()):
+            for retained in (self.camera, *self.nodes.values()):
                 retained.keep()
-            self._client = self.scene.shown = None
+            self._client = None
+
+    def _stand(self, name: str, client: viser.ClientHandle) -> None:
+        node = self.nodes[name]
+        node.show(getattr(client.scene, f"add_{self._made_by[name]}")(**node.values))
 
     def on_click(self, callback: Callable[[Any], Any]) -> None:
         """Have a click in the scene call this; to be said before a browser shows it."""
@@ -151,31 +122,52 @@ class SceneClient:
         if self._client is not None:
             self._client.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
+    def put(self, kind: str, name: str, **values: Any) -> Retained:
+        """Have a node of a name stand with these values, those of viser's `add_KIND`: made once, and then changed."""
+        if name in self.nodes:
+            self.nodes[name].change(**values)
+        else:
+            kept = ("position", "wxyz") if kind == "transform_controls" else ()
+            self.nodes[name], self._made_by[name] = Retained({"name": name, **values}, {}, kept), kind
+            if self._client is not None:
+                self._stand(name, self._client)
+        return self.nodes[name]
+
+    def change(self, name: str, **values: Any) -> None:
+        """Change the node of a name, where one stands."""
+        if name in self.nodes:
+            self.nodes[name].change(**values)
+
     def lines(self, name: str, points: np.ndarray, color: RGB | np.ndarray, width: float) -> None:
-        """Show segments ((N, 2, 3), metres) of a name, in a colour or one for each end; made once, and then changed."""
-        node = self.scene.nodes.get(name)
-        if node is not None and isinstance(color, np.ndarray) and len(node.points) != len(points):
-            node.remove()
-            node = None
-        if node is not None:
-            node.visible = bool(len(points))
-        if len(points) and node is not None:
-            node.points, node.colors = points, np.asarray(color, np.uint8)
-        elif len(points):
-            self.scene.add_line_segments(name, points, color, thickness=width, thickness_units="screen")
+        """Show segments ((N, 2, 3), metres) of a name, in a colour or one for each end; without any they are hidden."""
+        colors, node = np.asarray(color, np.uint8), self.nodes.get(name)
+        if node is not None and colors.ndim > 1 and len(node.points) != len(points):
+            self.clear(name)
+        if len(points):
+            how = {"thickness": width, "thickness_units": "screen", "visible": True}
+            self.put("line_segments", name, points=points, colors=colors, **how)
+        else:
+            self.change(name, visible=False)
 
     def anchor(self, name: str, position: np.ndarray) -> str:
         """Put a point of a name, which a tag may follow, somewhere; returns its name."""
-        if name in self.scene.nodes:
-            self.scene.nodes[name].position = triple(position)
-        else:
-            self.scene.add_frame(name, show_axes=False, position=triple(position))
+        self.put("frame", name, show_axes=False, position=triple(position))
         return name
 
     def clear(self, root: str) -> None:
         """Remove the nodes whose names begin so."""
-        for name in [name for name in self.scene.nodes if name.startswith(root)]:
-            self.scene.nodes[name].remove()
+        for name in [name for name in self.nodes if name.startswith(root)]:
+            node = self.nodes.pop(name)
+            if node.handle is not None:
+                node.handle.remove()
+
+    def outdated(self, root: str, key: object) -> bool:
+        """Whether the nodes whose names begin so were drawn for another key: then they go, to be drawn for this one."""
+        if self._drawn.get(root) == key:
+            return False
+        self.clear(root)
+        self._drawn[root] = key
+        return True
 
     def atomic(self) -> AbstractContextManager[None]:
         """As viser's."""

@@ -18,6 +18,7 @@ from spatialviz.app.frames import LoadedFrame, ToldUp
 from spatialviz.app.label_view import paired
 from spatialviz.app.picture import smallest_at
 from spatialviz.app.place import CameraMode
+from spatialviz.app.scene import FLIGHT
 from spatialviz.app.state import ColorMode, Tool
 from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
 
@@ -195,7 +196,7 @@ class ViewSettings(Part):
         """Fly to one of the places to look from."""
         if mode in get_args(CameraMode) and self.state.loaded is not None:
             self.ctx.show(camera=mode)
-            self.ctx.scene.viewpoint.fly(mode)
+            self.ctx.scene.viewpoint.place(mode, FLIGHT)
 
     @command("flag")
     def toggle(self, flag: str) -> None:

@@ -17,11 +17,8 @@ MARKED = {"BAD_LABEL": "label wrong", "BAD_BOX": "box wrong"}
 SHOWN, SHOWN_EVENTS = 200, 30
 
 
-def sentence_html(state: State) -> Element | None:
+def sentence_html(state: State, view: LabelView) -> Element:
     """The expression that is looked at, and everything that can be done to it."""
-    view = state.labels
-    if view is None:
-        return None
     chip = h.div(h.span(), up_chip(state), cls="under")
     card = view.sentence
     if card is None:
@@ -137,10 +134,9 @@ def _origin(card: ExpressionCard, field: str) -> str:
     return f"{ORIGINS[origin.source]}{by}"
 
 
-def expressions_html(state: State) -> Element | None:
+def expressions_html(state: State, view: LabelView) -> Element | None:
     """All expressions of the frame, those of the chosen pair first."""
-    view = state.labels
-    if view is None or not view.expressions:
+    if not view.expressions:
         return None
     left_out = sum(bool(c.withdrawn) for c in view.expressions)
     count = f"{len(view.expressions)}" + (f", {left_out} left out" if left_out else "")
@@ -183,11 +179,8 @@ def _row(state: State, view: LabelView, card: ExpressionCard, kind: str, hidden:
     )
 
 
-def history_html(state: State) -> Element | None:
+def history_html(view: LabelView) -> Element:
     """Who changed what of the selected object, the chosen pair and the expression."""
-    view = state.labels
-    if view is None:
-        return None
     if not view.history:
         return panel(heading("History"), h.div("Nobody has changed anything of what is selected.", cls="dim"))
     more = f"newest {SHOWN_EVENTS} of {len(view.history)}" if len(view.history) > SHOWN_EVENTS else ""

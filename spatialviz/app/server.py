@@ -24,7 +24,7 @@ from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.worker_pool import one_thread
 from spatialviz.app.access import Access
 from spatialviz.app.channel import answering, end_all
@@ -88,8 +88,7 @@ def start(
         Where a dataset has no frames, or the address cannot be used.
     """
     for name, source in sources.items():
-        if not source.dataset.frame_ids:
-            raise InputError(f"the dataset {name} has no frames", path=source.dataset.root)
+        require(source.dataset.frame_ids, f"the dataset {name} has no frames", path=source.dataset.root)
     _check_address(host, port)
     return_freed_memory()
     store = FrameStore(sources, answering)
@@ -117,8 +116,7 @@ def start(
 
 def _check_address(host: str, port: int) -> None:
     """viser would try a thousand ports on an address that is not this machine's."""
-    if not 0 <= port <= 65535:
-        raise InputError("there is no such port", got=port, expected="0 to 65535")
+    require(0 <= port <= 65535, "there is no such port", got=port, expected="0 to 65535")
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host or None, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:

@@ -365,7 +365,7 @@ class Session(Context):
             self.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)
-            said = answer_in_words(self.state)
+            said = answer_in_words(self.state, trace)
             self.note(said)
             self.page.call("announce", said)
         if draw:

@@ -21,11 +21,10 @@ from urllib.parse import SplitResult, parse_qs, quote, urlsplit
 
 import viser
 import websockets.asyncio.server as ws
-from websockets.datastructures import Headers
 from websockets.extensions.permessage_deflate import ServerPerMessageDeflateFactory
 from websockets.http11 import Request, Response
 
-from spatialviz.app.access import Access
+from spatialviz.app.access import KINDS, Access, response
 from spatialviz.app.channel import LONGEST_COMMAND, LONGEST_DRAWING
 from spatialviz.app.frames import IMAGES
 
@@ -36,14 +35,6 @@ if TYPE_CHECKING:
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
 """Whose scene a socket of viser's shows, while its connection is handled."""
 ID = re.compile(r"[0-9a-f]{32}")
-KINDS = {".html": "text/html", ".mjs": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml",
-         ".jpg": "image/jpeg", ".png": "image/png"}  # fmt: skip
-SAFE = {
-    "X-Content-Type-Options": "nosniff",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-}
 DEFLATED = {"level": 7, "memLevel": 6}
 LONGEST_OF_SCENE = 64_000
 LONGEST_MESSAGE = LONGEST_DRAWING + LONGEST_COMMAND
@@ -73,7 +64,7 @@ class Nobody:
 
     async def answer(self, connection: Any, request: Request) -> Response | None:
         """Refused."""
-        return _response(http.HTTPStatus.FORBIDDEN, b"nobody is served here\n")
+        return response(http.HTTPStatus.FORBIDDEN, b"nobody is served here\n")
 
     async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
         """Never opened."""
@@ -102,7 +93,7 @@ class Site:
         if request.headers.get("Upgrade", "").lower() == "websocket":
             page_id = self._page_of(parts)
             if not page_id:
-                return _response(http.HTTPStatus.NOT_FOUND, b"no such socket\n")
+                return response(http.HTTPStatus.NOT_FOUND, b"no such socket\n")
             return None if self._pages.opens(page_id, connection, request) else await self._later()
         entered = self._access.entered(request)
         if entered is not None:
@@ -110,8 +101,8 @@ class Site:
         if parts.path.startswith("/app/frame/"):
             picture = await self._pictures.get(parts.path)
             if picture is None:
-                return _response(http.HTTPStatus.NOT_FOUND, b"no such picture\n")
-            return _response(http.HTTPStatus.OK, picture, ".jpg", {"Cache-Control": "private, max-age=600"})
+                return response(http.HTTPStatus.NOT_FOUND, b"no such picture\n")
+            return response(http.HTTPStatus.OK, picture, ".jpg", {"Cache-Control": "private, max-age=600"})
         return self._file(parts.path, parse_qs(parts.query))
 
     def _page_of(self, parts: SplitResult) -> str:
@@ -129,29 +120,29 @@ class Site:
                 await asyncio.sleep(REFUSED_SECONDS)
             finally:
                 self._waiting -= 1
-        return _response(http.HTTPStatus.TOO_MANY_REQUESTS, b"too many sockets, or not the messages of a page\n")
+        return response(http.HTTPStatus.TOO_MANY_REQUESTS, b"too many sockets, or not the messages of a page\n")
 
     def _file(self, path: str, query: dict[str, list[str]]) -> Response:
         if path == "/":
-            return _response(
+            return response(
                 http.HTTPStatus.OK, self._files["index.html"], ".html", {"Content-Security-Policy": PAGE_POLICY}
             )
         folder, _, name = path.rpartition("/")
         if folder == "/app" and name in self._files:
-            return _response(http.HTTPStatus.OK, self._files[name], Path(name).suffix)
+            return response(http.HTTPStatus.OK, self._files[name], Path(name).suffix)
         if folder == "/app/image" and (data := IMAGES.get(name)) is not None:
-            return _response(
+            return response(
                 http.HTTPStatus.OK, data, Path(name).suffix, {"Cache-Control": "private, max-age=86400, immutable"}
             )
         if folder == "/app/file":
             found = self._pages.download(query.get("id", [""])[0], name)
             if found is not None:
                 given = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(found[0])}"}
-                return _response(http.HTTPStatus.OK, found[1], "", given)
+                return response(http.HTTPStatus.OK, found[1], "", given)
         if folder.startswith("/scene/") and not name and ID.fullmatch(folder.removeprefix("/scene/")):
             more = {"Content-Security-Policy": SCENE_POLICY, "Content-Encoding": "gzip"}
-            return _response(http.HTTPStatus.OK, self._scene, ".html", more)
-        return _response(http.HTTPStatus.NOT_FOUND, b"not found\n")
+            return response(http.HTTPStatus.OK, self._scene, ".html", more)
+        return response(http.HTTPStatus.NOT_FOUND, b"not found\n")
 
     async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
         """Serve an open socket: the page's own, or viser's of its scene."""
@@ -185,13 +176,6 @@ class _Told(logging.Handler):
 
 def _scene_of(path: str) -> str:
     return path.removeprefix("/scene/").rstrip("/")
-
-
-def _response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: dict[str, str] | None = None) -> Response:
-    kind = KINDS.get(suffix, "application/octet-stream" if status == http.HTTPStatus.OK else "text/plain")
-    headers = {"Content-Type": f"{kind}; charset=utf-8" if kind.startswith("text") else kind, **SAFE}
-    headers |= {"Cache-Control": "no-cache", "Content-Length": str(len(body)), **(more or {})}
-    return Response(status, status.phrase, Headers(headers), body)
 
 
 @contextmanager

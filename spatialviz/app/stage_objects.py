@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.evidence import Factor
 from pipeline.answering.json_records import link_words, probability
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.ranking import Candidates
@@ -15,7 +16,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
 from spatialviz.app.beside import hollow, second_name
-from spatialviz.app.edit_scene import REGION_COLORS, asked_pair
+from spatialviz.app.edit_scene import REGION_COLORS, AskedPair, asked_pair
 from spatialviz.app.markup import (
     Child,
     Element,
@@ -197,12 +198,12 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
     ]
     if trace.relation and trace.relation not in trace.scores.relations:
         bars.append(_bar(state, trace.relation, pair.p_relation))
-    links = pair.links if len(pair.links) > 1 else ()
+    links, asked = pair.links if len(pair.links) > 1 else (), asked_pair(state)
     return [
         h.h3(f"{state.name_of(a)} → {state.name_of(b)}", h.span(f"by {_scored_by(trace.scores, trace.scorer)}")),
         bars,
         (h.p(f"{link_words(link, state.name_of)}: {probability(link.probability)}") for link in links),
-        _placement(state),
+        None if asked is None else _placement(state, asked),
     ]
 
 
@@ -242,11 +243,8 @@ def level(p: float) -> Element:
     return h.span(h.span(cls="f", css={"width": f"{p:.0%}"}), cls="t")
 
 
-def _placement(state: State) -> list[Child]:
+def _placement(state: State, asked: AskedPair) -> list[Child]:
     """Where the chosen target falls in the relation's region, by the rule, and why."""
-    asked = asked_pair(state)
-    if asked is None:
-        return []
     a, b = (state.shown.names[i] for i in asked.places)
     pressed = str(state.flags.region).lower()
     toggle = button("region", "flag:region", "show it in the scene (Shift+R)", aria_pressed=pressed)
@@ -264,20 +262,18 @@ def _placement(state: State) -> list[Child]:
 
 def attributes_evidence(state: State, trace: Trace) -> list[Child]:
     """What the question says of each object of the chosen pair alone, and how surely it is so."""
-    pair = state.chosen
-    if pair is None or not pair.factors:
-        return [h.p("No pair is chosen.", cls="dim")]
-    rows = []
-    for factor in pair.factors:
-        place = state.shown.place[factor.object]
-        color = palette(state.dark)[state.roles.get(place, "other")]
-        rows.append(
-            h.tr(
-                h.td(h.b(factor.text), h.span(f" {factor.kind}", cls="dim")),
-                h.td(_named(state, place), cls="w"),
-                h.td(level(factor.probability), css={"--c": hex_color(color)}),
-                h.td(f"{factor.probability:.2f}", cls="n" if factor.holds else "n low"),
-            )
-        )
+    factors = () if state.chosen is None else state.chosen.factors
     head = h.tr(h.th("said"), h.th("of"), h.td(), h.th("P", cls="n"))
-    return [h.table(h.thead(head), h.tbody(rows), cls="factors")]
+    rows = (_factor(state, factor, state.shown.place[factor.object]) for factor in factors)
+    table = h.table(h.thead(head), h.tbody(rows), cls="factors")
+    return [table if factors else h.p("No pair is chosen.", cls="dim")]
+
+
+def _factor(state: State, factor: Factor, place: int) -> Element:
+    color = palette(state.dark)[state.roles.get(place, "other")]
+    return h.tr(
+        h.td(h.b(factor.text), h.span(f" {factor.kind}", cls="dim")),
+        h.td(_named(state, place), cls="w"),
+        h.td(level(factor.probability), css={"--c": hex_color(color)}),
+        h.td(f"{factor.probability:.2f}", cls="n" if factor.holds else "n low"),
+    )

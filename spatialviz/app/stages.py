@@ -14,8 +14,7 @@ from pipeline.answering.json_records import probability, why_no_answer
 from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis, threshold
-from pipeline.geometry.palette import VERDICTS as COLORS
-from pipeline.geometry.palette import hex_color, palette
+from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from pipeline.language.lexicon import wording
@@ -334,7 +333,7 @@ def _against(state: State) -> list[Child]:
     rows = []
     for name, share in shares.items():
         above, right = needed.get(name), getattr(d.right, f"p_{name}")
-        css = {"--c": hex_color(COLORS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale / 2:.1%}"}
+        css = {"--c": hex_color(VERDICTS["SRM" if share > 0 else "CORRECT"]), "width": f"{abs(share) / scale / 2:.1%}"}
         wanted = None if above is None else h.div(f"> {threshold(above, right)[0]}", cls="dim", title=hint_of("needed"))
         rows.append(
             h.tr(

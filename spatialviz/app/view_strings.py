@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from spatialviz.app.context import Context, Part, command
 from spatialviz.app.judging import Judge
 from spatialviz.app.markup import Element, h
 from spatialviz.app.place import Place
-from spatialviz.app.state import State
+from spatialviz.app.state import ColorMode, State
 from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
 from spatialviz.report import Subject, failure_page
 
@@ -209,15 +209,16 @@ def with_settings(state: State, view: ViewState) -> State:
     """The state with a view's paint, toggles and place to look from; what is not known is passed over."""
     known = asdict(state.flags)
     flags = {name: value for name, value in view.toggles.items() if name in known and isinstance(value, bool)}
-    changed: dict[str, Any] = {"flags": replace(state.flags, **flags)}
-    if view.colors in ("rgb", "objects", "depth", "evidence"):
-        changed["colors"] = view.colors
-    if view.toggles.get(CAMERA) in ("sensor", "orbit", "top"):
-        changed["camera"] = view.toggles[CAMERA]
     size = view.toggles.get(POINTS)
-    if isinstance(size, float | int) and LEAST_POINT <= size <= LARGEST_POINT:
-        changed["point_size"] = float(size)
-    return replace(state, **changed)
+    if not isinstance(size, float | int) or not LEAST_POINT <= size <= LARGEST_POINT:
+        size = state.point_size
+    return replace(
+        state,
+        flags=replace(state.flags, **flags),
+        colors=next((mode for mode in get_args(ColorMode) if mode == view.colors), state.colors),
+        camera=next((mode for mode in ("sensor", "orbit", "top") if mode == view.toggles.get(CAMERA)), state.camera),
+        point_size=float(size),
+    )
 
 
 def with_objects(state: State, source: Pipeline, view: ViewState) -> State:

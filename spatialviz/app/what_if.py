@@ -201,8 +201,11 @@ class WhatIf(Part):
         self.ctx.page.show("cost", cost_html(state, len(self._undo)) if state.shown.objects else None)
         if not live:
             hidden = selected is not None and f"#{state.shown.objects[selected].id}" in state.edits.hidden
-            self.ctx.page.show("map-legend", map_legend(state, self._map))
-            self.ctx.page.show("edit", edit_html(state, self.ctx.source, candidate or hidden, self._map))
+            legend = None if self._map is None else map_legend(state, self._map)
+            trace, editable = state.trace, candidate or hidden
+            panel = None if trace is None else edit_html(state, trace, self.ctx.source, editable, self._map)
+            self.ctx.page.show("map-legend", legend)
+            self.ctx.page.show("edit", panel)
 
 
 def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str | None, keys: tuple[str, ...]) -> State:

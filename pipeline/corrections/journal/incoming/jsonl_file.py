@@ -180,19 +180,23 @@ def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Cla
     relations = base.setting.relations
     for relation in PAIRWISE:
         if relation in row:
-            _state(where, base, relation_ref(frame, a, b, relation), row[relation], state, claims)
+            _state(where, base, (a, b, relation), row[relation], state, claims)
     if "statuses" in row:
         statuses = _statuses(row["statuses"], relations)
-        for relation in relations:
+        had = any(ref.kind == "relation" and ref.key == f"{a},{b}" for ref in base.statuses)
+        for relation in relations if statuses or had else ():
             claims.say(where, relation_ref(frame, a, b, f"{relation}.status"), statuses.get(relation), state)
 
 
-def _state(where: str, base: EffectiveFrame, ref: FieldRef, value: Any, state: ExportedFrom, claims: Claims) -> None:
+def _state(
+    where: str, base: EffectiveFrame, cell: tuple[int, int, str], value: Any, state: ExportedFrom, claims: Claims
+) -> None:
     """The state of a relation; one that the labels do not hold may be there as it was exported."""
-    if value == base.value(ref) and type(value) in (int, type(None)):
+    # Nearly all of an export's cells are as they were: only one that is not gets a reference.
+    if value == base.pairs.state(*cell) and type(value) in (int, type(None)):
         return
-    require(ref.field in base.setting.relations, f"the labels hold no relation {ref.field!r}")
-    claims.say(where, ref, value, state)
+    require(cell[2] in base.setting.relations, f"the labels hold no relation {cell[2]!r}")
+    claims.say(where, relation_ref(base.frame, *cell), value, state)
 
 
 def _entries(listed: Any) -> list[Any]:
@@ -336,7 +340,7 @@ def _columns(
         check_pair(base, m, n)
     for relation in relations:
         for m, n, value in zip(a, b, image[relation], strict=True):
-            _state(f"{where}, pair {m},{n}", base, relation_ref(frame, m, n, relation), value, state, claims)
+            _state(f"{where}, pair {m},{n}", base, (m, n, relation), value, state, claims)
     if "statuses" in image:
         _pair_statuses(image["statuses"], where, frame, annotations, state, claims)
 
