@@ -25,8 +25,11 @@ Rescore = Callable[[Prediction, np.ndarray, np.ndarray], np.ndarray]
 """(line, ids (P, 2) int64, factors (P, 3) float64) -> scores (P,): the other pipeline's own ranking, asked again. An id
 is -1 for a thing that was not proposed, and for the reference of an expression without one."""
 CONTRADICTED = 0.05
-"""A rule is no rule of the factors where more of the comparable pairs than this contradict it."""
-MOST_SAMPLES = 4000
+"""Samples are not of one rule of the factors where more of the comparable pairs of them than this contradict it."""
+ODD, MOST_ODD = 0.25, 0.2
+"""A sample is odd that contradicts more than this share of those it compares with; so many at most may be odd. And so
+many lines, ODD of all, may contradict themselves."""
+MOST_SAMPLES = 2500
 LEAST_SAMPLES = 30
 _SAME = 1e-9
 
@@ -56,13 +59,27 @@ class Samples:
         return low, high
 
     @cached_property
-    def contradictions(self) -> float:
-        """Share of the comparable pairs of samples whose scores stand the other way round."""
+    def _contradicted(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N,) int64: with how many samples each compares, and with how many its score stands the wrong way round."""
         f, s = self.factors, self.scores
         better = (f[:, None] >= f[None] - _SAME).all(axis=2) & (f[:, None] > f[None] + 1e-6).any(axis=2)
-        comparable = int(better.sum())
-        wrong = int((better & (s[:, None] < s[None] - 1e-9)).sum())
-        return wrong / comparable if comparable else 0.0
+        wrong = better & (s[:, None] < s[None] - 1e-9)
+        return tuple(x.sum(axis=0) + x.sum(axis=1) for x in (better, wrong))  # type: ignore[return-value]
+
+    @property
+    def contradictions(self) -> float:
+        """Share of the comparable pairs of samples whose scores stand the wrong way round."""
+        comparable, wrong = self._contradicted
+        return float(wrong.sum() / max(comparable.sum(), 1))
+
+    @property
+    def odd(self) -> np.ndarray:
+        """(N,) bool: samples that contradict many others."""
+        comparable, wrong = self._contradicted
+        return wrong > ODD * comparable
+
+
+NONE = Samples(np.zeros((0, 3)), np.zeros(0))
 
 
 def factors_of(line: Prediction) -> dict[tuple[int, int], tuple[float, float, float]]:
@@ -118,27 +135,36 @@ class RunRules:
 
     @cached_property
     def separable(self) -> bool:
-        """Whether within lines more or equal in all factors is no less in score."""
-        parts = [(s.contradictions, len(s.scores)) for s in self.by_line.values() if len(s.scores) > 1]
-        return not parts or float(np.average([c for c, _ in parts], weights=[n for _, n in parts])) <= CONTRADICTED
+        """Whether within lines more or equal in all factors is no less in score, up to a line here and there."""
+        several = [s.contradictions > 0 for s in self.by_line.values() if len(s.scores) > 1]
+        return not several or float(np.mean(several)) <= ODD
 
     @cached_property
-    def common(self) -> bool:
-        """Whether the scores of different lines are on one scale."""
-        every = self._spread(MOST_SAMPLES // 4, None)
-        return self.separable and len(every.scores) >= LEAST_SAMPLES and every.contradictions <= CONTRADICTED
+    def _common(self) -> tuple[np.ndarray, Samples]:
+        """Samples of all lines with the number of the line of each, without odd ones; none where scales differ."""
+        nothing = np.zeros(0, np.int64), NONE
+        if not self.by_line or not self.separable:
+            return nothing
+        numbers = np.repeat(np.arange(len(self.by_line)), [len(s.scores) for s in self.by_line.values()])
+        chosen = np.unique(np.linspace(0, len(numbers) - 1, min(MOST_SAMPLES, len(numbers))).astype(int))
+        every = Samples(
+            np.concatenate([s.factors for s in self.by_line.values()])[chosen],
+            np.concatenate([s.scores for s in self.by_line.values()])[chosen],
+        )
+        kept = np.flatnonzero(~every.odd)
+        left = Samples(every.factors[kept], every.scores[kept])
+        few = len(kept) < max(LEAST_SAMPLES, (1 - MOST_ODD) * len(chosen))
+        return nothing if few or left.contradictions > CONTRADICTED else (numbers[chosen][kept], left)
+
+    @cached_property
+    def _numbers(self) -> dict[tuple[str, str], int]:
+        return {key: k for k, key in enumerate(self.by_line)}
 
     def others(self, key: tuple[str, str]) -> Samples:
         """The samples of all lines but one; none where scales differ."""
-        return self._spread(MOST_SAMPLES, key) if self.common else Samples(np.zeros((0, 3)), np.zeros(0))
-
-    def _spread(self, most: int, but: tuple[str, str] | None) -> Samples:
-        parts = [s for key, s in self.by_line.items() if key != but]
-        if not parts:
-            return Samples(np.zeros((0, 3)), np.zeros(0))
-        factors, scores = np.concatenate([s.factors for s in parts]), np.concatenate([s.scores for s in parts])
-        chosen = np.unique(np.linspace(0, len(scores) - 1, min(most, len(scores))).astype(int))
-        return Samples(factors[chosen], scores[chosen])
+        numbers, every = self._common
+        there = numbers != self._numbers.get(key, -1)
+        return Samples(every.factors[there], every.scores[there])
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +239,7 @@ class PairRule:
             )
             low, high = scores, scores.copy()
         else:
-            samples = self.others if regular else self._all
+            samples = self.others if regular else self.samples
             low, high = samples.bounds(factors)
             least, most = self._range
             low, high = np.maximum(low, least), np.minimum(high, most)
@@ -247,13 +273,14 @@ class PairRule:
         return logs @ np.array([c.target_weight, c.reference_weight, c.relation_weight])
 
     @cached_property
-    def _all(self) -> Samples:
+    def samples(self) -> Samples:
+        """Of the line and the rest of the file."""
         parts = (self.own, self.others)
         return Samples(np.concatenate([s.factors for s in parts]), np.concatenate([s.scores for s in parts]))
 
     @cached_property
     def _range(self) -> tuple[float, float]:
-        scores = self._all.scores
+        scores = self.samples.scores
         return (float(scores.min()), float(scores.max())) if len(scores) else (0.0, 0.0)
 
 
@@ -262,6 +289,15 @@ class RuledConfig(RankConfig):
     """Weights that a rule stands in for."""
 
     rule: PairRule | None = field(default=None, compare=False)
+
+    @property
+    def true_scores(self) -> tuple[float, float]:
+        """What is high and low by this file: of what nothing ever had, no score is known."""
+        samples = None if self.rule is None else self.rule.samples
+        if samples is None or not len(samples.scores):
+            return super().true_scores
+        high, low = np.quantile(samples.factors[:, :2], [0.8, 0.05])
+        return float(high), float(low)
 
     def of(self, ids: Sequence[int]) -> RuledConfig:
         """The same for a list of objects with these ids."""
@@ -276,14 +312,14 @@ def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore 
     factors, key = factors_of(line), (line.frame, line.text)
     if header.ranking == "pair_scores":
         given = {(a, -1 if b is None else b): s for a, b, s in line.pairs or ()}
-        own = run.by_line.get(key, Samples(np.zeros((0, 3)), np.zeros(0)))
+        own = run.by_line.get(key, NONE)
         return PairRule(line, given, factors, own, run.others(key), run.separable, rescore=rescore)
     if line.answer is None or line.answer.object is None:
         return None
     answered = line.answer.object, line.answer.reference
     weights = header.weights
     product = RankConfig(weights.target, weights.reference, weights.relation)
-    nothing = Samples(np.zeros((0, 3)), np.zeros(0))
+    nothing = NONE
     rule = PairRule(line, {}, factors, nothing, nothing, True, product)
     scores = dict(zip(factors, rule._product(np.array(list(factors.values())).reshape(-1, 3)).tolist(), strict=True))
     theirs = {pair: s for pair, s in scores.items() if pair[0] == answered[0] and answered[1] in (None, pair[1])}

@@ -18,6 +18,7 @@ from pipeline.answering.evidence import HOLDS, Factor
 
 MIN_RELATION = 1e-6
 MIN_SCORE = 1e-6
+RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
 TIE = 1e-9
 """Scores, and sums of posteriors, that differ by less are a tie."""
 
@@ -39,6 +40,11 @@ class RankConfig:
     def rule(self) -> Any:
         """What scores pairs in place of the product: a `pair_rules.PairRule` of an imported ranking, or None."""
         return None
+
+    @property
+    def true_scores(self) -> tuple[float, float]:
+        """What counts as the confidence of a thing of the asked class, and of any other."""
+        return RIGHT_SCORE, WRONG_SCORE
 
     def of(self, ids: Sequence[int]) -> RankConfig:
         """The same for a list of objects with these identities."""

@@ -37,7 +37,7 @@ from math import prod
 import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.imported_answers import by_rule, decided_given
+from pipeline.diagnosis.imported_answers import by_rule, decided_given, to_blame
 from pipeline.diagnosis.missed import not_proposed
 from pipeline.diagnosis.needed import Needed, needed_changes
 from pipeline.diagnosis.oracles import ATTRIBUTE, CONF, LIFT, RECALL, SRM, CandidateSet, OracleScores, names_of
@@ -164,9 +164,9 @@ def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tup
         return "COMPOUND", "+".join(names_of(smallest)), smallest
     chosen = flips[0]
     if len(flips) > 1:
-        margin = {bit: found.decided_margin(bit) for bit in flips}
+        margin = {bit: found.decided_margin(bit) for bit in to_blame(diagnosis, flips)}
         farthest = max(margin.values())
-        chosen = next(bit for bit in flips if margin[bit] >= farthest - SAME_MARGIN)
+        chosen = next(bit for bit, m in margin.items() if m >= farthest - SAME_MARGIN)
     if chosen == CONF:
         real = not (diagnosis.false_target or diagnosis.false_reference)
         return ("PRM" if real else "OPM-CONF"), None, CONF

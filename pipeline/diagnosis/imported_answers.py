@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -121,8 +122,8 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis:
         return replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=(), right_with=None)
     flips = [bit for bit in _ALONE if wins(found, bit)]
     if flips:
-        margin = {bit: found.decided_margin(bit) for bit in flips}
-        chosen = next(bit for bit in flips if margin[bit] >= max(margin.values()) - 1e-6)
+        margin = {bit: found.decided_margin(bit) for bit in to_blame(diagnosis, flips)}
+        chosen = next(bit for bit, m in margin.items() if m >= max(margin.values()) - 1e-6)
         verdict = _ALONE[chosen]
         if chosen == CONF and not (diagnosis.false_target or diagnosis.false_reference):
             verdict = "PRM"
@@ -134,6 +135,16 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis:
     smallest = min(several, key=lambda s: (s.bit_count(), s))
     names = names_of(smallest)
     return replace(diagnosis, verdict="COMPOUND", detail="+".join(names), repair=names)
+
+
+def to_blame(diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
+    """Of the oracles that alone mend an answer those that may name the module.
+
+    True relations always do what true geometry does. Where a scorer cannot be asked again, true geometry is put in only
+    where a box explains the probability that was given: then it is the box.
+    """
+    again = getattr(diagnosis.evidence.answers.source.scorer, "asked_again", True)
+    return [bit for bit in flips if again or bit != SRM or LIFT not in flips]
 
 
 def wins(found: OracleScores, subset: int, regular: bool = False) -> bool:

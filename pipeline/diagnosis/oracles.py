@@ -51,9 +51,8 @@ ALL_ORACLES = (*ORACLES, "ATTRIBUTE")
 RECALL, LIFT, SRM, CONF, ATTRIBUTE = (1 << k for k in range(5))
 SUBSETS = 16
 STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
-RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
-CHANGED = 0.4
-"""Probabilities of the rule that are so far apart are of other states."""
+CHANGED, EXPLAINED = 0.4, 0.47
+"""Probabilities of the rule that are so far apart are of other states; one that is so near to the rule's is as it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,9 +233,13 @@ def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, re
     lifted = np.where(moved & np.isfinite(lifted), lifted, base)
     stand_in = evidence.stand_in(relation)
     if stand_in is not None:
-        # A scorer that cannot be asked again says the same as before where true geometry is judged as theirs is.
+        # A scorer that cannot be asked again says the same as before, but where the rule judges true geometry otherwise
+        # than theirs, and theirs as they did: then their box is what they went by.
         before, after = stand_in[target.index[:, None], reference.index], stand_in[shaped[0][:, None], shaped[1]]
-        lifted = np.where(np.abs(after - before) < CHANGED, base, lifted)
+        sure = np.where(after > HOLDS, max(STATE_PROBABILITY[1], float(np.nanmax(base, initial=0.0))), after)
+        sure = np.where(after < HOLDS, STATE_PROBABILITY[-1], sure)
+        moved_them = (np.abs(after - before) >= CHANGED) & (np.abs(base - before) < EXPLAINED)
+        lifted = np.where(moved_them & moved, sure, base)
     a, b = (np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference))
     if evidence.labelled:
         known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])

@@ -20,9 +20,7 @@ from pipeline.answering.ranking import Candidates, SolvedReading, solve
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import (
     ALL_ORACLES,
-    RIGHT_SCORE,
     SUBSETS,
-    WRONG_SCORE,
     CandidateSet,
     OracleScores,
     decided,
@@ -127,7 +125,8 @@ class SubstitutedTree:
         """The tree under a subset of the oracles; with `decide` relations and attributes as `decided_margin` says."""
         recall, lift, srm, conf, attribute = (subset >> k & 1 for k in range(len(ALL_ORACLES)))
         every = self._all
-        scores = np.where(every.object >= 0, RIGHT_SCORE, WRONG_SCORE) if conf else every.scores
+        true = self._evidence.answers.source.config.rank.true_scores
+        scores = np.where(every.object >= 0, *true) if conf else every.scores
         candidates = {}
         for name, role in self.roles.items():
             there = self._entries[name][: None if recall else role.found]

@@ -15,10 +15,8 @@ from pipeline.diagnosis.oracles import (
     CONF,
     LIFT,
     RECALL,
-    RIGHT_SCORE,
     SRM,
     SUBSETS,
-    WRONG_SCORE,
     CandidateSet,
     OracleScores,
     relation_of,
@@ -52,8 +50,8 @@ def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
     forbidden[unseen, target.found :] = True
     forbidden[unseen, :, reference.found :] = True
     table = pair_table(
-        _side(target, conf, config.target_weight),
-        (_side(reference, conf, config.reference_weight),),
+        _side(target, conf, config.target_weight, config.true_scores),
+        (_side(reference, conf, config.reference_weight, config.true_scores),),
         p[lift, srm],
         forbidden,
         evidence.mask_sizes,
@@ -69,8 +67,8 @@ def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
     )
 
 
-def _side(role: CandidateSet, conf: np.ndarray, weight: float) -> Side:
-    """A role under every subset; `conf` says which of them give true confidences."""
-    true = np.where(role.object >= 0, RIGHT_SCORE, WRONG_SCORE)
+def _side(role: CandidateSet, conf: np.ndarray, weight: float, scores: tuple[float, float]) -> Side:
+    """A role under every subset; `conf` says which of them give true confidences, `scores` what these are."""
+    true = np.where(role.object >= 0, *scores)
     both = side(role.index, np.stack([role.scores, true]), weight)
     return Side(both.index, both.scores[conf], both.log[conf])
