@@ -45,10 +45,11 @@ class FrameNames:
     def __init__(self, ids: Sequence[str]) -> None:
         self.ids = tuple(ids)
         self._known = frozenset(ids)
-        self._alike: defaultdict[Picture, list[str]] = defaultdict(list)
+        self._alike: defaultdict[Picture | tuple[str, str], list[str]] = defaultdict(list)
         for frame_id in ids:
-            last = frame_id.rpartition("/")[2]
-            self._alike[last].append(frame_id)
+            *scene, last = frame_id.split("/")
+            for key in (last, *((part, last) for part in scene)):
+                self._alike[key].append(frame_id)
             if last.isdecimal():
                 self._alike[int(last)].append(frame_id)
 
@@ -84,5 +85,11 @@ class FrameNames:
         if isinstance(picture, int):
             return self._alike.get(picture, [])
         path = PurePosixPath(picture.replace("\\", "/"))
-        keys: Iterable[Picture] = {*path.parts, path.stem, *([int(path.stem)] if path.stem.isdecimal() else [])}
+        *folders, name = path.parts or ("",)
+        # Frames of one number stand in many scenes: those whose scene is named too go first.
+        scenes = {(folder, last) for folder in folders for last in (path.stem, name)}
+        others = {*path.parts, path.stem, *([int(path.stem)] if path.stem.isdecimal() else [])}
+        return self._all(scenes) or self._all(others)
+
+    def _all(self, keys: Iterable[Picture | tuple[str, str]]) -> list[str]:
         return list(dict.fromkeys(i for key in keys if key in self._alike for i in self._alike[key]))

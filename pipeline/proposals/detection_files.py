@@ -37,7 +37,11 @@ PICTURE_COLUMNS = (
     "frame_index", "frame_idx", "frame_number",
 )  # fmt: skip
 Corners = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-Nothing = Annotated[int | None, BeforeValidator(lambda value: None if value == "" else value)]
+Number = Annotated[
+    int | None, Field(ge=0, lt=2**63), BeforeValidator(lambda value: None if value in ("", -1, "-1") else value)
+]
+"""A number from 0; "" and -1 for none."""
+Name = Annotated[str, Field(min_length=1)]
 Score = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -49,8 +53,8 @@ class SinkRow(BaseModel):
     x_max: FiniteFloat
     y_max: FiniteFloat
     confidence: Score
-    class_id: Nothing = None
-    tracker_id: Nothing = None
+    class_id: Number = None
+    tracker_id: Number = None
     class_name: str | None = None
 
 
@@ -61,7 +65,7 @@ def _supervision(content: Content, key: Path | None) -> Detections:
     column = needed(column, missing, got=columns, expected="such as image_path in custom_data", path=content.path)
     found: Detections = {}
     for k, row in enumerate(content.rows(SinkRow.model_validate, "not a row of supervision's sinks")):
-        where, known = content.where(k), row.class_id is not None and 0 <= row.class_id < len(names)
+        where, known = content.where(k), row.class_id is not None and row.class_id < len(names)
         label = row.class_name or (names[row.class_id] if known and row.class_id is not None else None)
         expected = None if names else "class_name in the detections' data, or a list of names (--model-config, --with)"
         label = needed(label, f"{where}: no name for the class {row.class_id}", expected=expected, path=content.path)
@@ -84,7 +88,7 @@ def _number(picture: Picture) -> Picture:
 class SegmentedThing(BaseModel):
     """An annotation of Grounded-SAM-2; its score is the mask's, a number or, as the scripts write it, a list of one."""
 
-    class_name: str
+    class_name: Name
     bbox: Corners
     segmentation: RunLength | None = None
     score: Annotated[FiniteFloat, BeforeValidator(lambda v: v[0] if isinstance(v, list) and len(v) == 1 else v)]
@@ -102,7 +106,7 @@ class LabelledValue(BaseModel):
     """An entry of Grounded-Segment-Anything's mask.json; the background has neither score nor box."""
 
     value: int
-    label: str
+    label: Name
     logit: Score | None = None
     box: Corners | None = None
 

@@ -60,9 +60,8 @@ def _loaded(home: str) -> Any:
 
 
 def _recorded(request: DetectorRequest) -> Detector:
-    path = needed(
-        request.model, "--detector recorded needs --model", expected="the JSON file or the folder of NPZ files"
-    )
+    expected = "a JSON file, a folder of NPZ files, COCO results, or another published file"
+    path = needed(request.model, "--detector recorded needs --model", expected=expected)
     return RecordedDetector(
         path,
         key=request.config,

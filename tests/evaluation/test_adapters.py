@@ -240,7 +240,7 @@ def test_detections_give_proposals_and_no_answer(tmp_path: Path, world: dict[str
     line = found.lines[IDS[0], "laptop right of the mug"]
     assert line.boxes_3d is not None
     assert line.boxes_3d[1] is not None
-    np.testing.assert_allclose(line.boxes_3d[1].corners, corners((1, 0, 2), (1, 1, 1)))
+    np.testing.assert_allclose(np.array(line.boxes_3d[1].corners), corners((1, 0, 2), (1, 1, 1)))
     assert line.level == found.level == 2
 
 
@@ -259,8 +259,11 @@ def test_a_recording_and_a_folder_of_arrays_are_detections_too(tmp_path: Path, w
     folder = tmp_path / "arrays"
     folder.mkdir()
     np.savez(folder / f"{IDS[0].replace('/', '__')}.npz", **result, mask_scores=np.array([0.9]))
-    (proposal,) = converted(folder, world).lines[IDS[0], MUG].proposals["mug"]  # type: ignore[index]
-    np.testing.assert_array_equal(proposal.mask.decoded(mask.shape, "mask"), mask)
+    proposals = converted(folder, world).lines[IDS[0], MUG].proposals
+    assert proposals is not None
+    code = proposals["mug"][0].mask
+    assert code is not None
+    np.testing.assert_array_equal(code.decoded(mask.shape, "mask"), mask)
 
 
 # Formats.

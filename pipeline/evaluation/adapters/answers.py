@@ -143,7 +143,7 @@ def _said(answer: Any, choices: Any) -> str:
     text = answer if isinstance(answer, str) else json.dumps(answer)
     spoken, _ = spoken_part(text)
     letter = re.fullmatch(r"(?:.*\\boxed\{)?\W*([A-Z])\W*", spoken, re.DOTALL)
-    if letter is None or not choices:
+    if letter is None or not isinstance(choices, dict | list):
         return text
     known = choices if isinstance(choices, dict) else dict(zip("ABCDEFGHIJKLMNOPQRSTUVWXYZ", choices, strict=False))
     return str(known.get(letter[1], text))
