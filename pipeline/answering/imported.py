@@ -35,7 +35,7 @@ from pipeline.proposals.class_names import meant_names
 from pipeline.relations import make_scorer
 from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScorer, RelationScores
-from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.errors import InputError, UnknownClass, as_input_error, require
 
 
 def label_of(predictions: Predictions) -> str:
@@ -90,6 +90,9 @@ class GivenDetector:
         header, lines = self.predictions.header, self.predictions.of_frame(frame.id)
         lines = lines if self.line is None else (self.line,)
         names: tuple[str, ...] = self.vocabulary
+        for label in labels or ():
+            if self.line is not None and label in (self.line.unknown or {}):
+                raise UnknownClass((self.line.unknown or {})[label])
         if labels is not None:
             where = f"the file {self.predictions.path.name}"
             names = tuple(dict.fromkeys(n for label in labels for n in meant_names(label, names, None, where)))
@@ -316,7 +319,7 @@ def needed_names(line: Prediction, names: Collection[str], predictions: Predicti
     """InputError where a line with proposals has none, not even an empty list, for a name that the expression asks."""
     for name in names:
         require(
-            line.proposals is None or match(name, tuple(line.proposals)),
+            line.proposals is None or name in (line.unknown or {}) or match(name, tuple(line.proposals)),
             f"{predictions.where(line, 'proposals')}: nothing for {name!r}, which the expression asks for",
             got=", ".join(line.proposals or ()) or "no names",
             expected="an empty list where nothing was found",

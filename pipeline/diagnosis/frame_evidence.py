@@ -125,16 +125,21 @@ class FrameEvidence:
             self._score(together or [relation])
         return self._probabilities[relation]
 
+    @property
+    def asked_again(self) -> bool:
+        """Whether what gave the relations can be asked again, of other geometry."""
+        return bool(getattr(getattr(self.answers.source, "scorer", None), "asked_again", True))
+
     def stand_in(self, relation: str) -> np.ndarray | None:
         """As `probabilities`, all by what stands in for a scorer that cannot be asked again; None where ours can."""
+        if self.asked_again:
+            return None
         self.probabilities(relation)
         return self._stand_ins.get(relation)
 
     def _score(self, relations: Sequence[str]) -> None:
         source, d = self.answers.source, self.detections
-        stand_in = (
-            None if getattr(source.scorer, "asked_again", True) else replace(source, scorer=source.scorer.stand_in)
-        )
+        stand_in = None if self.asked_again else replace(source, scorer=source.scorer.stand_in)
         points = any(needs_points(source.scorer, relation) for relation in relations)
         indices = self._involved(relations)
         true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}

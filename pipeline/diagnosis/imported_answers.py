@@ -143,7 +143,7 @@ def to_blame(diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
     True relations always do what true geometry does. Where a scorer cannot be asked again, true geometry is put in only
     where a box explains the probability that was given: then it is the box.
     """
-    again = getattr(diagnosis.evidence.answers.source.scorer, "asked_again", True)
+    again = diagnosis.evidence.asked_again
     return [bit for bit in flips if again or bit != SRM or LIFT not in flips]
 
 

@@ -51,7 +51,7 @@ ALL_ORACLES = (*ORACLES, "ATTRIBUTE")
 RECALL, LIFT, SRM, CONF, ATTRIBUTE = (1 << k for k in range(5))
 SUBSETS = 16
 STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
-CHANGED, EXPLAINED = 0.4, 0.47
+CHANGED, EXPLAINED = 0.4, 0.3
 """Probabilities of the rule that are so far apart are of other states; one that is so near to the rule's is as it."""
 
 

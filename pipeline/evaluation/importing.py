@@ -308,6 +308,7 @@ def _lines(truth: FrameCases, answers: FrameAnswers) -> Iterator[Prediction]:
         used = dict.fromkeys([*here, *there])
         yield Prediction(
             frame.id, case.text, answer, proposals=proposals, relations={case.relation: rows},
+            unknown={n: answers.unknown[n] for n in (case.target, case.reference) if n in answers.unknown} or None,
             boxes_3d={ids[k]: _given_box(answers.objects[k].box) for k in used},
         )  # fmt: skip
 

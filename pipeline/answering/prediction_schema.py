@@ -1,0 +1,228 @@
+"""What a file of predictions holds: its header, and a line an expression, as plain values (`docs/predictions.md`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+from pydantic import ConfigDict, Field, FiniteFloat
+
+from pipeline.geometry.masks import RunLength
+
+VERSION = 1
+"""Of the schema; a reader refuses files of a later one."""
+_STRICT = ConfigDict(extra="forbid")
+Id = Annotated[int, Field(ge=0, lt=2**63)]
+Name = Annotated[str, Field(min_length=1)]
+Share = Annotated[FiniteFloat, Field(ge=0, le=1)]
+Three = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Four = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+Row = tuple[Id, Id, Share] | tuple[Id, Id, Id, Share]
+"""Two objects, of "between" three, and a probability."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Exponents of the three factors of a ranking by their product."""
+
+    __pydantic_config__ = _STRICT
+
+    target: FiniteFloat = 1.0
+    reference: FiniteFloat = 1.0
+    relation: FiniteFloat = 1.0
+
+
+@dataclass(frozen=True)
+class Header:
+    """Whose predictions a file holds, and by which conventions; as JSON the file's first line.
+
+    Attributes
+    ----------
+    spatialviz_predictions : int
+        Version of the schema.
+    system : str
+        Name of the pipeline.
+    boxes : str
+        How 2D boxes are written.
+    box_unit : str
+        What they and points are in: pixels, or shares (0..1) or thousandths of the picture's width and height.
+    coordinates : str
+        Frame of 3D boxes: the camera's with y down and z forward, or y up and z backward; or the dataset's world.
+    length : str
+        Unit of 3D boxes.
+    ranking : str
+        How pairs are ranked: by the product of P(target), P(reference) and P(relation) with these weights; by scores
+        of the system's own, given as "pairs"; or "none": not told.
+    weights : Weights
+    same : str
+        Which proposals count as one thing, and so never as a pair: those with one id, or also those that overlap.
+    exact : bool
+        The proposals are the dataset's own annotations.
+    scorer : str or None
+        A relation scorer of ours that made the probabilities ("rule", "trained", an ONNX file), which can be asked
+        again; None for one that cannot.
+    confidence : float or None
+        Score that is given to an object that was not proposed, where the truth is put in place; None for the median of
+        the right proposals.
+    settings : dict or None
+        Of a run of ours that was exported: how it was answered.
+    notes : str
+        For people.
+    """
+
+    __pydantic_config__ = _STRICT
+
+    spatialviz_predictions: int = VERSION
+    system: Name = "predictions"
+    boxes: Literal["xyxy", "xywh", "cxcywh", "yxyx"] = "xyxy"
+    box_unit: Literal["pixels", "shares", "thousandths"] = "pixels"
+    coordinates: Literal["camera_opencv", "camera_opengl", "world"] = "camera_opencv"
+    length: Literal["m", "cm", "mm"] = "m"
+    ranking: Literal["product", "pair_scores", "none"] = "none"
+    weights: Weights = field(default_factory=Weights)
+    same: Literal["ids", "overlap"] = "ids"
+    exact: bool = False
+    scorer: str | None = None
+    confidence: Share | None = None
+    settings: dict[str, Any] | None = None
+    notes: str = ""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One detection for a name.
+
+    Attributes
+    ----------
+    id : int
+        Which object of the frame it is: the same number in two names, or in two lines of a frame, is one object.
+    score : float
+        P(object | name), 0..1.
+    box : tuple of 4 float or None
+        As the header says; may be left out where an earlier line of the frame told it of this id.
+    name : str
+        What the detector calls it; empty for the name that was asked.
+    mask : RunLength or None
+        COCO's run-length code, of the frame's size; without it the box is all that is known.
+    dropped : str or None
+        It did not go on to the ranking: cut off by K, suppressed by a better one, or below the minimum score.
+    """
+
+    __pydantic_config__ = _STRICT
+
+    id: Id
+    score: Share
+    box: Four | None = None
+    name: str = ""
+    mask: RunLength | None = None
+    dropped: Literal["rank", "overlap", "threshold"] | None = None
+
+
+@dataclass(frozen=True)
+class GivenBox:
+    """A 3D box: center, size and rotation, or its eight corners in any order; in the header's frame and unit.
+
+    Attributes
+    ----------
+    center, size : tuple of 3 float or None
+        Full edge lengths along the box's own axes.
+    rotation : tuple of 9 float or None
+        Row by row; its columns are the box's axes. None for a box along the axes of the frame.
+    corners : tuple of 8 tuples or None
+    """
+
+    __pydantic_config__ = _STRICT
+
+    center: Three | None = None
+    size: Three | None = None
+    rotation: Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=9)] | None = None
+    corners: Annotated[tuple[Three, ...], Field(min_length=8, max_length=8)] | None = None
+
+
+@dataclass(frozen=True)
+class GivenAnswer:
+    """What was answered: one of these; with an object also the reference that it was found by.
+
+    Attributes
+    ----------
+    object, reference : int or None
+        Ids of proposals.
+    box : tuple of 4 float or None
+    point : tuple of 2 float or None
+        x, y in the unit of boxes.
+    mask : RunLength or None
+    yes : bool or None
+    """
+
+    __pydantic_config__ = _STRICT
+
+    object: Id | None = None
+    reference: Id | None = None
+    box: Four | None = None
+    point: tuple[FiniteFloat, FiniteFloat] | None = None
+    mask: RunLength | None = None
+    yes: bool | None = None
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One expression on a frame; as JSON a line of the file.
+
+    Attributes
+    ----------
+    frame : str
+        Id of the dataset's frame.
+    text : str
+    answer : GivenAnswer or None
+        None where there is none, or where the ranking that the file gives says it.
+    problem : str or None
+        Why there is none.
+    target, relation, reference : str or None
+        How the system read the words, where it did; else ours reads them.
+    proposals : dict of str to tuple of Proposal or None
+        By the name that was asked; from level 1 on.
+    unknown : dict of str to str or None
+        Names that the detector could not be asked for, and why.
+    boxes_3d : dict of int to GivenBox or None
+        By id, null where an object has none; from level 2 on.
+    relations : dict of str to tuple of (a, b, p), or None
+        P("a RELATION b") by relation; from level 3 on. Of "between" rows of three objects.
+    attributes : dict of str to tuple of (id, p), or None
+        P(attribute | object) by attribute ("red").
+    pairs : tuple of (target, reference, score), or None
+        The system's own scores of pairs, higher is better; the reference is null where none is asked.
+    """
+
+    __pydantic_config__ = _STRICT
+
+    frame: Name
+    text: Name
+    answer: GivenAnswer | None = None
+    problem: str | None = None
+    target: Name | None = None
+    relation: str | None = None
+    reference: Name | None = None
+    proposals: dict[Name, tuple[Proposal, ...]] | None = None
+    unknown: dict[Name, str] | None = None
+    boxes_3d: dict[Id, GivenBox | None] | None = None
+    relations: dict[str, tuple[Row, ...]] | None = None
+    attributes: dict[Name, tuple[tuple[Id, Share], ...]] | None = None
+    pairs: tuple[tuple[Id, Id | None, FiniteFloat], ...] | None = None
+
+    @property
+    def level(self) -> int:
+        """0 the answer, 1 with proposals, 2 with their 3D boxes, 3 with relation probabilities."""
+        given = (self.proposals, self.boxes_3d, self.relations)
+        return next((k for k, part in enumerate(given) if part is None), 3)
+
+    @property
+    def ranked(self) -> bool:
+        """Whether the pairs and their probabilities are told, so that modules can be put in place of each other."""
+        return self.relations is not None and self.problem is None
+
+    @cached_property
+    def objects(self) -> dict[int, Proposal]:
+        """The proposals that went on, by id; of one id under several names the first."""
+        every = [p for found in (self.proposals or {}).values() for p in found if p.dropped is None]
+        return {p.id: p for p in reversed(every)}
