@@ -3,7 +3,8 @@
 Results are as the COCO API writes them (cocodataset.org, "Results Format"; `loadRes` of pycocotools): a list of
 {"image_id", "category_id", "bbox": [x, y, width, height], "score"}, with "segmentation" (a run-length code) in place of
 or beside the box. Which picture and class the numbers mean stands in the annotation file. An object of `images`,
-`categories` and `annotations` with scores holds both.
+`categories` and `annotations` with scores holds both: what FiftyOne exports of detections with a confidence
+(`COCOObject.to_anno_dict` of fiftyone/utils/coco.py), as demo/create_coco_dataset.py of GroundingDINO does.
 """
 
 from __future__ import annotations
@@ -134,7 +135,7 @@ def _corners(row: CocoResult, mask: RunLength | None, where: str, path: Path) ->
 
 
 def _code(content: RunLength | Polygons | None, image: CocoImage | None, where: str, path: Path) -> RunLength | None:
-    if content is None:
+    if not content:  # Files of boxes have an empty list.
         return None
     told = None if image is None or image.height is None or image.width is None else (image.height, image.width)
     size = content.size if isinstance(content, RunLength) else told

@@ -227,7 +227,7 @@ def test_detections_give_proposals_and_no_answer(tmp_path: Path, world: dict[str
     assert (line.level, line.answer, line.problem) == (1, None, "the file holds detections and no answers")
     assert line.proposals is not None
     assert [(p.name, p.box, p.score) for p in line.proposals["mug"]] == [("coffee mug", (1, 2, 30, 40), 0.5)]
-    assert line.proposals["laptop"] == ()
+    assert (tuple(line.proposals), line.unknown) == (("mug",), {"laptop": "the file has no such name"})
     assert found.lines[IDS[1], MUG].problem == f"the recording has no detections for frame {IDS[1]}"
     # Its masks stand where an object is named first; a map's boxes are the world's.
     paths = [f"/data/{frame}.jpg" for frame in IDS[:2]]

@@ -99,6 +99,11 @@ def test_annotations_of_coco_with_scores_name_their_pictures_themselves(tmp_path
     found = played(written(tmp_path / "all.json", whole), frame)
     assert found.masks is not None
     assert found.masks[0].sum() == pytest.approx(40 * 30, rel=0.1)
+    # Without a mask there may be an empty list.
+    whole["annotations"] = [{**row, "score": 0.5, "segmentation": []}]
+    found = played(written(tmp_path / "all.json", whole), frame)
+    assert found.has_mask is not None
+    assert not found.has_mask[0]
     whole["annotations"] = [row]
     refused(written(tmp_path / "truth.json", whole), frame, "not follow the format at the top.*coco")
 

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pipeline.answering.predictions import GivenBox, Header, Prediction, Proposal
 from pipeline.datasets.base import load_picture
 from pipeline.evaluation.adapters.base import Published
-from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import RunLength
+from pipeline.proposals.base import Proposals
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.system.errors import FrameUnusable, UnknownClass
 
@@ -35,24 +35,32 @@ def _lines(published: Published, detector: RecordedDetector) -> Iterator[Predict
         frame = load_picture(published.dataset, frame_id)
         told: set[int] = set()
         for text, names in sentences.items():
+            proposals: dict[str, tuple[Proposal, ...]] = {}
+            unknown: dict[str, str] = {}
             try:
-                proposals = {name: tuple(_proposals(detector, frame, name, told)) for name in names}
+                for name in names:
+                    try:
+                        proposals[name] = tuple(_proposals(detector.detect(frame, [name]), told))
+                    except UnknownClass:
+                        unknown[name] = "the file has no such name"
             except FrameUnusable as error:
                 yield Prediction(frame_id, text, problem=error.what)
                 continue
             ids = dict.fromkeys(p.id for found in proposals.values() for p in found)
-            boxes: dict[int, GivenBox | None] = {
-                i: GivenBox(corners=detector.corners[i]) for i in ids if detector.corners
-            }
-            yield Prediction(frame_id, text, problem=ONLY_DETECTIONS, proposals=proposals, boxes_3d=boxes or None)
+            known = detector.corners
+            boxes: dict[int, GivenBox | None] = {i: GivenBox(corners=known[i]) for i in ids if known}
+            yield Prediction(
+                frame_id,
+                text,
+                problem=ONLY_DETECTIONS,
+                proposals=proposals,
+                unknown=unknown or None,
+                boxes_3d=boxes or None,
+            )
 
 
-def _proposals(detector: RecordedDetector, frame: Frame, name: str, told: set[int]) -> Iterator[Proposal]:
+def _proposals(found: Proposals, told: set[int]) -> Iterator[Proposal]:
     """Best first; an object's mask stands where the frame names it first."""
-    try:
-        found = detector.detect(frame, [name])
-    except UnknownClass:
-        return
     rows = zip(found.ids.tolist(), found.scores.tolist(), found.boxes.tolist(), strict=True)
     for k, (i, score, box) in enumerate(rows):
         masked = found.masks is not None and (found.has_mask is None or found.has_mask[k]) and i not in told
