@@ -149,10 +149,15 @@ class DetectionFormat:
         Whether a file's content is of it.
     read : callable
         Its detections; the second argument is the file that says what its numbers mean, or None.
+    description : str
+    needs : str
+        What that second file is; empty where there is none.
     """
 
     recognises: Callable[[Content], bool]
     read: Callable[[Content, Path | None], Detections]
+    description: str
+    needs: str = ""
 
 
 def _is_sam(content: Content) -> bool:
@@ -161,11 +166,22 @@ def _is_sam(content: Content) -> bool:
 
 
 DETECTION_FORMATS = {
-    "coco": DetectionFormat(is_coco, coco_detections),
-    "supervision": DetectionFormat(lambda c: {"x_min", "y_max", "confidence"} <= c.first.keys(), _supervision),
-    "grounded-sam2": DetectionFormat(lambda c: {"image_path", "annotations"} <= c.first.keys(), _grounded_sam2),
-    "grounded-sam": DetectionFormat(_is_sam, _grounded_sam),
-    "concept-graphs": DetectionFormat(lambda c: isinstance(c.value, SceneMap), map_detections),
+    "coco": DetectionFormat(
+        is_coco, coco_detections, "results of the COCO API", "the annotation file, which names pictures and classes"
+    ),
+    "supervision": DetectionFormat(
+        lambda c: {"x_min", "y_max", "confidence"} <= c.first.keys(),
+        _supervision,
+        "rows of supervision's JSONSink and CSVSink",
+        "a list of class names, where the rows have no class_name",
+    ),
+    "grounded-sam2": DetectionFormat(
+        lambda c: {"image_path", "annotations"} <= c.first.keys(), _grounded_sam2, "results of Grounded-SAM-2's demos"
+    ),
+    "grounded-sam": DetectionFormat(_is_sam, _grounded_sam, "mask.json of Grounded-Segment-Anything"),
+    "concept-graphs": DetectionFormat(
+        lambda c: isinstance(c.value, SceneMap), map_detections, "a map of ConceptGraphs (.pkl.gz)"
+    ),
 }
 
 

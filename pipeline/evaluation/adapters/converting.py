@@ -28,22 +28,13 @@ ENTRY_POINT_GROUP = "spatialviz.predictions"
 """Entry points of this group name a PredictionFormat, and so add a format."""
 OWN = "spatialviz"
 """The format that needs no adapter."""
-_DETECTIONS = {
-    "coco": ("results of the COCO API", 1, "the annotation file, which names pictures and classes"),
-    "supervision": (
-        "rows of supervision's JSONSink and CSVSink",
-        1,
-        "a list of class names, where the rows have no class_name",
-    ),
-    "grounded-sam2": ("results of Grounded-SAM-2's demos, a file or a folder of them", 1, ""),
-    "grounded-sam": ("mask.json of Grounded-Segment-Anything, a file or a folder of them", 1, ""),
-    "concept-graphs": ("a map of ConceptGraphs (.pkl.gz)", 2, ""),
-}
 FORMATS: dict[str, PredictionFormat] = {
     **ANSWER_FORMATS,
     **{
-        name: PredictionFormat(read_recording, DETECTION_FORMATS[name].recognises, *about[:2], needs=about[2])
-        for name, about in _DETECTIONS.items()
+        name: PredictionFormat(
+            read_recording, form.recognises, form.description, 2 if name == "concept-graphs" else 1, form.needs
+        )
+        for name, form in DETECTION_FORMATS.items()
     },
     "recording": PredictionFormat(
         read_recording,
