@@ -71,10 +71,12 @@ class GivenDetector:
         self.told_by_ids = predictions.header.same == "ids"
         self._drops = {"rank", "overlap", "threshold"} if below else {"rank", "overlap"}
 
-    @cached_property
+        lines = predictions.lines.values() if line is None else (line,)
+        self._names = tuple(dict.fromkeys(name for one in lines for name in one.proposals or {}))
+
+    @property
     def vocabulary(self) -> tuple[str, ...]:
-        lines = self.predictions.lines.values() if self.line is None else (self.line,)
-        return tuple(dict.fromkeys(name for line in lines for name in line.proposals or {}))
+        return self._names
 
     def fingerprint(self) -> str:
         return f"imported:{self.predictions.content_hash}"

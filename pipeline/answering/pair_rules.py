@@ -288,7 +288,12 @@ class PairRule:
 class RuledConfig(RankConfig):
     """Weights that a rule stands in for."""
 
-    rule: PairRule | None = field(default=None, compare=False)
+    pairs: PairRule | None = field(default=None, compare=False)
+
+    @property
+    def rule(self) -> PairRule | None:
+        """What scores pairs in place of the product."""
+        return self.pairs
 
     @property
     def true_scores(self) -> tuple[float, float]:
@@ -301,7 +306,7 @@ class RuledConfig(RankConfig):
 
     def of(self, ids: Sequence[int]) -> RuledConfig:
         """The same for a list of objects with these ids."""
-        return self if self.rule is None else replace(self, rule=replace(self.rule, ids=np.array(ids, np.int64)))
+        return self if self.rule is None else replace(self, pairs=replace(self.rule, ids=np.array(ids, np.int64)))
 
 
 def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore | None) -> PairRule | None:

@@ -33,7 +33,9 @@ def answered_box(line: Prediction, predictions: Predictions, frame: Frame, end: 
     if answer is None or end != "object":
         return None
     if answer.mask is not None:
-        mask = answer.mask.decoded(size[::-1], predictions.where(line, "answer.mask"), predictions.path)
+        mask = answer.mask.decoded(
+            (frame.height, frame.width), predictions.where(line, "answer.mask"), predictions.path
+        )
         return np.array(mask_box(mask), np.float64)
     return None if answer.box is None else box_2d(answer.box, predictions.header, *size)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.imported import GivenDetector, ImportedPipeline
-from pipeline.answering.objects import PreparedFrame, SceneObject, prepare_frame
+from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.pair_rules import Rescore
 from pipeline.answering.placing import (
     IN_ORDER,
@@ -135,7 +135,7 @@ def check_places(source: ImportedPipeline, frames: Sequence[str]) -> None:
     flat: dict[str, list[float]] = {order: [] for order in IN_ORDER}
     worst: tuple[str, int] | None = None
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(LOOKED_AT, len(frames))).astype(int))
-    for frame_id in [frames[k] for k in chosen]:
+    for frame_id in (frames[int(k)] for k in chosen):
         frame = source.dataset.load(frame_id)
         context = prepare_frame(source.dataset, frame, source.config.lift)
         camera = context.frame.camera
@@ -149,19 +149,17 @@ def check_places(source: ImportedPipeline, frames: Sequence[str]) -> None:
         proposals = detector.detect(context.frame, None) if detector.vocabulary else None
         for o in context.lift(proposals, plain) if proposals is not None else ():
             given = predictions.box_of(frame_id, o.id)
-            box2 = next(p.box for line in predictions.of_frame(frame_id) for p in line.objects.values() if p.id == o.id)
+            line = next(one for one in predictions.of_frame(frame_id) if o.id in one.objects)
+            box2 = line.objects[o.id].box
             assert box2 is not None
-            line = next(li for li in predictions.of_frame(frame_id) if o.id in li.objects)
             own = None if given is None else _placed(given, source, context, line, o.id)
-            seen = (
-                _mask_box(o)
-                if o.lifted.quality.mask_source != "box"
-                else None
-                if own is None
-                else seen_box(own, camera)
-            )
-            for order in IN_ORDER if seen is not None else ():
-                flat[order].append(box_overlap(box2, replace(header, boxes=order), seen, frame.width, frame.height))
+            seen = None if own is None else seen_box(own, camera)
+            if o.lifted.quality.mask_source != "box":
+                seen = np.array(mask_box(np.ascontiguousarray(o.mask)), np.float64)
+            if seen is not None:
+                for order in IN_ORDER:
+                    read = replace(header, boxes=order)
+                    flat[order].append(box_overlap(box2, read, seen, frame.width, frame.height))
             points = o.lifted.points
             if own is None or given is None or len(points) < 20:
                 continue
@@ -207,10 +205,6 @@ def _placed(given: GivenBox, source: ImportedPipeline, context: PreparedFrame, l
     except InputError as error:
         where = source.predictions.where(line, f"boxes_3d.{i}")
         raise InputError(f"{where}: {error.what}", path=source.predictions.path) from error
-
-
-def _mask_box(o: SceneObject) -> np.ndarray:
-    return np.array(mask_box(np.ascontiguousarray(o.mask)), np.float64)
 
 
 def _judge_flat(flat: dict[str, list[float]], header: Header, predictions: Predictions) -> None:

@@ -125,7 +125,10 @@ def answered(asked: Asked, known: dict[int, Thing], viewer: ViewerAxes, frame: F
         name: tuple(Proposal(i, s, known[i].box) for i, s in scores.items())  # type: ignore[arg-type]
         for name, scores in ((case.target, asked.targets), (case.reference, asked.references))
     }
-    boxes = {i: GivenBox(tuple(there[i].center.tolist()), tuple(there[i].size.tolist())) for i in used}  # type: ignore[arg-type]
+    boxes: dict[int, GivenBox | None] = {
+        i: GivenBox(tuple(there[i].center.tolist()), tuple(there[i].size.tolist()))  # type: ignore[arg-type]
+        for i in used
+    }
     return Prediction(
         frame.id, case.text, None if best is None else GivenAnswer(best[0], best[1]),
         None if best is not None else "no pair", proposals=proposals, boxes_3d=boxes,
