@@ -12,17 +12,14 @@ import os
 import shutil
 import sys
 import textwrap
-import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import Annotated, Any, Union
 
 import tyro
 from tyro.conf import subcommand
 
 from pipeline import __version__
-from pipeline.system.errors import InputError, MissingExtra
 from spatialviz.cli_ask import (
     Ask,
     Context,
@@ -34,6 +31,7 @@ from spatialviz.cli_ask import (
     Glossary,
     ImportRecording,
     ImportRun,
+    Mcp,
     Measure,
     Query,
     Relations,
@@ -75,7 +73,7 @@ from spatialviz.cli_models import (
     Retrain,
     Train,
 )
-from spatialviz.options import BAD, FINE, INTERRUPTED, one_line_warnings, warn
+from spatialviz.options import BAD, FINE, INTERRUPTED, TOLD, error_line, one_line_warnings, warn
 
 GROUPS: dict[str, dict[str, tuple[type, str]]] = {
     "browse, ask": {
@@ -116,6 +114,7 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "save-case": (SaveCase, "run_cases"),
         "replay": (Replay, "run_cases"),
         "report": (Report, "run_cases"),
+        "mcp": (Mcp, "run_mcp"),
     },
     "models": {
         "models": (Models, "run_models"),
@@ -186,9 +185,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = [f"bench-{arguments[1]}", *arguments[2:]]
     try:
         return run(arguments)
-    except (InputError, MissingExtra) as error:
-        warn(f"error: {error}")
-        return BAD
     except KeyboardInterrupt:
         warn("stopped")
         return INTERRUPTED
@@ -196,16 +192,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader went away (for example `| head`); nothing is left to say.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FINE
-    except OSError as error:  # A full disk, a folder that cannot be written.
-        reason = error.strerror or str(error)
-        warn(f"error: {reason}" + (f" [{error.filename}]" if error.filename else ""))
-        return BAD
     except Exception as error:
-        if os.environ.get("SPATIALVIZ_DEBUG"):
+        if os.environ.get("SPATIALVIZ_DEBUG") and not isinstance(error, TOLD):
             raise
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        warn(
-            f"internal error: {type(error).__name__}: {error} at {Path(where.filename).name}:{where.lineno}"
-            " (SPATIALVIZ_DEBUG=1 shows all of it; please report it)"
-        )
+        warn(error_line(error))
         return BAD

@@ -399,3 +399,19 @@ class Report(Output):
     scene: bool = True
     """Show the scene in 3D, about 1.5 MB."""
     overwrite: Overwrite = False
+
+
+@dataclass(frozen=True)
+class Mcp:
+    """Serve agents ask, why, whatif, failures, query and replay over MCP, on standard input and output (extra: mcp)."""
+
+    paths: Positional[tuple[str, ...]]
+    """Datasets, runs, and cases or folders of cases; nothing else is opened. "demo" is the built-in dataset with its
+    run."""
+    labels: Truth = None
+    allow_corrections: Flag = False
+    """Let agents correct --labels too: show, correct, confirm, undo, redo, journal. Without it nothing is written."""
+    author: str | None = None
+    """By whom it is said: the name of their corrections in the journal."""
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()

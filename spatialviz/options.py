@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
 from pipeline.system.detector_setup import DetectorSetup, with_files
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.onnx_session import Provider, ProviderWarning, use_execution
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 FINE, NO, BAD, INTERRUPTED = 0, 1, 2, 130
 """Exit statuses."""
+TOLD = (InputError, MissingExtra, OSError)
+"""Errors that are the user's or the machine's; all others are the program's."""
 
 Flag = FlagCreatePairsOff[bool]
 """Off by default, so that there is nothing for --no-x to say; what is on by default is a plain bool: --x and --no-x."""
@@ -89,6 +92,19 @@ def print_json(record: dict[str, Any]) -> None:
 def warn(text: object) -> None:
     """A line beside the output."""
     print(f"spatialviz: {text}", file=sys.stderr)
+
+
+def error_line(error: Exception) -> str:
+    """The one line that a person or an agent is told of an error."""
+    if isinstance(error, OSError):  # A full disk, a folder that cannot be written.
+        return f"error: {error.strerror or error}" + (f" [{error.filename}]" if error.filename else "")
+    if isinstance(error, TOLD):
+        return f"error: {error}"
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return (
+        f"internal error: {type(error).__name__}: {error} at {Path(where.filename).name}:{where.lineno}"
+        " (SPATIALVIZ_DEBUG=1 shows all of it; please report it)"
+    )
 
 
 def warn_skipped(frame_id: str, reason: str) -> None:

@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipeline.answering.json_records import NO_SUCH_PAIR, holds, probability
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
@@ -19,7 +21,7 @@ from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, lo
 from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
 from pipeline.diagnosis.whatif.placement import place_in_region
 from pipeline.diagnosis.whatif.rerun import foreign_keys
-from pipeline.labels.reading import open_labels
+from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import Profile, letter
@@ -37,22 +39,38 @@ def run_whatif(command: WhatIf) -> int:
     edits = Edits() if command.edits is None else load_edits(command.edits)
     source = command.source.open(command.dataset, command.frame)
     context = _one_context(source, command.frame)
-    baseline = Baseline(source, context, command.expression)
+    labels = None if command.labels is None else open_labels(command.labels)
+    cells = None if command.decision_map is None else command.cells
+    record, after, picture = whatif_answer(source, context, command.expression, edits, labels, command.move, cells)
+    if command.decision_map is not None and picture is not None:
+        write_picture(picture, command.decision_map)
+    command.write(record, print_change)
+    return FINE if holds(after.trace) else NO
+
+
+def whatif_answer(
+    source: Pipeline,
+    context: PreparedFrame,
+    expression: str,
+    edits: Edits,
+    labels: Labels | None,
+    move: str | None = None,
+    cells: int | None = None,
+) -> tuple[dict[str, Any], Outcome, np.ndarray | None]:
+    """All of `whatif --json`, the answer under edits, and the picture of its decision map where `cells` are given."""
+    baseline = Baseline(source, context, expression)
     if unknown := foreign_keys(baseline, edits):
         known = ", ".join(sorted(baseline.all_keys)[:30])
         raise InputError("edits of objects that are not there", got=", ".join(unknown), expected=known)
     after = rerun(baseline, edits)
     weights = replace(source.config.rank, **edits.rank)
-    labels = None if command.labels is None else open_labels(command.labels)
     verdicts = edited_verdicts(source, context, baseline.outcome.trace, after.trace, weights, labels)
     record = whatif_record(baseline, after, edits, verdicts)
-    if command.decision_map is not None:
-        key = command.move or ("" if after.trace.ranking is None else after.keys[after.trace.ranking.pairs[0].target])
-        found = decision_map(baseline, edits, key, command.cells)
-        write_picture(map_picture(found, after), command.decision_map)
-        record["decision_map"] = map_record(found)
-    command.write(record, print_change)
-    return FINE if holds(after.trace) else NO
+    if cells is None:
+        return record, after, None
+    key = move or ("" if after.trace.ranking is None else after.keys[after.trace.ranking.pairs[0].target])
+    found = decision_map(baseline, edits, key, cells)
+    return {**record, "decision_map": map_record(found)}, after, map_picture(found, after)
 
 
 def run_save_case(command: SaveCase) -> None:
@@ -241,6 +259,8 @@ def print_replay(result: Result) -> None:
         say(f"  after  {in_words(replay.after)}")
         for change in replay.changes:
             say(f"         {change}", style="yellow" if result.status == "updated" else "red")
+        if replay.moved is not None:
+            say(f"         the first module that gives something else: {replay.moved}")
     for warning in replay.warnings:
         say(f"         warning: {warning}", style="yellow")
 
@@ -270,6 +290,6 @@ def replay_record(result: Result) -> dict[str, Any]:
         return {"case": str(result.path), "status": result.status, "problem": result.problem}
     return {
         "case": str(result.path), "name": replay.name, "status": result.status, "changes": list(replay.changes),
-        "warnings": list(replay.warnings), "before": replay.before.model_dump(mode="json"),
+        "warnings": list(replay.warnings), "moved": replay.moved, "before": replay.before.model_dump(mode="json"),
         "after": replay.after.model_dump(mode="json"),
     }  # fmt: skip

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from pipeline.corrections.journal.batch import apply_actions, needs_pictures, read_actions
 from pipeline.corrections.journal.connection import back_up, check_journal, examined_record, recover, written_record
@@ -100,8 +101,12 @@ def _as_a_whole(command: ShowJournal) -> int:
 
 
 def run_correct(command: Correct) -> int:
+    return apply_edits(command, read_actions(command.edits))
+
+
+def apply_edits(command: Correct, actions: list[Any]) -> int:
+    """`correct` with edits that were read already."""
     labels = open_labels(command.labels)
-    actions = read_actions(command.edits)
     dataset = command.source.open(labels) if needs_pictures(actions) or grows(labels) else None
     if grows(labels) and dataset is not None:
         labels = with_frames(labels, dataset, dict.fromkeys(a.frame for a in actions))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from itertools import islice
 from pathlib import Path
@@ -167,10 +167,18 @@ def _relations(command: Eval, options: dict[str, Any]) -> RelationSpec:
 
 def run_failures(command: Failures) -> int:
     require(command.limit >= 0, "--limit is a count", got=command.limit, expected="0 or more")
-    dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
-    records = read_records(command.run_folder)
-    need_verdicts(records)
     second = None if command.compare is None else read_records(command.compare)
+    record, show = failures_of(command, read_records(command.run_folder), second)
+    command.write(record, show)
+    return FINE if record["found"] else NO
+
+
+def failures_of(
+    command: Failures, records: pa.Table, second: pa.Table | None
+) -> tuple[dict[str, Any], Callable[[dict[str, Any]], None]]:
+    """All of `failures --json` of a run's records (and those of `--compare`), and what prints it for people."""
+    dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
+    need_verdicts(records)
     rows = RunRows(records, command.run_folder, second)
     found = find_failures(rows.records, command.search)
     manifest = manifest_of(command.run_folder)
@@ -191,8 +199,7 @@ def run_failures(command: Failures) -> int:
         "filters": rows.notes.filters,
         "comparison": None if comparison is None else comparison.record(),
     }
-    command.write(record, print_failures, command, name, shares, summary, cuts, found, comparison)
-    return FINE if found.num_rows else NO
+    return record, lambda _: print_failures(command, name, shares, summary, cuts, found, comparison)
 
 
 def run_query(command: Query) -> int:
@@ -290,10 +297,15 @@ def print_answer(answer: QueryRows) -> int:
 def print_json_rows(answer: QueryRows) -> int:
     """Rows as JSON objects, a line each; how many."""
     count = 0
-    for row in answer.rows:
-        print_json(dict(zip(answer.columns, map(plain, row), strict=True)))
+    for row in row_records(answer):
+        print_json(row)
         count += 1
     return count
+
+
+def row_records(answer: QueryRows) -> Iterator[dict[str, Any]]:
+    """Rows as `query --json` prints them, one by one."""
+    return (dict(zip(answer.columns, map(plain, row), strict=True)) for row in answer.rows)
 
 
 def print_csv(answer: QueryRows) -> int:

@@ -4,6 +4,7 @@
 # In GitHub Actions, with the cases in the repository:
 #   - run: pip install spatialviz
 #   - run: spatialviz replay cases
+# or the action of this repository, which also says which module regressed (docs/agents.md).
 set -euo pipefail
 
 # Kept once, by a person (`Save case` in the page does the same).

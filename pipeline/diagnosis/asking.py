@@ -19,7 +19,7 @@ from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.sentence_truth import closest_pair, sentence_case
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif import Baseline, read_edits, rerun
+from pipeline.diagnosis.whatif import Baseline, Edits, read_edits, rerun
 from pipeline.labels.cases import Case, FrameCases, frame_cases, is_gold, read_cases, read_query
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.plan import LabelConfig
@@ -198,6 +198,12 @@ def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edi
     InputError
         Edits that cannot be read, or ones that name a file.
     """
+    read = pathless_edits(edits)
+    return rerun(Baseline(source, context, text), read).trace, replace(source.config.rank, **read.rank)
+
+
+def pathless_edits(edits: Edited) -> Edits:
+    """Edits of JSON that open no file; raises as `edited_trace`."""
     read = read_edits(dict(edits))
     require(
         read.scorer in (None, "rule", "trained"),
@@ -205,7 +211,7 @@ def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edi
         got=read.scorer,
         expected="--srm FILE",
     )
-    return rerun(Baseline(source, context, text), read).trace, replace(source.config.rank, **read.rank)
+    return read
 
 
 @lru_cache(maxsize=1)

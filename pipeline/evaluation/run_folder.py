@@ -346,6 +346,10 @@ class RunDatabase:
             raise self._refused(error) from error
         return QueryRows(tuple(c[0] for c in found.description or ()), self._rows(found))
 
+    def interrupt(self) -> None:
+        """End the query that runs, from another thread: it raises InputError."""
+        self._connection.interrupt()
+
     def _rows(self, found: duckdb.DuckDBPyConnection) -> Iterator[tuple[Any, ...]]:
         import duckdb
 

@@ -6,6 +6,7 @@ import builtins
 import json
 import os
 import shutil
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from whatif_scenes import RowDataset, ScoringDetector, context_of, row, source
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
+from pipeline.answering.ranking import RankConfig
 from pipeline.datasets import open_dataset
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import answer_record
@@ -24,7 +26,9 @@ from pipeline.diagnosis.cases.replay import find_cases, replay_all, replay_case
 from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.geometry.camera import Camera
+from pipeline.geometry.lifting import LiftConfig
 from pipeline.proposals.score_calibration import FittedFrame, ScoreCalibration
+from pipeline.relations import make_scorer
 from pipeline.system.errors import InputError
 
 TEXT = "mug left of the laptop"
@@ -233,6 +237,31 @@ def test_small_moves_of_probabilities_are_warnings_by_tolerance(tmp_path: Path, 
     assert loose.same
     assert [w.split(":")[0] for w in strict.warnings] == ["probability"]
     assert not loose.warnings
+
+
+@pytest.mark.parametrize(
+    ("module", "change"),
+    [
+        (None, {}),
+        ("OPM", {"k": 1}),
+        ("LIFT", {"lift": LiftConfig(box="pca")}),
+        ("PRM", {"rank": RankConfig(relation_weight=0.0)}),
+    ],
+)
+def test_the_first_module_that_gives_something_else_is_named(
+    module: str | None, change: dict[str, Any], scored: Path
+) -> None:
+    opened = open_case(scored)
+    moved = replace(opened.source, config=replace(opened.source.config, **change))
+    assert replay_case(replace(opened, source=moved)).moved == module
+    scorer = make_scorer("rule")
+    assert replay_case(replace(opened, source=replace(moved, scorer=scorer))).moved == (
+        module if module in ("OPM", "LIFT") else "SRM"
+    )
+    other = deepcopy(opened.manifest.expected)
+    other["expression"]["relation"] = "right"
+    asked_else = replace(opened, source=moved, manifest=opened.manifest.model_copy(update={"expected": other}))
+    assert replay_case(asked_else).moved == "PARSE"
 
 
 def test_a_network_file_is_copied_on_request_and_else_asked_for(tmp_path: Path) -> None:

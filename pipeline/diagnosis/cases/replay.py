@@ -6,8 +6,9 @@ move by more than a tolerance, and another detail of the same verdict, are warni
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +27,9 @@ Status = Literal["same", "changed", "updated", "damaged"]
 
 TOLERANCE = 1e-4
 """By how much a probability may move without a word."""
+RANKED = ("target", "reference", "product")
+SAME_PLACE = 1e-3
+"""By how much the numbers of a 3D box may move: metres, and the entries of a rotation."""
 SAME_BOX_PIXELS = 0.05
 """Of kept detections, those with edges this close are one; their boxes are written with two digits."""
 
@@ -47,6 +51,9 @@ class Replay:
     record : dict
         The whole answer of now.
     answered : Answer
+    moved : str or None
+        The first module whose own output is another now: PARSE, OPM, LIFT, SRM or PRM; None where none is. What follows
+        it gets another input, so that the verdict may blame a later one, or one that is as it was.
     """
 
     path: Path
@@ -57,6 +64,7 @@ class Replay:
     warnings: tuple[str, ...]
     record: dict[str, Any]
     answered: Answer
+    moved: str | None = None
 
     @property
     def same(self) -> bool:
@@ -106,8 +114,37 @@ def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool 
     changes, warnings = _compare(opened.expected, after, tolerance, live)
     return Replay(
         opened.root, opened.manifest.name, opened.expected, after, tuple(changes), (*opened.notes, *warnings), record,
-        now,
+        now, _first_moved(opened.manifest.expected, record, tolerance),
     )  # fmt: skip
+
+
+def _first_moved(before: dict[str, Any], after: dict[str, Any], tolerance: float) -> str | None:
+    """The first module whose output differs between two records of an answer."""
+
+    def of_objects(*keys: str) -> Callable[[dict[str, Any]], Any]:
+        return lambda record: [[one.get(key) for key in keys] for one in record.get("proposals", ())]
+
+    outputs: tuple[tuple[str, Callable[[dict[str, Any]], Any], float], ...] = (
+        ("PARSE", lambda record: [record["expression"].get(k) for k in ("target", "relation", "reference")], 0),
+        ("PARSE", lambda record: record.get("ranking", {}).get("reading"), 0),
+        ("OPM", of_objects("label", "score"), tolerance),
+        ("OPM", of_objects("bbox"), SAME_BOX_PIXELS),
+        ("LIFT", of_objects("center", "size", "R"), SAME_PLACE),
+        ("SRM", lambda record: record.get("relations"), tolerance),
+        ("PRM", lambda record: [[p.get(k) for k in RANKED] for p in record.get("pairs", ())], tolerance),
+    )
+    return next((name for name, of, near in outputs if not _alike(of(before), of(after), near)), None)
+
+
+def _alike(a: Any, b: Any, tolerance: float) -> bool:
+    """Whether two JSON values are the same but for small steps of numbers, and for keys that only one release had."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        return all(_alike(a[key], b[key], tolerance) for key in a.keys() & b.keys())
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(map(_alike, a, b, repeat(tolerance)))
+    if isinstance(a, int | float) and isinstance(b, int | float):
+        return abs(a - b) <= tolerance
+    return a == b
 
 
 def _compare(before: Expected, after: Expected, tolerance: float, live: bool) -> tuple[list[str], list[str]]:
