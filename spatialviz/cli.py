@@ -44,6 +44,7 @@ from spatialviz.cli_ask import (
     WhatIf,
 )
 from spatialviz.cli_labels import (
+    Audit,
     Check,
     Confirm,
     Correct,
@@ -92,6 +93,7 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "label": (Label, "run_labels"),
         "merge": (Merge, "run_labels"),
         "check": (Check, "run_labels"),
+        "audit": (Audit, "run_audit"),
         "show": (Show, "run_corrections"),
         "review": (Review, "run_review"),
         "correct": (Correct, "run_corrections"),

@@ -194,7 +194,8 @@ class Eval(Output):
     sentences: Path | None = None
     """In place of labels: JSON lines {"frame", "sentence"} with what is right, one of "targets" (indices of acceptable
     annotations), "points" ([u, v] pixels inside one) and "boxes" ([x0, y0, x1, y1] pixels), empty where nothing is. The
-    table is cut by "kind"; lines that name another "dataset" are skipped. Goes with --detector and the like, --out,
+    table is cut by "kind"; lines that name another "dataset" are skipped. SUN-Refer (SUNREFER_v2.json, SUNSPOT_3D.pkl)
+    and SUN-Spot (refs(boulder).p) are taken as published, with Acc@IoU. Goes with --detector and the like, --out,
     --overwrite and --json."""
     out: Path | None = None
     """Run folder to write; with --sentences, where it is given, one with a line for each in sentences.jsonl."""

@@ -112,6 +112,32 @@ class Check(OnLabels):
     """Findings shown of each rule."""
 
 
+OF_AUDIT = (
+    "Labels folder; sentences as `eval --sentences` takes them (SUN-Refer, SUN-Spot too); or the folder of "
+    "RoboSpatial-Home."
+)
+
+
+@dataclass(frozen=True)
+class Audit(Output):
+    """Rank the items of a benchmark, or the expressions of labels, by how probably their truth is wrong, with the
+    evidence: geometry against it, several right answers, another frame of reference, systems that agree against it."""
+
+    target: Annotated[Positional[Path], arg(help=OF_AUDIT)]
+    dataset: str | None = None
+    """Dataset folder that sentences are about, or "demo"."""
+    runs: tuple[Path, ...] = ()
+    """Runs of systems on the same items, of RoboSpatial-Home files of answers in its form: where they agree with each
+    other against the truth counts."""
+    out: Path | None = None
+    """Write every item with its evidence: CSV where the name ends so, else JSON lines."""
+    limit: int = 20
+    """Items shown; --out holds all."""
+    networks: Flag = False
+    """Of labels, also ask networks that have not learnt from them, as `review` does."""
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+
+
 @dataclass(frozen=True)
 class Export:
     """Write labels in another format, with where each value comes from."""

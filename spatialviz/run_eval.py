@@ -122,7 +122,8 @@ def print_sentences(report: SentenceReport, out: Path | None) -> None:
             print_table(table)
             say()
     for other, count in report.asked.skipped.items():
-        say(f"{counted(count, 'sentence')} of dataset {other!r} skipped", style="dim")
+        why = other if report.asked.published else f"of dataset {other!r}"
+        say(f"{counted(count, 'sentence')} skipped: {why}", style="dim")
     if out is not None:
         say(f"-> {out}", style="dim")
 

@@ -38,8 +38,8 @@ class Dataset(Protocol):
     format : str
         Name of the on-disk format: "bop", "7-scenes", "scannet", "tum", "sunrgbd",
         "sunrgbd-votenet", "redwood", "avd", "semantic-abstraction", "case" (a saved one),
-        "ycb-video", "apc", "arkitscenes", "nerfstudio", "colmap", "record3d", "parquet", "ros", "folder",
-        or a plugin's.
+        "ycb-video", "apc", "arkitscenes", "nerfstudio", "colmap", "record3d", "parquet", "robospatial", "ros",
+        "folder", or a plugin's.
     frame_ids : tuple of str
         Every frame the dataset lists, broken ones too, in order.
     class_names : tuple of str

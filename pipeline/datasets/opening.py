@@ -14,6 +14,7 @@ from pipeline.datasets import (
     phones,
     reconstructions,
     redwood,
+    robospatial,
     saved_case,
     scannet,
     semantic_abstraction,
@@ -33,6 +34,7 @@ from pipeline.system.plugins import load_plugins
 
 FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,
+    robospatial.FORMAT,
     bop.FORMAT,
     apc.FORMAT,
     seven_scenes.FORMAT,

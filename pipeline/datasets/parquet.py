@@ -100,7 +100,7 @@ class ParquetDataset(Recording):
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        tables = _tables(root)
+        tables = tables_in(root)
         columns = _file(tables[0]).schema_arrow
         roles = {field.name: role_of(field.name)[0] for field in columns if _is_picture(field)}
         self._columns = {role: next((c for c, r in roles.items() if r == role), None) for role in ("color", "depth")}
@@ -160,7 +160,8 @@ def _ids(table: Path, columns: list[str]) -> list[str]:
     return [str(row) for row in range(_file(table).metadata.num_rows)]
 
 
-def _tables(root: Path) -> list[Path]:
+def tables_in(root: Path) -> list[Path]:
+    """The tables of a folder, or of its `data/`; a table alone where it is one."""
     if root.suffix.lower() == SUFFIX:
         return [root]
     folder = root / "data" if (root / "data").is_dir() and not any(_named(root)) else root
@@ -172,7 +173,7 @@ def _named(folder: Path) -> list[str]:
 
 
 def _recognises(root: Path) -> bool:
-    tables = _tables(root)
+    tables = tables_in(root)
     if not tables:
         return False
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.published import ACC_AT
 from pipeline.evaluation.sentences import Judged, Outcome, SentenceFile, judge_sentences, read_sentence_file
 from pipeline.evaluation.summary import Deltas, oracle_deltas
 from pipeline.metrics.intervals import Estimate, share_estimate
@@ -21,6 +22,10 @@ from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.whole_files import check_target, staged_folder, text_file
 
 FILE = "sentences.jsonl"
+ACC_NOTE = (
+    "The share of answers whose 3D box overlaps the right one's by more than that, both upright along the viewer's "
+    "axes; refusals count as wrong. Sentences whose right object has no 3D box are left out."
+)
 
 
 @dataclass(frozen=True)
@@ -98,8 +103,9 @@ class SentenceReport:
         return oracle_deltas(np.array(right, np.int64), np.array([frame for _, frame in found]), oracles=oracles)
 
     @property
-    def tables(self) -> tuple[Table, Table, Table, Table]:
-        """Shares by kind and over all, what failed, verdicts, and what each module costs; the last may be empty."""
+    def tables(self) -> tuple[Table, ...]:
+        """Shares by kind and over all, what failed, verdicts, what each module costs (which may be empty); of a
+        published benchmark also its own metric."""
         note = (
             "In percent, with Wilson's 95 % intervals, each sentence for itself. Read: also what was refused rightly. "
         )
@@ -120,7 +126,24 @@ class SentenceReport:
             Table("failures", "Failures", ("sentences", "share"), tuple(failed)),
             Table("verdicts", "Verdicts", ("sentences", "share"), tuple(verdicts), unjudged),
             Table("oracles", "What each module costs", ("alone", "Shapley"), modules, shapley),
+            *self._published_table(),
         )
+
+    def _published_table(self) -> Iterator[Table]:
+        if self.published:
+            rows = tuple(Row(name, cells) for name, cells in self.published.items())
+            columns = ("sentences", *(f"Acc@{at:g}" for at in ACC_AT))
+            yield Table("published", "As the benchmark publishes it", columns, rows, ACC_NOTE)
+
+    @cached_property
+    def published(self) -> dict[str, tuple[Any, ...]]:
+        """Of a published benchmark, by kind and "all": how many have a right 3D box, and Acc@IoU at each of ACC_AT."""
+        rows = [(j.sentence.kind, j.iou_3d) for j in self.judged if j.iou_3d is not None]
+        found = {}
+        for kind in dict.fromkeys([k for k, _ in rows] + ["all"] * bool(rows)):
+            iou = np.array([v for k, v in rows if kind in (k, "all")])
+            found[kind] = len(iou), *(share_estimate(iou > at, np.arange(len(iou))) for at in ACC_AT)
+        return found
 
     def record(self) -> dict[str, Any]:
         """`eval --sentences --json`: all that the tables show."""
@@ -131,6 +154,10 @@ class SentenceReport:
             "kinds": {kind: shares.record() for kind, shares in self.kinds.items()},
             "verdicts": self.verdicts,
             "oracles": None if self.deltas is None else self.deltas.record(),
+            "published": {
+                kind: {"sentences": n, **{f"acc@{at:g}": c.record() for at, c in zip(ACC_AT, cells, strict=True)}}
+                for kind, (n, *cells) in self.published.items()
+            },
             "failures": [
                 {"outcome": outcome, "detail": detail, "count": n, "share": n / len(self.judged)}
                 for (outcome, detail), n in self.failures.items()

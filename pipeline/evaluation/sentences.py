@@ -27,6 +27,7 @@ from pipeline.datasets.base import resolve_frame
 from pipeline.diagnosis.answer import diagnosis_record
 from pipeline.diagnosis.asking import judge_sentence, truth_or_reason
 from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.evaluation.published import SUFFIXES, acc_iou, published_sentences
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, FrameCases
 from pipeline.language.unreadable import why_unread, why_unused
@@ -82,6 +83,8 @@ class Sentence:
         Pixels; a box that holds one is right.
     boxes : tuple of (x0, y0, x1, y1) or None
         Pixels; a box that overlaps one by half is right.
+    id : str
+        Its own in a published benchmark; else empty.
     """
 
     line: int
@@ -91,6 +94,7 @@ class Sentence:
     targets: tuple[int, ...] | None = None
     points: tuple[Point, ...] | None = None
     boxes: tuple[Corners, ...] | None = None
+    id: str = ""
 
     @property
     def nothing(self) -> bool:
@@ -131,15 +135,20 @@ class Sentence:
 
 @dataclass(frozen=True)
 class SentenceFile:
-    """The sentences of a file on one dataset, in their order; `skipped` counts those on each other dataset."""
+    """The sentences of a file on one dataset, in their order; `skipped` counts those on each other dataset.
+
+    `published` says that it is a benchmark in its own form, which has its own metric.
+    """
 
     path: Path
     sentences: tuple[Sentence, ...]
     skipped: dict[str, int]
+    published: bool = False
 
 
 def read_sentence_file(path: Path, source: Pipeline, name: str | None = None) -> SentenceFile:
-    """The sentences of a file of JSON lines that are about a dataset: those that name it, and those that name none.
+    """The sentences of a file of JSON lines that are about a dataset: those that name it, and those that name none; or
+    of a benchmark as it is published (`pipeline.evaluation.published`), told by its ending.
 
     Parameters
     ----------
@@ -153,6 +162,13 @@ def read_sentence_file(path: Path, source: Pipeline, name: str | None = None) ->
     InputError
         The file or a line of it cannot be read, a frame is not there, or no sentence is about this dataset.
     """
+    if path.suffix in SUFFIXES:
+        rows, left_out = published_sentences(path, source.dataset)
+        sentences = tuple(
+            Sentence(r.line, r.frame, r.text, r.kind, None if r.target is None else (r.target,), None,
+                     None if r.box is None else (r.box,), r.id) for r in rows
+        )  # fmt: skip
+        return SentenceFile(path, sentences, left_out, published=True)
     name = name or source.dataset.root.resolve().name
     try:
         lines = path.read_bytes().removeprefix(b"\xef\xbb\xbf").split(b"\n")
@@ -210,6 +226,8 @@ class Judged:
         Which module failed, by the frame's annotations and what is right; None where that cannot be told.
     unjudged : str or None
         Why it cannot.
+    iou_3d : float or None
+        Of a published benchmark: of the answer's 3D box with that of the annotation that is right, by `acc_iou`.
     """
 
     sentence: Sentence
@@ -222,6 +240,7 @@ class Judged:
     trace: Trace | None = None
     diagnosis: Diagnosis | None = None
     unjudged: str | None = None
+    iou_3d: float | None = None
 
     @property
     def verdict(self) -> str | None:
@@ -254,7 +273,7 @@ class Judged:
             "detail": self.detail, "reason": self.reason, "answer": answer,
             "expression": None if self.trace is None else expression_record(self.trace.query),
             "verdict": None if self.diagnosis is None else diagnosis_record(self.diagnosis),
-            **present(verdict_reason=self.unjudged),
+            **present(verdict_reason=self.unjudged, id=s.id or None, iou_3d=self.iou_3d),
         }  # fmt: skip
 
 
@@ -283,6 +302,8 @@ def judge_sentences(
             one = _judged(source, context, sentence, asked.path)
             if n == 0:
                 truth = truth_or_reason(source, context, None)
+            if asked.published:
+                one = replace(one, iou_3d=_published_iou(one, context))
             found.append(_diagnosed(one, source, context, truth))
             if progress is not None:
                 progress(len(found), len(asked.sentences))
@@ -314,6 +335,12 @@ def _judged(source: Pipeline, context: PreparedFrame, sentence: Sentence, path: 
     correct = sentence.accepts(entry, right, trace.exact)
     detail = None if correct else "NOTHING" if sentence.nothing else "OBJECT"
     return Judged(sentence, "CORRECT" if correct else "WRONG", detail, True, None, text, entry, trace)
+
+
+def _published_iou(one: Judged, context: PreparedFrame) -> float | None:
+    """None where what is right has no 3D box."""
+    right = [a.box for a in context.frame.annotations if a.index in (one.sentence.targets or ()) and a.box is not None]
+    return acc_iou(None if one.entry is None else one.entry.box, right, context.viewer) if right else None
 
 
 def _diagnosed(one: Judged, source: Pipeline, context: PreparedFrame, truth: FrameCases | str | None) -> Judged:

@@ -1,0 +1,7 @@
+"""Auditing benchmarks and labels: which items' truth is probably wrong, with the evidence in words and figures.
+
+`suspicion` holds an item, its evidence and how pieces of evidence are joined to one probability; `systems` says where
+runs agree with each other against the truth; `geometry` and `sentences` compare what a sentence says with the annotated
+frame; `labels` joins the review queue; `questions` audits RoboSpatial-Home; `report` ranks and writes all of it; `job`
+does it for whatever it is given.
+"""

@@ -1,0 +1,104 @@
+"""Auditing the expressions of labels: what the review queue holds against what they rest on, own sides, and systems."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from pipeline.corrections.audit.geometry import by_own_sides, fit_of_triple, geometry_evidence, has_front
+from pipeline.corrections.audit.sentences import object_names
+from pipeline.corrections.audit.suspicion import AuditItem, Evidence
+from pipeline.corrections.audit.systems import SystemAnswers, system_evidence
+from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.labels.cases import Case, FrameCases, read_cases
+from pipeline.labels.reading import Labels
+from pipeline.language.relation_names import HORIZONTAL
+from pipeline.system.arrow import pa
+
+OF_OBJECTS = 0.5
+"""What is held against an object's mask or box counts by so much against a sentence about it."""
+UNREAD, UNREAD_WEIGHT = "expression/unreadable", 0.1
+"""That the grammar does not read a sentence says little of its truth."""
+Reasons = dict[tuple[str, ...], tuple[float, str]]
+"""The score and the strongest reason of what the queue doubts, by frame and what names it there."""
+
+
+def audit_labels(
+    labels: Labels,
+    systems: Sequence[SystemAnswers] = (),
+    config: QueueConfig | None = None,
+    queue: pa.Table | None = None,
+) -> Iterator[AuditItem]:
+    """Every expression of labels with the evidence against its truth, in the order of frames.
+
+    Parameters
+    ----------
+    labels : Labels
+    systems : sequence of SystemAnswers
+        Of runs on these labels.
+    config : QueueConfig, optional
+        Of the review queue that is joined. Default: what the linter finds and small margins, without networks.
+
+    Raises
+    ------
+    InputError
+        The labels are damaged.
+    """
+    doubts = _doubts(review_queue(labels, config or QueueConfig(doubts=None)))
+    for truth in read_cases(labels, 0, np.iinfo(np.int32).max):
+        own, names = by_own_sides(truth), object_names(truth)
+        for case in truth.cases:
+            yield _audited(case, truth, own, names, doubts, systems)
+
+
+def _doubts(queue: pa.Table) -> Reasons:
+    found: Reasons = {}
+    for row in queue.to_pylist():
+        if not row["reasons"]:
+            continue
+        frame, kind = row["frame"], row["kind"]
+        key = {
+            "relation": (frame, "relation", str(row["a"]), str(row["b"]), row["relation"]),
+            "object": (frame, "object", str(row["a"])),
+            "expression": (frame, "expression", row["expression"]),
+        }[kind]
+        reason = row["reasons"][0]
+        weight = UNREAD_WEIGHT if reason.startswith(UNREAD) else row["score"] * (OF_OBJECTS if kind == "object" else 1)
+        found[key] = weight, reason
+    return found
+
+
+def _audited(
+    case: Case,
+    truth: FrameCases,
+    own: dict[str, FrameCases],
+    names: list[str],
+    doubts: Reasons,
+    systems: Sequence[SystemAnswers],
+) -> AuditItem:
+    a, b = (str(truth.numbers[k]) for k in (case.target_object, case.reference_object))
+    rests_on = (
+        ("relation", a, b, case.relation), ("object", a), ("object", b), ("expression", case.id),
+    )  # fmt: skip
+    evidence = [Evidence("review", *doubts[(truth.frame, *key)]) for key in rests_on if (truth.frame, *key) in doubts]
+    if case.relation in HORIZONTAL and has_front(case.reference) and len(case.strict):
+        evidence += _frame_of_reference(case, truth, own, names)
+    seems = None
+    if systems:
+        told = system_evidence(
+            systems, (truth.frame, case.id), truth.boxes[case.acceptable], list(zip(names, truth.boxes, strict=True))
+        )
+        if told is not None:
+            evidence.append(told[0])
+            seems = told[1]
+    said = ", ".join(names[k] for k in case.acceptable)
+    return AuditItem(case.id, truth.frame, case.text, said, seems, tuple(evidence))
+
+
+def _frame_of_reference(case: Case, truth: FrameCases, own: dict[str, FrameCases], names: list[str]) -> list[Evidence]:
+    ends = truth.alike[case.target_object], truth.alike[case.reference_object]
+    fits = {way: fit_of_triple(one, ends[0], case.relation, ends[1]) for way, one in own.items()}
+    fit = fit_of_triple(truth, ends[0], case.relation, ends[1])
+    words = case.target, case.relation, case.reference
+    return [e for e in geometry_evidence(fit, case.strict, fits, False, words, names) if e.kind == "frame"]

@@ -1,0 +1,125 @@
+"""An item of a benchmark whose truth may be wrong, the evidence, and how pieces of evidence make one probability.
+
+Each piece of evidence has a weight: the probability that the truth is wrong where nothing else is known. Weights are
+joined as likelihood ratios against PRIOR, as if they were independent:
+
+    logit(score) = logit(PRIOR) + sum over pieces of (logit(weight) - logit(PRIOR))
+
+One piece alone gives its weight; what speaks for the truth has a weight below PRIOR. Of one kind only the strongest
+piece that speaks against the truth counts, for two findings about one pair are not two witnesses. (How well this ranks
+planted errors is measured in `tests/benchmarks/audited.py`.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Kind = Literal["geometry", "several", "frame", "class", "systems", "review", "region", "contradiction"]
+KINDS: dict[Kind, str] = {
+    "geometry": "the relation's rule says otherwise",
+    "several": "several things are right, and the sentence says “the”",
+    "frame": "right by the object's own left, right, front and back, and not by the viewer's",
+    "class": "what is right has another name than the sentence asks for",
+    "systems": "systems agree with each other against it",
+    "review": "the labels themselves are in doubt (`spatialviz review`)",
+    "region": "the points of the answer do not lie in its mask",
+    "contradiction": "another item of the same picture says the opposite",
+}
+"""What each kind of evidence says, in words."""
+PRIOR = 0.05
+"""The share of wrong items where nothing is known: published audits of benchmarks find 3 to 30 %."""
+LEAST, MOST = 0.005, 0.98
+SHARE_RIGHT, SHARE_CHANCE = 0.6, 0.2
+"""A system gives the right answer of an item so often, and any one other answer so often."""
+CORRELATED = 0.6
+"""Systems err alike: the evidence of each counts by this exponent."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One piece: its kind, its weight, what it says in words, and the figures that it rests on."""
+
+    kind: Kind
+    weight: float
+    text: str
+    figures: tuple[tuple[str, float], ...] = ()
+
+    def record(self) -> dict[str, Any]:
+        figures = {name: round(value, 4) for name, value in self.figures}
+        return {"kind": self.kind, "weight": round(self.weight, 4), "text": self.text, **figures}
+
+
+@dataclass(frozen=True)
+class AuditItem:
+    """An item with what is known against its truth.
+
+    Attributes
+    ----------
+    id : str
+        Its own in the benchmark or labels; of a file of lines the line's number.
+    frame, text : str
+    truth : str
+        What it says is right, in words.
+    seems : str or None
+        What seems right; None where nothing in particular does.
+    evidence : tuple of Evidence
+        For and against it.
+    unjudged : str or None
+        Why geometry says nothing of it.
+    """
+
+    id: str
+    frame: str
+    text: str
+    truth: str
+    seems: str | None = None
+    evidence: tuple[Evidence, ...] = ()
+    unjudged: str | None = None
+
+    @property
+    def score(self) -> float:
+        return wrong_probability(self.evidence)
+
+    @property
+    def reasons(self) -> tuple[Evidence, ...]:
+        """What speaks against the truth, the strongest first."""
+        return tuple(sorted((e for e in self.evidence if e.weight > PRIOR), key=lambda e: -e.weight))
+
+    def record(self, look: str = "") -> dict[str, Any]:
+        return {
+            "score": round(self.score, 4), "id": self.id, "frame": self.frame, "text": self.text, "truth": self.truth,
+            "seems": self.seems, "evidence": [e.record() for e in self.reasons], "unjudged": self.unjudged,
+            "look": look,
+        }  # fmt: skip
+
+
+def wrong_probability(evidence: Iterable[Evidence]) -> float:
+    """The probability that an item's truth is wrong, by all its evidence; PRIOR without any."""
+    told: dict[str, float] = {}
+    total = 0.0
+    for piece in evidence:
+        odds = logit(piece.weight) - logit(PRIOR)
+        if odds > 0:
+            told[piece.kind] = max(odds, told.get(piece.kind, 0.0))
+        else:
+            total += odds
+    return 1 / (1 + math.exp(-(logit(PRIOR) + total + sum(told.values()))))
+
+
+def logit(p: float) -> float:
+    """Log odds of a weight, which is kept between LEAST and MOST."""
+    p = min(max(p, LEAST), MOST)
+    return math.log(p / (1 - p))
+
+
+def agreement_weight(against: int, agreeing: int) -> float:
+    """The weight of systems' answers: `against` give one and the same other answer, `agreeing` that of the truth.
+
+    A system that gives the truth's answer speaks for it as one that gives that other answer speaks against it, by the
+    ratio of SHARE_RIGHT to SHARE_CHANCE.
+    """
+    odds = CORRELATED * (against - agreeing) * math.log(SHARE_RIGHT / SHARE_CHANCE)
+    return 1 / (1 + math.exp(-(logit(PRIOR) + odds)))

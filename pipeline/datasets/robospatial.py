@@ -1,0 +1,79 @@
+"""RoboSpatial-Home as its download script writes it: `annotations.json` beside `images/`, a picture with depth an item.
+
+https://github.com/chanhee-luke/RoboSpatial-Eval (download_benchmark.py). Neither the camera nor the depth's unit is in
+the files: they are asked for. The tables of https://huggingface.co/datasets/chanhee-luke/RoboSpatial-Home, as they are
+published, are opened as `parquet`.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.recording import Listed, Recording
+from pipeline.datasets.settings import Settings
+from pipeline.system.errors import as_input_error, first_line, needed, require
+
+FILE = "annotations.json"
+KEYS = ("category", "question", "answer", "img")
+_HEAD = 4096
+
+
+class RoboSpatialDataset(Recording):
+    """A frame for each item with depth, of id its picture's name without `img_`: "context_0"."""
+
+    format = "robospatial"
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        super().__init__(root, settings)
+        entries = robospatial_entries(root / FILE)
+        self._files = {item_name(e["img"]): (e["img"], e["depth_image"]) for e in entries if e.get("depth_image")}
+        self.frame_ids = tuple(self._files)
+        require(self.frame_ids, "no item has a depth image", path=root / FILE)
+        seen = f"{len(self._files)} items with depth"
+        self._ask_for(seen, settings.intrinsics is None, settings.depth_scale is None)
+
+    def _listed(self, frame_id: str, notes: list[str]) -> Listed:
+        color, depth = self._found(self._files, frame_id)
+        return Listed(self.root / color, self.root / depth)
+
+
+def item_name(picture: str) -> str:
+    """ "context_0" of "images/img_context_0.png"."""
+    return PurePosixPath(picture.replace("\\", "/")).stem.removeprefix("img_")
+
+
+def robospatial_entries(path: Path) -> list[dict[str, Any]]:
+    """The items of `annotations.json`, or of a file of answers in its form.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or an item lacks its category, question, answer or picture.
+    """
+    with as_input_error("the items cannot be read", OSError, ValueError, got=first_line, path=path):
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    require(isinstance(entries, list) and entries, "no list of items", got=type(entries).__name__, path=path)
+    for number, entry in enumerate(entries):
+        lacks = next((k for k in KEYS if not isinstance(entry, dict) or not isinstance(entry.get(k), str)), None)
+        require(lacks is None, f"item {number} lacks its {lacks}", expected=", ".join(KEYS), path=path)
+        for name in ("img", "depth_image", "mask"):
+            told = PurePosixPath(str(entry.get(name) or ""))
+            # A list of items from elsewhere must not read other files.
+            needed(None if told.is_absolute() or ".." in told.parts else told, f"item {number}: no path in the folder",
+                   got=str(told), path=path)  # fmt: skip
+    return entries
+
+
+def _recognises(root: Path) -> bool:
+    try:
+        with (root / FILE).open(encoding="utf-8") as file:
+            head = file.read(_HEAD)
+    except (OSError, ValueError):
+        return False
+    return all(f'"{key}"' in head for key in KEYS)
+
+
+FORMAT = DatasetFormat("robospatial", f"robospatial: {FILE} and images/", _recognises, RoboSpatialDataset)

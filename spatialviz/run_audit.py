@@ -1,0 +1,50 @@
+"""The audit of a benchmark or of labels, and what a person reads of it."""
+
+from __future__ import annotations
+
+from itertools import chain, islice
+
+from pipeline.corrections.audit.job import audit
+from pipeline.corrections.audit.report import AuditReport
+from pipeline.corrections.review.queue import QueueConfig
+from pipeline.language.counted import counted
+from pipeline.system.errors import require
+from spatialviz.cli_labels import Audit
+from spatialviz.printing import print_rows, print_table, rate_bar, say
+
+
+def run_audit(command: Audit) -> None:
+    require(command.limit >= 0, "--limit must not be negative", got=command.limit)
+    queue = QueueConfig() if command.networks else None
+    with rate_bar("auditing", "items") as advance:
+        report = audit(
+            command.target, command.dataset, command.runs,
+            options=command.source.arguments(), queue=queue, progress=advance,
+        )  # fmt: skip
+    if command.out is not None:
+        report.write(command.out)
+    command.write(chain([report.record()], islice(report.records(), command.limit)), print_audit, report, command)
+
+
+def print_audit(report: AuditReport, command: Audit) -> None:
+    """What speaks against the items, the first of them, and where all lie."""
+    if report.systems is not None:
+        print_table(report.systems)
+        say()
+    if report.kinds.rows:
+        print_table(report.kinds)
+        say()
+    shown = report.suspicious[: command.limit]
+    if shown:
+        print_rows(
+            (">wrong", "item", "frame", "sentence", "said right", "seems right", "evidence"),
+            ((f"{i.score:.2f}", i.id, i.frame, i.text, i.truth, i.seems or "-", "; ".join(e.text for e in i.reasons))
+             for i in shown),
+        )  # fmt: skip
+    record = report.record()
+    say(
+        f"{counted(len(report.items), 'item')}; something speaks against {record['suspicious']}, {report.likely} are "
+        f"probably wrong; {record['unjudged']} cannot be judged by geometry"
+    )
+    if command.out is not None:
+        say(f"-> {command.out}", style="dim")
