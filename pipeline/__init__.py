@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pipeline.datasets.base import Dataset, DatasetFormat
     from pipeline.diagnosis.answer import Answer
     from pipeline.diagnosis.opened import Opened, ask, open
+    from pipeline.evaluation.adapters.base import PredictionFormat
     from pipeline.evaluation.job import evaluate
     from pipeline.evaluation.run_folder import Run, open_run
     from pipeline.geometry.boxes import Box3D
@@ -46,6 +47,7 @@ __all__ = [
     "InputError",
     "Labels",
     "Opened",
+    "PredictionFormat",
     "Proposals",
     "RelationScorer",
     "RelationScores",
@@ -66,6 +68,7 @@ _ROOMS = {
     "datasets.base": "Dataset DatasetFormat",
     "diagnosis.answer": "Answer",
     "diagnosis.opened": "Opened ask open",
+    "evaluation.adapters.base": "PredictionFormat",
     "evaluation.job": "evaluate",
     "evaluation.run_folder": "Run open_run",
     "geometry.boxes": "Box3D",

@@ -252,7 +252,7 @@ class ImportRun(Output):
     """
 
     predictions: Positional[Path]
-    """JSON lines: a header, and a line for each expression."""
+    """JSON lines: a header, and a line for each expression. Or what another program publishes, see --format."""
     dataset: str
     """Dataset folder, or demo."""
     labels: Path
@@ -260,6 +260,11 @@ class ImportRun(Output):
     out: Path
     """Run folder to write."""
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    format: str | None = None
+    """spatialviz | coco | supervision | grounded-sam2 | grounded-sam | concept-graphs | recording | roborefer |
+    spatialrgpt | llava | spatialclaw | lmms-eval, or a plugin's. Default: as the file's content says."""
+    key: Path | None = None
+    """What the file leaves open: COCO's annotation file, a list of class names, a list of id, image and question."""
     name: str | None = None
     """Of the system in the tables. Default: as the file names it."""
     workers: Workers = CPUS

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.evaluation.importing import export_run, import_run
+from pipeline.evaluation.adapters import import_published
+from pipeline.evaluation.importing import export_run
 from pipeline.evaluation.job import RunReport
 from pipeline.evaluation.run_folder import open_run
 from pipeline.language.counted import counted
@@ -17,11 +18,13 @@ from spatialviz.run_eval import print_run, run_record
 
 def run_import_run(command: ImportRun) -> None:
     with rate_bar("judging", "expressions") as advance:
-        report = import_run(
+        report = import_published(
             command.predictions,
             command.dataset,
             command.labels,
             command.out,
+            format=command.format,
+            key=command.key,
             name=command.name,
             workers=command.workers,
             plots=command.plots,

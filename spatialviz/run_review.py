@@ -152,7 +152,7 @@ def _seen(
     if dataset is None:
         raise InputError("--detector needs the pictures", expected="--dataset DATASET")
     table = Synonyms.load(setup.synonyms)
-    detector = open_detector(setup, dataset.class_names, table)
+    detector = open_detector(setup, dataset.class_names, table, dataset.frame_ids)
     found = detector_evidence(
         labels, dataset, detector, synonyms=table, progress=lambda n, of: advance("frames", n, of)
     )

@@ -233,11 +233,14 @@ def open_pipeline(
         _refuse(own, f"the detector {detector.name}, which is made already")
     second_setup = None if also is None else DetectorSetup(*named_model(also), min_score=min_score, synonyms=synonyms)
 
+    def opened(setup: DetectorSetup) -> Detector:
+        return open_detector(setup, dataset.class_names, table, dataset.frame_ids)
+
     def make(min_score: float | None) -> Detector | None:
-        return None if setup is None else open_detector(replace(setup, min_score=min_score), dataset.class_names, table)
+        return None if setup is None else opened(replace(setup, min_score=min_score))
 
     found = make(min_score) if detector is None or isinstance(detector, str) else detector
-    second = None if second_setup is None else open_detector(second_setup, dataset.class_names, table)
+    second = None if second_setup is None else opened(second_setup)
     if segmenter is not None:
         masks = segmenter
         if isinstance(masks, str):

@@ -75,8 +75,9 @@ class Predictions:
 
     @property
     def level(self) -> int:
-        """What all lines with an answer have: the least of their levels."""
-        return min((p.level for p in self.lines.values() if p.problem is None), default=0)
+        """What all lines with an answer have: the least of their levels; where none has one, what lines reach."""
+        most = max((p.level for p in self.lines.values()), default=0)
+        return min((p.level for p in self.lines.values() if p.problem is None), default=most)
 
     def record(self) -> dict[str, Any]:
         """As JSON: whose they are, for a run's manifest."""

@@ -64,6 +64,6 @@ class AnnotationDetector:
 def box_mask(bbox: np.ndarray, height: int, width: int) -> np.ndarray:
     """(H, W) bool: the pixels inside a 2D box (x0, y0, x1, y1)."""
     mask = np.zeros((height, width), np.bool_)
-    x0, y0, x1, y1 = np.clip(np.round(bbox).astype(int), 0, [width, height, width, height])
+    x0, y0, x1, y1 = np.clip(np.round(bbox), 0, [width, height, width, height]).astype(int)
     mask[y0:y1, x0:x1] = True
     return mask

@@ -11,6 +11,9 @@ optionally, masks (N, H, W), or mask_counts (N,) of compressed run-length codes
 Either may say which detector made it: `"made_by": "<name>: <fingerprint>"` beside
 "frames", or in a file `recording.json` in the folder.
 
+Files that other programs publish (`pipeline.proposals.detection_files`: COCO results, the sinks of supervision,
+Grounded SAM), or a folder of them, are played back too.
+
 An id says which thing a detection is of: one and the same thing, found under
 several names, has one id. Where any detection of a frame has none, each is a
 thing of its own.
@@ -25,36 +28,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
+from pydantic import TypeAdapter
 
+from pipeline.datasets.frame_names import FrameNames
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import MaskCrop, RunLength
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
-from pipeline.system.door import opened_arrays, read_json, read_picture
-from pipeline.system.errors import FrameUnusable, InputError, as_input_error, needed, require
-from pipeline.system.reading import checked
+from pipeline.proposals.coco_files import Detections, MaskCode, RecordedDetection
+from pipeline.proposals.concept_graphs import Corners, SceneMap
+from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files, format_of, read_detections
+from pipeline.system.door import opened_arrays, read_picture
+from pipeline.system.errors import FrameUnusable, InputError, needed, require
+from pipeline.system.reading import Content, checked, read_content
 from pipeline.system.recent import Recent
 
 KEPT_ANSWERS = 32
 """Answers about the frame that was asked last, kept for when the same names are asked again."""
 
 MADE_BY, MADE_BY_FILE = "made_by", "recording.json"
-
-MaskCode = RunLength | str
-"""The code, or the name of a file."""
-
-
-class RecordedDetection(BaseModel):
-    """One detection of a recorded run."""
-
-    label: str = Field(min_length=1)
-    score: float = Field(ge=0, le=1)
-    bbox: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-    mask: MaskCode | None = None
-    id: int | None = Field(default=None, ge=0, lt=2**63)
+_WHAT = "the recording"
 
 
 @dataclass(frozen=True)
@@ -147,12 +142,18 @@ class RecordedDetector:
     Parameters
     ----------
     path : Path
-        The JSON file, or the folder of NPZ files.
+        The JSON file, the folder of NPZ files, or a published file or a folder of them.
+    key : Path, optional
+        What the numbers of a published file mean: COCO's annotation file, a list of class names.
+    frame_ids : sequence of str
+        All frames that a published file's pictures may be of; without them each frame is looked for by itself.
 
     Attributes
     ----------
     made_by : str or None
         "name: fingerprint" of the detector that was recorded, where the recording says so.
+    corners : dict of int to Corners
+        Of the objects of a map: the corners of their 3D boxes in the world, metres, by id; empty otherwise.
 
     Raises
     ------
@@ -164,21 +165,50 @@ class RecordedDetector:
     exact = False
     reads_annotations = False
 
-    def __init__(self, path: str | Path, *, synonyms: Synonyms | None = None, min_score: float = 0.0) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        key: Path | None = None,
+        frame_ids: Sequence[str] = (),
+        synonyms: Synonyms | None = None,
+        min_score: float = 0.0,
+    ) -> None:
         self.path = Path(path)
         self.synonyms = synonyms
         self.min_score = min_score
         require(self.path.exists(), "there is no recording of detections", path=self.path)
         self._recording: dict[str, FrameDetections] | None = None
+        self._published: Detections | None = None
         self.made_by: str | None = None
         if self.path.is_dir():
             if (self.path / MADE_BY_FILE).is_file():
-                self.made_by = _maker(_read_object(self.path / MADE_BY_FILE))
+                self.made_by = _maker(_object(read_content(self.path / MADE_BY_FILE, _WHAT)))
+            files = [] if any(self.path.glob("*.npz")) else detection_files(self.path, _WHAT)
         else:
-            content = _read_object(self.path)
-            self.made_by, self._recording = _maker(content), _read_frames(content, self.path)
+            (content,) = files = detection_files(self.path, _WHAT)
+            if not format_of(content):
+                files = []
+                self.made_by, self._recording = _maker(_object(content)), _read_frames(_object(content), self.path)
+        require(files or key is None, "a recording of our own needs no file beside it", path=key)
+        self.corners: dict[int, Corners] = {}
+        if files:
+            self._published = read_detections(files, key)
+            if len(files) == 1 and isinstance(files[0].value, SceneMap):
+                self.corners = files[0].value.corners
+            if frame_ids:
+                self._recording = _of_frames(self._published, frame_ids, self.path)
+                some = next(iter(self._published), None)
+                require(
+                    self._recording or some is None,
+                    "no picture of the recording is a frame of the dataset",
+                    got=f"such as {some!r}",
+                    expected=f"such as {frame_ids[0]!r}",
+                    path=self.path,
+                )
         maker = "" if self.made_by is None else f"<{self.made_by}"
-        self._fingerprint = f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{min_score}{maker}"
+        stamps = [f"{p.resolve()}:{p.stat().st_mtime_ns}" for p in (self.path, *([] if key is None else [key]))]
+        self._fingerprint = f"recorded:{':'.join(stamps)}:{min_score}{maker}"
         self._meanings: dict[str, tuple[str, ...]] = {}
         self._last: Playback | None = None
 
@@ -188,6 +218,8 @@ class RecordedDetector:
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
+        if self._published is not None:
+            return tuple(sorted({row.label for rows in self._published.values() for row in rows}))
         if self._recording is not None:
             return tuple(sorted({name for found in self._recording.values() for name in found.names}))
         names: set[str] = set()
@@ -225,8 +257,11 @@ class RecordedDetector:
 
     def _of_frame(self, frame: Frame) -> Playback:
         if self._last is None or not self._last.shows(frame):
+            recording = self._recording
+            if recording is None and self._published is not None:
+                recording = _of_frames(self._published, (frame.id,), self.path)
             found = needed(
-                self._read_arrays(frame) if self._recording is None else self._recording.get(frame.id),
+                self._read_arrays(frame) if recording is None else recording.get(frame.id),
                 f"the recording has no detections for frame {frame.id}",
                 path=self.path,
                 error=FrameUnusable,
@@ -279,11 +314,22 @@ def _each_thing_once(index: np.ndarray, found: FrameDetections) -> np.ndarray:
     return np.sort(index[order[first]])
 
 
-def _read_object(path: Path) -> dict[str, Any]:
+def _of_frames(found: Detections, ids: Sequence[str], path: Path) -> dict[str, FrameDetections]:
+    """Published detections by frame, without pictures of no frame; FrameUnusable where it is not clear of which."""
+    names, shared = FrameNames(ids), dict[str, str]()
+    frames: dict[str, FrameDetections] = {}
+    for picture, rows in found.items():
+        frame_id = names.find(picture)
+        if frame_id is not None:
+            several = f"two pictures may be frame {frame_id}; the second is {picture!r}"
+            require(frame_id not in frames, several, path=path, error=FrameUnusable)
+            frames[frame_id] = as_arrays(rows, shared)
+    return frames
+
+
+def _object(content: Content) -> dict[str, Any]:
     """A JSON object; any other JSON is as good as an empty one."""
-    with as_input_error("the recording is not JSON", OSError, ValueError, got=str, path=path):
-        content: Any = read_json(path)
-    return content if isinstance(content, dict) else {}
+    return content.value if isinstance(content.value, dict) else {}
 
 
 def _maker(content: dict[str, Any]) -> str | None:
@@ -297,7 +343,7 @@ def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetectio
     if not isinstance(frames, dict):
         raise InputError(
             "the recording does not follow the format at the top",
-            expected='{"frames": {"<frame id>": [...]}}',
+            expected='{"frames": {"<frame id>": [...]}}, or ' + " | ".join(DETECTION_FORMATS),
             path=path,
         )
     reader = TypeAdapter(list[RecordedDetection])

@@ -13,25 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field, FiniteFloat
+from pydantic import BaseModel, FiniteFloat
 
+from pipeline.datasets.frame_names import fit
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import RunLength, fill_polygons, mask_box
+from pipeline.geometry.masks import RunLength, mask_box
 from pipeline.language.naming import Synonyms
+from pipeline.proposals.coco_files import CocoCategory, CocoImage, filled
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter, Segments, segment_from
 from pipeline.system.door import read_json, read_picture
 from pipeline.system.errors import FrameUnusable, InputError, as_input_error, needed, require
 from pipeline.system.reading import checked
-
-
-class CocoImage(BaseModel):
-    """A picture of a COCO file."""
-
-    id: int
-    file_name: str
-    height: int | None = None
-    width: int | None = None
 
 
 class CocoAnnotation(BaseModel):
@@ -41,13 +34,6 @@ class CocoAnnotation(BaseModel):
     segmentation: RunLength | list[list[FiniteFloat]]
     bbox: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     category_id: int | None = None
-
-
-class CocoCategory(BaseModel):
-    """A class name of a COCO file."""
-
-    id: int
-    name: str = Field(min_length=1)
 
 
 class CocoFile(BaseModel):
@@ -142,21 +128,11 @@ class CocoMasks:
         return segment_from(Segments(rectangles, names, mask), boxes, labels, shape, self.synonyms)
 
     def _image(self, frame: Frame) -> CocoImage:
-        """By the whole id, then by the id's parts in the file's path, then by the last part or the image's id."""
-        parts = frame.id.split("/")
-        paths = [image.file_name.replace("\\", "/") for image in self._images]
-        stems = [path.rsplit("/", 1)[-1].rsplit(".", 1)[0] for path in paths]
-        folders = [path.split("/")[:-1] for path in paths]
-        last = parts[-1]
-        named = [stem == last for stem in stems]
-        tests = (
-            [path.rsplit(".", 1)[0] == frame.id for path in paths],
-            [n and set(parts[:-1]) <= set(folder) for n, folder in zip(named, folders, strict=True)],
-            named,
-            [last.isdecimal() and int(last) == image.id for image in self._images],
-        )
-        for fits in tests:
-            found = [image for image, fit in zip(self._images, fits, strict=True) if fit]
+        """The best by `pipeline.datasets.frame_names.fit`, of its name, else of its id."""
+        for pictures in ([i.file_name for i in self._images], [i.id for i in self._images]):
+            fits = [fit(frame.id, picture) for picture in pictures]
+            best = max(fits, default=0)
+            found = [image for image, k in zip(self._images, fits, strict=True) if best and k == best]
             names = " and ".join(repr(image.file_name) for image in found[:2])
             several = f"several images may be frame {frame.id}: {names}"
             require(len(found) <= 1, several, path=self.path, error=FrameUnusable)
@@ -168,20 +144,7 @@ class CocoMasks:
         content = annotation.segmentation
         if isinstance(content, RunLength):
             return content.decoded(shape, where, self.path)
-        return _filled(content, shape, where, self.path)
-
-
-def _filled(polygons: list[list[float]], shape: tuple[int, int], where: str, path: Path) -> np.ndarray:
-    """(H, W) bool: the pixels inside COCO polygons (x, y, x, y, ...), their coordinates clipped to the picture."""
-    require(
-        not any(len(p) < 6 or len(p) % 2 for p in polygons),
-        f"{where}: a polygon needs x, y of three corners or more",
-        path=path,
-    )
-    if not polygons:
-        return np.zeros(shape, np.bool_)
-    limit = np.array(shape[::-1], np.float64)
-    return fill_polygons(shape, [np.clip(np.reshape(p, (-1, 2)), 0, limit) for p in polygons])
+        return filled(content, shape, where, self.path)
 
 
 class PngMasks:

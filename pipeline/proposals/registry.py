@@ -39,7 +39,10 @@ class DetectorRequest:
     min_score : float or None
         None for the detector's own default.
     config : Path or None
-        What the model file does not say itself: the TOML file of `boxes`, the class names of `detic` and `yolo-seg`.
+        What the model file does not say itself: the TOML file of `boxes`, the class names of `detic` and `yolo-seg`,
+        what the numbers of a published file of `recorded` mean.
+    frame_ids : tuple of str
+        The dataset's frames, for files that name pictures.
     """
 
     model: Path | None
@@ -47,6 +50,7 @@ class DetectorRequest:
     synonyms: Synonyms | None
     min_score: float | None
     config: Path | None = None
+    frame_ids: tuple[str, ...] = ()
 
 
 def _loaded(home: str) -> Any:
@@ -56,10 +60,15 @@ def _loaded(home: str) -> Any:
 
 
 def _recorded(request: DetectorRequest) -> Detector:
-    path = needed(
-        request.model, "--detector recorded needs --model", expected="the JSON file or the folder of NPZ files"
+    expected = "a JSON file, a folder of NPZ files, COCO results, or another published file"
+    path = needed(request.model, "--detector recorded needs --model", expected=expected)
+    return RecordedDetector(
+        path,
+        key=request.config,
+        frame_ids=request.frame_ids,
+        synonyms=request.synonyms,
+        min_score=request.min_score or 0.0,
     )
-    return RecordedDetector(path, synonyms=request.synonyms, min_score=request.min_score or 0.0)
 
 
 def _network(
@@ -113,7 +122,7 @@ DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
     ),
     "simulated": _simulated,
 }  # fmt: skip
-CONFIGURABLE = ("yolo-seg", "detic", "boxes")
+CONFIGURABLE = ("yolo-seg", "detic", "boxes", "recorded")
 """Those of them that a second file says more about."""
 
 ENTRY_POINT_GROUP = "spatialviz.detectors"
@@ -141,6 +150,7 @@ def make_detector(
     synonyms: Synonyms | None = None,
     min_score: float | None = None,
     config: Path | None = None,
+    frame_ids: tuple[str, ...] = (),
 ) -> Detector:
     """The detector of that name; the arguments are those of `DetectorRequest`.
 
@@ -164,10 +174,12 @@ def make_detector(
         expected="for --fuse and --also boxes=MODEL.onnx: that file beside the model, as MODEL.toml",
         path=config,
     )
-    return make(DetectorRequest(model, class_names, synonyms, min_score, config))
+    return make(DetectorRequest(model, class_names, synonyms, min_score, config, frame_ids))
 
 
-def open_detector(setup: DetectorSetup, class_names: tuple[str, ...], table: Synonyms | None = None) -> Detector:
+def open_detector(
+    setup: DetectorSetup, class_names: tuple[str, ...], table: Synonyms | None = None, frame_ids: tuple[str, ...] = ()
+) -> Detector:
     """Make the detector.
 
     Parameters
@@ -176,6 +188,8 @@ def open_detector(setup: DetectorSetup, class_names: tuple[str, ...], table: Syn
         Of the dataset.
     table : Synonyms, optional
         Where the file is read already.
+    frame_ids : tuple of str
+        Of the dataset.
 
     Raises
     ------
@@ -186,7 +200,13 @@ def open_detector(setup: DetectorSetup, class_names: tuple[str, ...], table: Syn
 
     def make(name: str, model: Path | None, config: Path | None = None) -> Detector:
         return make_detector(
-            name, model=model, class_names=class_names, synonyms=table, min_score=setup.min_score, config=config
+            name,
+            model=model,
+            class_names=class_names,
+            synonyms=table,
+            min_score=setup.min_score,
+            config=config,
+            frame_ids=frame_ids,
         )
 
     others = [make(*named_model(text)) for text in setup.fuse]

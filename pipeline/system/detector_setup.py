@@ -29,7 +29,7 @@ class DetectorSetup:
     """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
     model_config: Path | None = None
     """What the file of --model does not say: the TOML file of boxes (default: beside the model), the class names of
-    detic and yolo-seg."""
+    detic and yolo-seg, the annotation file of COCO results that are recorded."""
     fuse: tuple[str, ...] = ()
     """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's. What a MODEL does not say
     stands beside it."""

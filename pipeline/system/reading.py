@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import sys
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, as_input_error, first_line, require
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -61,3 +64,77 @@ def checked(
         raise InputError(
             wrong.replace("{}", location), got=first["msg"], expected=f"one of {known}" if known else None, path=path
         ) from error
+
+
+MOST_TEXT = 1 << 31
+"""Bytes of a file that is read as a whole."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a text file holds.
+
+    Attributes
+    ----------
+    value : Any
+        The JSON value; of JSON lines and of CSV a list of the rows.
+    path : Path
+    numbers : tuple of int or None
+        The rows' lines, from 1; None of one JSON value.
+    """
+
+    value: Any
+    path: Path
+    numbers: tuple[int, ...] | None = None
+
+    def where(self, k: int) -> str:
+        """How a message names row `k`: "line 3", or "entry 2" of a list."""
+        return f"entry {k}" if self.numbers is None else f"line {self.numbers[k]}"
+
+    @property
+    def first(self) -> dict[str, Any]:
+        """The value or the first row, where it is an object; else an empty one."""
+        found = self.value[0] if isinstance(self.value, list) and self.value else self.value
+        return found if isinstance(found, dict) else {}
+
+    def rows(self, check: Callable[[Any], Checked], wrong: str) -> list[Checked]:
+        """Every row as `check` (a validating method of pydantic) has it; InputError with its line or entry."""
+        require(isinstance(self.value, list), f"{wrong}: a list of entries is asked for", path=self.path)
+        return [checked(check, row, f"{self.where(k)}, {{}}: {wrong}", self.path) for k, row in enumerate(self.value)]
+
+
+def read_content(path: Path, what: str = "the file") -> Content:
+    """A file of JSON, JSON lines, or (by its ending) CSV; `what` names it in messages.
+
+    Raises
+    ------
+    InputError
+        It cannot be read; of JSON lines, which line is none.
+    """
+    with as_input_error(f"{what} cannot be read", OSError, UnicodeDecodeError, got=str, path=path):
+        size = path.stat().st_size
+        require(size <= MOST_TEXT, f"{what} is too large", got=f"{size} bytes", expected=f"{MOST_TEXT}", path=path)
+        text = path.read_text(encoding="utf-8-sig")
+    if path.suffix.lower() == ".csv":
+        with as_input_error(f"{what} is not CSV", csv.Error, got=str, path=path):
+            reader = csv.DictReader(text.splitlines())
+            table = [(reader.line_num, row) for row in reader]
+        return Content([row for _, row in table], path, tuple(number for number, _ in table))
+    lines = [(number, line) for number, line in enumerate(text.split("\n"), 1) if line.strip()]
+    if path.suffix.lower() == ".jsonl" or (len(lines) > 1 and _is_json(lines[0][1]) and _is_json(lines[1][1])):
+        rows = [_parsed(line, f"line {number}: not JSON", path) for number, line in lines]
+        return Content(rows, path, tuple(number for number, _ in lines))
+    return Content(_parsed(text, f"{what} is not JSON", path), path)
+
+
+def _is_json(text: str) -> bool:
+    try:
+        json.loads(text)
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
+def _parsed(text: str, wrong: str, path: Path) -> Any:
+    with as_input_error(wrong, ValueError, RecursionError, got=first_line, path=path):
+        return json.loads(text)

@@ -156,7 +156,7 @@ def _seen(
         return "", None
     dataset = labelled_dataset(automatic.manifest, job.dataset, **job.options)
     table = Synonyms.load(job.detector.synonyms)
-    detector = open_detector(job.detector, dataset.class_names, table)
+    detector = open_detector(job.detector, dataset.class_names, table, dataset.frame_ids)
     name = job.called or detector.name
     found = detector_evidence(
         labels, dataset, detector, synonyms=table, progress=lambda n, of: report(("frames", n, of)), name=name

@@ -1,0 +1,114 @@
+"""What an adapter is given and gives: a published file with the dataset and labels it is about; predictions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from pipeline.answering.predictions import Header, Prediction
+from pipeline.datasets import Dataset
+from pipeline.datasets.base import load_picture
+from pipeline.datasets.frame_names import FrameNames, Picture
+from pipeline.system.reading import Content, read_content
+
+_WORD = re.compile(r"[^\W_]+")
+
+
+@dataclass(frozen=True)
+class Published:
+    """A published file, and what it is about.
+
+    Attributes
+    ----------
+    path : Path
+        A file or folder.
+    key : Path or None
+        The file that says what the first leaves open: pictures and classes by number, questions by id.
+    dataset : Dataset
+    sentences : dict of str to dict of str to tuple of str
+        The labels' expressions by frame, each with the names that it asks for.
+    notes : list of str
+        For an adapter to add what the user should know.
+    """
+
+    path: Path
+    key: Path | None
+    dataset: Dataset
+    sentences: Mapping[str, Mapping[str, tuple[str, ...]]]
+    notes: list[str] = field(default_factory=list)
+
+    @cached_property
+    def content(self) -> Content:
+        """The file as JSON, JSON lines or CSV; InputError where it is none."""
+        return read_content(self.path)
+
+    @cached_property
+    def _frames(self) -> FrameNames:
+        return FrameNames(self.dataset.frame_ids)
+
+    @cached_property
+    def _sizes(self) -> dict[str, tuple[int, int]]:
+        return {}
+
+    @cached_property
+    def _texts(self) -> dict[str, dict[str, str]]:
+        return {frame: {words(text): text for text in found} for frame, found in self.sentences.items()}
+
+    def frame(self, picture: Picture, where: str) -> str:
+        """The frame of a picture; FrameUnusable, with `where` the file names it, where there is none or several."""
+        return self._frames.named(picture, where)
+
+    def size(self, frame: str) -> tuple[int, int]:
+        """Width and height of a frame, pixels; InputError where it cannot be loaded."""
+        if frame not in self._sizes:
+            loaded = load_picture(self.dataset, frame)
+            self._sizes[frame] = loaded.width, loaded.height
+        return self._sizes[frame]
+
+    def text(self, frame: str, candidates: Sequence[str]) -> str:
+        """The expression of the labels that a question, in any of its wordings, is or holds; else its first wording.
+
+        "Point to the mug left of the laptop." has "mug left of the laptop"; of several the longest, if it is one.
+        """
+        known = self._texts.get(frame, {})
+        asked = [words(text) for text in candidates]
+        for text in asked:
+            if text in known:
+                return known[text]
+        within = [short for short in known if any(short in text for text in asked)]
+        longest = [short for short in within if len(short) == max(map(len, within))]
+        return known[longest[0]] if len(longest) == 1 else candidates[0]
+
+
+def words(text: str) -> str:
+    """The words of a text, in small letters, with a space around each."""
+    return f" {' '.join(_WORD.findall(text.casefold()))} "
+
+
+@dataclass(frozen=True)
+class PredictionFormat:
+    """A published format of predictions.
+
+    Attributes
+    ----------
+    read : callable
+        The header and the lines of a file, also as the dicts that `docs/predictions.md` describes.
+    recognises : callable
+        Whether a file's content is of the format. Must be fast and must not raise.
+    description : str
+        One line.
+    level : int
+        What its lines reach.
+    needs : str
+        What must be given besides, with --key; empty for nothing.
+    """
+
+    read: Callable[[Published], tuple[Header | dict[str, Any], Iterable[Prediction | dict[str, Any]]]]
+    recognises: Callable[[Content], bool]
+    description: str
+    level: int
+    needs: str = ""

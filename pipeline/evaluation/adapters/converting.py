@@ -1,0 +1,201 @@
+"""Turning a published file into one of predictions, by the name of its format or by what it holds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from pipeline.answering.opening import open_pipeline
+from pipeline.answering.predictions import VERSION, Header, Prediction, parse_header, parse_line, write_predictions
+from pipeline.datasets import Dataset
+from pipeline.evaluation.adapters.answers import ANSWER_FORMATS
+from pipeline.evaluation.adapters.base import PredictionFormat, Published
+from pipeline.evaluation.adapters.detections import read_recording
+from pipeline.evaluation.importing import import_run
+from pipeline.evaluation.job import RunReport
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.language.expression import parse
+from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files
+from pipeline.system.errors import InputError, needed, require
+from pipeline.system.plugins import load_plugins
+
+ENTRY_POINT_GROUP = "spatialviz.predictions"
+"""Entry points of this group name a PredictionFormat, and so add a format."""
+OWN = "spatialviz"
+"""The format that needs no adapter."""
+FORMATS: dict[str, PredictionFormat] = {
+    **ANSWER_FORMATS,
+    **{
+        name: PredictionFormat(
+            read_recording, form.recognises, form.description, 2 if name == "concept-graphs" else 1, form.needs
+        )
+        for name, form in DETECTION_FORMATS.items()
+    },
+    "recording": PredictionFormat(
+        read_recording,
+        lambda content: "frames" in content.first,
+        "a recording of detections, JSON or a folder of NPZ",
+        1,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Converted:
+    """A file that was turned into predictions.
+
+    Attributes
+    ----------
+    format : str
+    path : Path
+        The predictions.
+    header : Header
+    lines, answers : int
+        How many lines there are, and how many of them have an answer.
+    notes : tuple of str
+    """
+
+    format: str
+    path: Path
+    header: Header
+    lines: int
+    answers: int
+    notes: tuple[str, ...]
+
+
+def convert_predictions(
+    path: str | Path,
+    out: str | Path,
+    *,
+    dataset: Dataset,
+    labels: Labels,
+    format: str | None = None,
+    key: Path | None = None,
+) -> Converted:
+    """Write what a published file holds as predictions.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, or a folder of files.
+    out : str or Path
+        A new file.
+    dataset : Dataset
+        Its frames are what pictures are matched to.
+    labels : Labels
+        Their expressions are what is asked of detections, and how questions are worded.
+    format : str, optional
+        A name of FORMATS, or a plugin's; by default what the file's content says.
+    key : Path, optional
+        What the file leaves open; see the format's `needs`.
+
+    Raises
+    ------
+    InputError
+        No such format or none that the file is of; what does not follow it, with its line or entry; a picture that is
+        no frame, or may be of several; a file with nothing to ask.
+    """
+    path = Path(path)
+    require(path.exists(), "there are no predictions", path=path)
+    name, chosen = _chosen(path, format)
+    require(key is None or chosen.needs, f"the format {name} needs no --key", path=key)
+    published = Published(path, key, dataset, _sentences(dataset, labels))
+    given, lines = chosen.read(published)
+    header = given if isinstance(given, Header) else parse_header({"spatialviz_predictions": VERSION, **given}, path)
+    counts, seen = Counter[str](), set[tuple[str, str]]()
+
+    def counted() -> Iterator[Prediction]:
+        for number, found in enumerate(lines, 2):
+            line = found if isinstance(found, Prediction) else parse_line(found, number, path)
+            twice = f"two lines ask {line.text!r} of frame {line.frame}"
+            require((line.frame, line.text) not in seen, twice, path=path)
+            seen.add((line.frame, line.text))
+            counts["lines"] += 1
+            counts["answers"] += line.answer is not None
+            yield line
+
+    write_predictions(out, header, counted())
+    require(counts["lines"], "the file holds no predictions", path=path)
+    return Converted(name, Path(out), header, counts["lines"], counts["answers"], tuple(published.notes))
+
+
+def import_published(
+    predictions: str | Path,
+    dataset: str | Path,
+    labels: str | Path,
+    out: str | Path,
+    *,
+    format: str | None = None,
+    key: Path | None = None,
+    **more: Any,
+) -> RunReport:
+    """`import_run` of any file: one that another program publishes is turned into predictions first.
+
+    Parameters
+    ----------
+    predictions, dataset, labels, out, more
+        As for `import_run`.
+    format, key
+        As for `convert_predictions`; the format "spatialviz" is that of `docs/predictions.md`.
+
+    Raises
+    ------
+    InputError
+        As those two; nothing is written then.
+    """
+    path = Path(predictions)
+    if format == OWN or (format is None and not is_published(path)):
+        require(key is None, "predictions of our own schema need no --key", path=key)
+        return import_run(path, dataset, labels, out, **more)
+    camera = {name: more[name] for name in ("intrinsics", "depth_scale", "up", "level_at") if name in more}
+    opened = open_pipeline(dataset, **camera).dataset
+    with TemporaryDirectory() as folder:
+        converted = convert_predictions(
+            path, Path(folder) / path.name, dataset=opened, labels=open_labels(labels), format=format, key=key
+        )
+        report = import_run(converted.path, dataset, labels, out, **more)
+    return replace(report, warnings=(*converted.notes, *report.warnings))
+
+
+def is_published(path: Path) -> bool:
+    """Whether a file is not of our own schema: it does not begin with its header."""
+    if path.is_dir():
+        return True
+    with suppress(OSError), open(path, "rb") as file:
+        return b'"spatialviz_predictions"' not in file.readline(1 << 16)
+    return False
+
+
+def _chosen(path: Path, name: str | None) -> tuple[str, PredictionFormat]:
+    known = FORMATS
+    if name not in FORMATS:
+        known = {**dict(load_plugins(ENTRY_POINT_GROUP, "prediction", PredictionFormat)), **FORMATS}
+    if name is not None:
+        found = needed(known.get(name), "no such format of predictions", got=repr(name), expected=" | ".join(known))
+        return name, found
+    if path.is_dir() and any(path.glob("*.npz")):
+        return "recording", FORMATS["recording"]
+    for content in detection_files(path, "the file")[:1]:
+        for name, form in known.items():
+            if form.recognises(content):
+                return name, form
+    raise InputError(
+        "the file does not say of which format it is", expected=f"--format {' | '.join((OWN, *known))}", path=path
+    )
+
+
+def _sentences(dataset: Dataset, labels: Labels) -> dict[str, dict[str, tuple[str, ...]]]:
+    """The labels' expressions by frame, in order, each with the names that it asks for."""
+    table = labels.expressions.select(["frame", "text", "target", "reference"])
+    found: dict[str, dict[str, tuple[str, ...]]] = {}
+    for row in table.to_pylist():
+        names: dict[str, Any] = dict.fromkeys(name for name in (row["target"], row["reference"]) if name)
+        with suppress(InputError):
+            names |= dict.fromkeys(parse(row["text"], class_names=dataset.class_names).labels)
+        found.setdefault(row["frame"], {})[row["text"]] = tuple(names)
+    return found

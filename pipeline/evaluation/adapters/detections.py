@@ -1,0 +1,69 @@
+"""Detections as predictions: what was found for the names of each expression, and no answer.
+
+Any file that `--detector recorded` plays back. What such a file lacks is said in each line: the rest of the pipeline is
+ours or nobody's. Of a map of ConceptGraphs the objects' 3D boxes come too, in the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pipeline.answering.predictions import GivenBox, Header, Prediction, Proposal
+from pipeline.datasets.base import load_picture
+from pipeline.evaluation.adapters.base import Published
+from pipeline.geometry.masks import RunLength
+from pipeline.proposals.base import Proposals
+from pipeline.proposals.recorded import RecordedDetector
+from pipeline.system.errors import FrameUnusable, UnknownClass
+
+ONLY_DETECTIONS = "the file holds detections and no answers"
+
+
+def read_recording(published: Published) -> tuple[Header, Iterator[Prediction]]:
+    """Every expression of the labels with the detections of its names."""
+    detector = RecordedDetector(published.path, key=published.key, frame_ids=published.dataset.frame_ids)
+    published.notes.append(
+        f"{ONLY_DETECTIONS}: with --detector recorded they can be ranked as ours are (spatialviz eval)"
+    )
+    system = detector.made_by or published.path.name
+    header = Header(system=system, coordinates="world" if detector.corners else "camera_opencv", notes=ONLY_DETECTIONS)
+    return header, _lines(published, detector)
+
+
+def _lines(published: Published, detector: RecordedDetector) -> Iterator[Prediction]:
+    for frame_id, sentences in published.sentences.items():
+        frame = load_picture(published.dataset, frame_id)
+        told: set[int] = set()
+        for text, names in sentences.items():
+            proposals: dict[str, tuple[Proposal, ...]] = {}
+            unknown: dict[str, str] = {}
+            try:
+                for name in names:
+                    try:
+                        proposals[name] = tuple(_proposals(detector.detect(frame, [name]), told))
+                    except UnknownClass:
+                        unknown[name] = "the file has no such name"
+            except FrameUnusable as error:
+                yield Prediction(frame_id, text, problem=error.what)
+                continue
+            ids = dict.fromkeys(p.id for found in proposals.values() for p in found)
+            known = detector.corners
+            boxes: dict[int, GivenBox | None] = {i: GivenBox(corners=known[i]) for i in ids if known}
+            yield Prediction(
+                frame_id,
+                text,
+                problem=ONLY_DETECTIONS,
+                proposals=proposals,
+                unknown=unknown or None,
+                boxes_3d=boxes or None,
+            )
+
+
+def _proposals(found: Proposals, told: set[int]) -> Iterator[Proposal]:
+    """Best first; an object's mask stands where the frame names it first."""
+    rows = zip(found.ids.tolist(), found.scores.tolist(), found.boxes.tolist(), strict=True)
+    for k, (i, score, box) in enumerate(rows):
+        masked = found.masks is not None and (found.has_mask is None or found.has_mask[k]) and i not in told
+        mask = RunLength.of(found.masks[k]) if found.masks is not None and masked else None
+        told.add(i)
+        yield Proposal(i, score, tuple(box), found.label(k), mask)

@@ -1,0 +1,106 @@
+"""The maps of ConceptGraphs: objects fused over the pictures of a scene, each with its masks, boxes and scores.
+
+`pcd_saves/full_pcd_*.pkl.gz` (concept-graphs/concept-graphs, slam/cfslam_pipeline_batch.py: a dict whose `objects` and
+`bg_objects` are what `MapObjectList.to_serializable` of slam/slam_classes.py gives) and `map/scene_map_*_pruned.pkl.gz`
+(scenegraph/build_scenegraph_cfslam.py: that list alone). Of an object `class_name`, `color_path`, `mask`, `xyxy` and
+`conf` are lists with an entry for each picture that shows it; `bbox_np` (8, 3) are the corners of its box in the frame
+of the scene's poses, metres. Its name is the tag of its caption where it has one (`caption_dict`), else the class that
+was said most often.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from pipeline.geometry.masks import RunLength
+from pipeline.proposals.coco_files import Detections, RecordedDetection
+from pipeline.system.errors import as_input_error, require
+from pipeline.system.plain_pickle import plain, read_plain_pickle
+from pipeline.system.reading import Content
+
+ENDINGS = (".pkl.gz", ".pkl")
+Corners = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class SceneMap:
+    """A map.
+
+    Attributes
+    ----------
+    detections : Detections
+        What was found in each picture; the ids are the objects' numbers in the file.
+    corners : dict of int to Corners
+        By object: the eight corners of its box in the world, metres.
+    """
+
+    detections: Detections
+    corners: dict[int, Corners]
+
+
+def read_map(path: Path) -> Content:
+    """A map as the content of a file.
+
+    Raises
+    ------
+    InputError
+        It is no pickle or holds what is not read (`pipeline.system.plain_pickle`), or no map.
+    """
+    content = read_plain_pickle(path, _compact)
+    found = [content.get(key) or [] for key in ("objects", "bg_objects")] if isinstance(content, dict) else [content]
+    require(
+        all(isinstance(part, list) and all(isinstance(o, dict) for o in part) for part in found) and any(found),
+        "the pickle is no map of ConceptGraphs",
+        expected="a list of objects, or a dict with one under 'objects'",
+        path=path,
+    )
+    detections: Detections = {}
+    corners: dict[int, Corners] = {}
+    for number, thing in enumerate([thing for part in found for thing in part]):
+        wrong, errors = f"object {number}: not as ConceptGraphs writes it", (KeyError, TypeError, ValueError)
+        with as_input_error(wrong, *errors, got=_first_fault, path=path):
+            box = np.asarray(plain(thing["bbox_np"]), np.float64)
+            require(
+                box.shape == (8, 3) and np.isfinite(box).all(),
+                f"object {number}, bbox_np: eight corners are asked for",
+                got=box.shape,
+                path=path,
+            )
+            corners[number] = tuple((float(x), float(y), float(z)) for x, y, z in box)
+            name = _name(thing)
+            views = zip(thing["color_path"], thing["mask"], thing["xyxy"], thing["conf"], strict=True)
+            for picture, mask, xyxy, score in views:
+                box_2d = tuple(float(v) for v in np.asarray(plain(xyxy)).ravel())
+                row = {"label": name, "score": float(plain(score)), "bbox": box_2d, "mask": plain(mask), "id": number}
+                detections.setdefault(str(picture), []).append(RecordedDetection.model_validate(row))
+    return Content(SceneMap(detections, corners), path)
+
+
+def _compact(array: np.ndarray) -> Any:
+    """Masks as their codes: a map may hold thousands of them."""
+    return RunLength.of(array) if array.ndim == 2 and array.dtype == np.bool_ and array.size else array
+
+
+def _name(thing: dict[str, Any]) -> str:
+    response = (thing.get("caption_dict") or {}).get("response") or {}
+    tag = response.get("object_tag") if isinstance(response, dict) else None
+    return str(tag or Counter(thing["class_name"]).most_common(1)[0][0])
+
+
+def _first_fault(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    return f"no {error}" if isinstance(error, KeyError) else str(error)
+
+
+def map_detections(content: Content, key: Path | None) -> Detections:
+    """What a map holds of each picture."""
+    scene: SceneMap = content.value
+    return scene.detections

@@ -1,0 +1,271 @@
+"""Detections in published formats, played back: each file written as its program writes it."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from concept_graph_maps import corners, map_object, write_map
+from proposal_checks import _own_cache, frame  # noqa: F401
+from segmenter_checks import run_lengths
+
+from pipeline.geometry.frame import Frame
+from pipeline.proposals import make_detector
+from pipeline.proposals.base import Proposals
+from pipeline.proposals.recorded import RecordedDetector
+from pipeline.system.errors import FrameUnusable, InputError
+
+FRAMES = ("scene/0", "scene/1", "other/000007")
+
+
+def written(path: Path, content: Any) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def played(path: Path, frame: Frame, labels: list[str] | None = None, **more: Any) -> Proposals:
+    return RecordedDetector(path, **{"frame_ids": FRAMES, **more}).detect(frame, labels)
+
+
+def refused(path: Path, frame: Frame, message: str, **more: Any) -> None:
+    with pytest.raises(InputError, match=message) as error:
+        played(path, frame, **more)
+    assert "\n" not in str(error.value)
+
+
+# COCO.
+
+
+def annotation_file(folder: Path) -> Path:
+    images = [
+        {"id": 397133, "file_name": "scene/rgb/0.jpg", "height": 240, "width": 320, "license": 1},
+        {"id": 37777, "file_name": "1.jpg", "height": 240, "width": 320},
+    ]
+    categories = [{"id": 47, "name": "cup", "supercategory": "kitchen"}, {"id": 73, "name": "laptop"}]
+    return written(
+        folder / "instances.json", {"info": {}, "images": images, "annotations": [], "categories": categories}
+    )
+
+
+def results(frame: Frame) -> list[dict[str, Any]]:
+    mask = frame.annotations[1].mask
+    assert mask is not None
+    return [
+        {"image_id": 397133, "category_id": 47, "bbox": [10.5, 20, 50, 60.25], "score": 0.236},
+        {"image_id": 397133, "category_id": 73, "segmentation": run_lengths(mask), "score": 0.9},
+    ]
+
+
+def test_results_of_coco_are_played_back(tmp_path: Path, frame: Frame) -> None:
+    path, key = written(tmp_path / "results.json", results(frame)), annotation_file(tmp_path)
+    found = make_detector("recorded", model=path, config=key, frame_ids=FRAMES).detect(frame, None)
+    assert [found.label(i) for i in range(2)] == ["laptop", "cup"]
+    np.testing.assert_allclose(found.scores, [0.9, 0.236])
+    np.testing.assert_allclose(found.boxes[1], [10.5, 20, 60.5, 80.25])
+    assert found.masks is not None
+    np.testing.assert_array_equal(found.masks[0], frame.annotations[1].mask)
+    # A box that is not given is its mask's.
+    np.testing.assert_allclose(found.boxes[0], frame.annotations[1].bbox, atol=1)
+    assert found.has_mask is not None
+    assert found.has_mask.tolist() == [True, False]
+    # A picture that the annotation file lists and nothing was found in is no gap.
+    assert len(played(path, replace(frame, id="scene/1"), key=key)) == 0
+    with pytest.raises(FrameUnusable, match="no detections for frame other/000007"):
+        played(path, replace(frame, id="other/000007"), key=key)
+    # Without the dataset's list of frames the same picture is found.
+    assert len(played(path, frame, key=key, frame_ids=())) == 2
+
+
+def test_annotations_of_coco_with_scores_name_their_pictures_themselves(tmp_path: Path, frame: Frame) -> None:
+    whole = json.loads(annotation_file(tmp_path).read_text())
+    polygon = [[100.0, 100.0, 140.0, 100.0, 140.0, 130.0, 100.0, 130.0]]
+    row = {
+        "id": 1,
+        "image_id": 397133,
+        "category_id": 47,
+        "bbox": [100, 100, 40, 30],
+        "segmentation": polygon,
+        "iscrowd": 0,
+    }
+    whole["annotations"] = [{**row, "score": 0.5}]
+    found = played(written(tmp_path / "all.json", whole), frame)
+    assert found.masks is not None
+    assert found.masks[0].sum() == pytest.approx(40 * 30, rel=0.1)
+    # Without a mask there may be an empty list.
+    whole["annotations"] = [{**row, "score": 0.5, "segmentation": []}]
+    found = played(written(tmp_path / "all.json", whole), frame)
+    assert found.has_mask is not None
+    assert not found.has_mask[0]
+    whole["annotations"] = [row]
+    refused(written(tmp_path / "truth.json", whole), frame, "not follow the format at the top.*coco")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"category_id": 5}, "entry 1: no class has the id 5"),
+        ({"image_id": 5}, "entry 1: no picture has the id 5"),
+        ({"score": 1.5}, "entry 1, score: not a result of COCO; got .*less than or equal to 1"),
+        ({"bbox": [1, 2, 3]}, "entry 1, bbox.*: not a result of COCO"),
+        ({"bbox": [10, 10, -5, 5]}, "entry 1: bbox is x, y, width, height"),
+        ({"segmentation": None}, "entry 1: neither a box nor a mask.*keypoints"),
+        ({"segmentation": {"size": [10**9, 10**9], "counts": [10**18]}}, "entry 1: a picture of impossible size"),
+        ({"segmentation": {"size": [240, 320], "counts": "@@@"}}, "entry 1: the run lengths do not fill the mask"),
+    ],
+)
+def test_wrong_results_of_coco_are_refused(tmp_path: Path, frame: Frame, change: dict[str, Any], message: str) -> None:
+    rows = results(frame)
+    rows[1] |= change
+    refused(written(tmp_path / "results.json", rows), frame, message, key=annotation_file(tmp_path))
+
+
+def test_what_results_of_coco_leave_open_must_be_given(tmp_path: Path, frame: Frame) -> None:
+    path = written(tmp_path / "results.json", results(frame))
+    refused(path, frame, "no class has the id 47; expected the annotation file beside it")
+    refused(path, frame, "cannot be read", key=tmp_path / "none.json")
+    elsewhere = annotation_file(tmp_path)
+    refused(
+        path, frame, "no picture of the recording is a frame.*scene/rgb/0.jpg.*a/b", key=elsewhere, frame_ids=("a/b",)
+    )
+    two = ("scene/0", "x/scene/0")
+    refused(path, frame, "the picture '1.jpg' may be of several", key=elsewhere, frame_ids=("a/1", "b/1", *two))
+    (tmp_path / "broken.json").write_text('[{"image_id": 1,')
+    refused(tmp_path / "broken.json", frame, "the recording is not JSON")
+
+
+# supervision.
+
+
+def sink_rows() -> list[dict[str, Any]]:
+    row = {
+        "x_min": 10.0,
+        "y_min": 20.0,
+        "x_max": 60.0,
+        "y_max": 80.0,
+        "class_id": 1,
+        "confidence": 0.75,
+        "tracker_id": "",
+    }
+    return [
+        {**row, "class_name": "mug", "image_path": "data/scene/0.png"},
+        {**row, "class_name": "laptop", "confidence": 0.5, "image_path": "data/scene/0.png"},
+    ]
+
+
+def test_the_sinks_of_supervision_are_played_back(tmp_path: Path, frame: Frame) -> None:
+    (tmp_path / "rows.json").write_text(json.dumps(sink_rows(), indent=4))
+    with (tmp_path / "rows.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(sink_rows()[0])
+        writer.writerows(row.values() for row in sink_rows())
+    for name in ("rows.json", "rows.csv"):
+        found = played(tmp_path / name, frame, ["mug"])
+        np.testing.assert_allclose(found.boxes, [[10, 20, 60, 80]])
+        assert found.scores.tolist() == [0.75]
+    rows = [
+        {k: v for k, v in row.items() if k not in ("class_name", "image_path")} | {"frame_index": 7}
+        for row in sink_rows()
+    ]
+    path, names = written(tmp_path / "numbers.json", rows), tmp_path / "names.txt"
+    names.write_text("person\nmug\n")
+    assert len(played(path, replace(frame, id="other/000007"), ["mug"], key=names)) == 2
+    refused(path, frame, "entry 0: no name for the class 1; expected class_name")
+    refused(path, frame, "the picture 7 may be of several", key=names, frame_ids=("a/7", "b/7"))
+    del rows[0]["frame_index"]
+    refused(written(path, rows), frame, "no column names the picture.*image_path", key=names)
+    refused(written(path, [{**sink_rows()[0], "confidence": ""}]), frame, "entry 0, confidence: not a row")
+    refused(written(path, [{**sink_rows()[0], "image_path": None}]), frame, "entry 0, image_path: names no picture")
+
+
+# Grounded SAM.
+
+
+def test_results_of_grounded_sam_are_played_back(tmp_path: Path, frame: Frame) -> None:
+    mask = frame.annotations[0].mask
+    assert mask is not None
+    thing = {"class_name": "mug", "bbox": [10.0, 20.0, 60.0, 80.0], "segmentation": run_lengths(mask), "score": [1.003]}
+    result = {
+        "image_path": "pictures/scene/0.jpg",
+        "annotations": [thing],
+        "box_format": "xyxy",
+        "img_width": 320,
+        "img_height": 240,
+    }
+    path = written(tmp_path / "results" / "grounded_sam2_local_image_demo_results.json", result)
+    other = result | {"image_path": "pictures/scene/1.jpg"}
+    written(tmp_path / "results" / "second.json", other)
+    for place in (path, path.parent):
+        found = played(place, frame, ["mug"])
+        assert found.masks is not None
+        np.testing.assert_array_equal(found.masks[0], mask)
+        assert found.scores.tolist() == [1.0]
+    assert len(played(path.parent, replace(frame, id="scene/1"))) == 1
+    written(tmp_path / "results" / "third.json", other)
+    refused(path.parent, frame, "'pictures/scene/1.jpg' stands in two files")
+    refused(written(path, result | {"box_format": "xywh"}), frame, "box_format")
+    first = {"value": 0, "label": "background"}
+    values = [first, {"value": 1, "label": "mug", "logit": 0.42, "box": [10.0, 20.0, 60.0, 80.0]}]
+    for place, content in (("0/mask.json", values), ("000007/label.json", {"caption": "a mug", "mask": values})):
+        found = played(
+            written(tmp_path / place, content), replace(frame, id=FRAMES[0 if place[1] == "/" else 2]), ["mug"]
+        )
+        np.testing.assert_allclose(found.scores, [0.42])
+        np.testing.assert_allclose(found.boxes, [[10, 20, 60, 80]])
+
+
+# ConceptGraphs.
+
+
+@pytest.mark.parametrize("protocol", [2, 4, 5])
+def test_maps_of_concept_graphs_are_played_back(tmp_path: Path, frame: Frame, protocol: int) -> None:
+    mask, other = frame.annotations[0].mask, frame.annotations[1].mask
+    assert mask is not None
+    assert other is not None
+    mug = map_object(
+        ["cup", "mug", "mug"],
+        [(f"/data/Replica/scene/results/{k}.jpg", mask, 0.25 * k + 0.25) for k in (0, 1, 2)],
+        corners((0, 0, 2), (0.3, 0.4, 0.3)),
+    )
+    tagged = {"id": 1, "response": {"summary": "a computer", "object_tag": "laptop"}}
+    laptop = map_object(
+        ["item"],
+        [("/data/Replica/scene/results/0.jpg", other, 0.5)],
+        corners((1, 0, 2), (1, 1, 1)),
+        caption_dict=tagged,
+    )
+    path = write_map(tmp_path / "full_pcd_ram_exp.pkl.gz", [mug, laptop], protocol)
+    detector = RecordedDetector(path, frame_ids=FRAMES)
+    assert detector.vocabulary == ("laptop", "mug")
+    found = detector.detect(frame, None)
+    assert [(found.label(i), int(found.ids[i]), float(found.scores[i])) for i in range(2)] == [
+        ("laptop", 1, 0.5),
+        ("mug", 0, 0.25),
+    ]
+    assert found.masks is not None
+    np.testing.assert_array_equal(found.masks, [other, mask])
+    np.testing.assert_allclose(detector.corners[0], corners((0, 0, 2), (0.3, 0.4, 0.3)))
+    assert detector.detect(replace(frame, id="scene/1"), None).scores.tolist() == [0.5]
+    # A map without what is asked for, and one without objects.
+    gap = {key: value for key, value in mug.items() if key != "conf"}
+    for content, message in (([gap], "object 0: not as ConceptGraphs writes it; got no 'conf'"), ([], "no map")):
+        refused(write_map(path, content, 4), frame, message)
+
+
+def test_the_pruned_map_of_concept_graphs_is_the_list_alone(tmp_path: Path, frame: Frame) -> None:
+    mask = frame.annotations[0].mask
+    assert mask is not None
+    mug = map_object(["mug"], [("scene/0.jpg", mask, 0.5)], corners((0, 0, 2), (1, 1, 1)))
+    path = tmp_path / "scene_map_cfslam_pruned.pkl.gz"
+    with gzip.open(path, "wb") as file:
+        pickle.dump([mug], file)
+    assert len(played(path, frame, ["mug"])) == 1
+    small = mug | {"mask": [mask[:100]]}
+    refused(write_map(path, [small]), frame, "frame scene/0, detection 0: the mask has another size")
