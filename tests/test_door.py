@@ -38,14 +38,16 @@ HANDED = {
 """What gets its content from the door, and why it has a name of `OPENERS`."""
 OWN = {
     "answering/bench.py": "/proc",
+    "answering/predictions.py open": "written to",
     "corrections/journal/": "the journal, which has checks of its own",
     "corrections/journal_location.py .open": "tries whether a folder can be written",
     "corrections/review/": "keys of items that were made here",
     "datasets/depth/estimated.py np.load": "the cache",
     "datasets/scene_mesh.py": "the cache",
     "diagnosis/whatif/changes.py": "keys that were made here",
+    "evaluation/from_records.py .open": "written to",
+    "evaluation/importing.py json.loads": "settings that were made here",
     "evaluation/job.py json.loads": "options that were made here",
-    "labels/by_hand.py open": "a lock",
     "labels/merge.py open": "a table that was just written",
     "labels/reading.py open": "a table that was just written",
     "language/class_sizes.py": "comes with the program",

@@ -28,6 +28,7 @@ from pipeline.answering.prediction_schema import (
     Weights,
 )
 from pipeline.language.relation_names import RELATIONS
+from pipeline.system.door import opened, parse_json, read_bytes
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
 from pipeline.system.whole_files import sha256_of
@@ -169,15 +170,15 @@ def read_lines(path: Path) -> Iterator[tuple[int, Header | Prediction]]:
 def read_contents(path: Path) -> Iterator[tuple[int, Any]]:
     """The JSON of each line that is not empty, with its number from 1; raises as `read_lines`."""
     try:
-        with open(path, encoding="utf-8") as file:
+        with opened(path, "unpacked") as file:
             number = 0
-            for number, text in enumerate(file, 1):
-                if not text.strip() and number > 1:
+            for number, line in enumerate(file, 1):
+                if not line.strip() and number > 1:
                     continue
                 try:
-                    content = json.loads(text)
-                except (json.JSONDecodeError, RecursionError) as error:
-                    if number > 1 and not text.endswith("\n"):
+                    content = parse_json(line.decode(), path)
+                except json.JSONDecodeError as error:
+                    if number > 1 and not line.endswith(b"\n"):
                         return
                     raise InputError(f"line {number}: not JSON", got=str(error), path=path) from error
                 yield number, content
@@ -325,7 +326,7 @@ class PredictionWriter:
             self._file: IO[bytes] = open(self.path, "ab")  # noqa: SIM115
             if there:
                 # What a killed writer left of a line must not become the beginning of the next one.
-                self._file.truncate(self.path.read_bytes().rfind(b"\n") + 1)
+                self._file.truncate(read_bytes(self.path, "unpacked").rfind(b"\n") + 1)
         except OSError as error:
             raise InputError("the predictions cannot be written", got=error.strerror, path=self.path) from error
         if not there:
@@ -337,7 +338,7 @@ class PredictionWriter:
 
     def write_json(self, content: str) -> None:
         """Append a line that is JSON already; raises as `write`."""
-        parse_line(json.loads(content), 0, self.path)
+        parse_line(parse_json(content), 0, self.path)
         self._write(content)
 
     def _write(self, content: str) -> None:

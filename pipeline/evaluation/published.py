@@ -14,7 +14,6 @@ boxes upright and taken along the axes of the viewer.
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,8 +24,9 @@ import numpy as np
 from pipeline.datasets.base import Dataset
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.system.door import opened, read_json
+from pipeline.system.door import read_json
 from pipeline.system.errors import InputError, Shown, as_input_error, require
+from pipeline.system.plain_pickle import read_plain_pickle
 
 ACC_AT = (0.25, 0.5)
 SUFFIXES = (".json", ".p", ".pkl")
@@ -83,20 +83,9 @@ def published_sentences(path: Path, dataset: Dataset) -> tuple[list[PublishedSen
     return kept, skipped
 
 
-class _Plain(pickle.Unpickler):
-    def find_class(self, module_name: str, global_name: str, /) -> Any:
-        raise pickle.UnpicklingError(f"{module_name}.{global_name} is no plain value")
-
-
 def _rows(path: Path) -> list[dict[str, Any]]:
-    with as_input_error(
-        "the benchmark cannot be read", OSError, ValueError, EOFError, pickle.UnpicklingError, got=str, path=path
-    ):
-        if path.suffix == ".json":
-            rows = read_json(path)
-        else:
-            with opened(path) as file:
-                rows = _Plain(file).load()
+    with as_input_error("the benchmark cannot be read", OSError, ValueError, got=str, path=path):
+        rows = read_json(path) if path.suffix == ".json" else read_plain_pickle(path)
     require(
         isinstance(rows, list) and rows and all(isinstance(row, dict) for row in rows),
         "a benchmark is a list of entries", got=type(rows).__name__, path=path,

@@ -17,6 +17,7 @@ from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
+from pipeline.system.door import opened
 from pipeline.system.errors import InputError, kind_and_text, needed, require
 
 MOST_OF_ARRAY = 1 << 30
@@ -230,7 +231,7 @@ def read_plain_pickle(path: Path, keep: Callable[[np.ndarray], Any] = np.asarray
         It is no pickle, names something that is not read, or asks for too much memory.
     """
     try:
-        with open(path, "rb") as raw:
+        with opened(path) as raw:
             packed = raw.read(2) == b"\x1f\x8b"
             raw.seek(0)
             source: Any = gzip.GzipFile(fileobj=raw) if packed else raw

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from pipeline.system.door import parse_json, read_text
 from pipeline.system.errors import InputError, as_input_error, first_line, require
 
 if sys.version_info >= (3, 11):
@@ -66,10 +66,6 @@ def checked(
         ) from error
 
 
-MOST_TEXT = 1 << 31
-"""Bytes of a file that is read as a whole."""
-
-
 @dataclass(frozen=True)
 class Content:
     """What a text file holds.
@@ -112,9 +108,7 @@ def read_content(path: Path, what: str = "the file") -> Content:
         It cannot be read; of JSON lines, which line is none.
     """
     with as_input_error(f"{what} cannot be read", OSError, UnicodeDecodeError, got=str, path=path):
-        size = path.stat().st_size
-        require(size <= MOST_TEXT, f"{what} is too large", got=f"{size} bytes", expected=f"{MOST_TEXT}", path=path)
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "utf-8-sig")
     if path.suffix.lower() == ".csv":
         with as_input_error(f"{what} is not CSV", csv.Error, got=str, path=path):
             reader = csv.DictReader(text.splitlines())
@@ -129,12 +123,12 @@ def read_content(path: Path, what: str = "the file") -> Content:
 
 def _is_json(text: str) -> bool:
     try:
-        json.loads(text)
-    except (ValueError, RecursionError):
+        parse_json(text)
+    except (ValueError, InputError):
         return False
     return True
 
 
 def _parsed(text: str, wrong: str, path: Path) -> Any:
-    with as_input_error(wrong, ValueError, RecursionError, got=first_line, path=path):
-        return json.loads(text)
+    with as_input_error(wrong, ValueError, got=first_line, path=path):
+        return parse_json(text, path)

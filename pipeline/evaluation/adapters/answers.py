@@ -29,7 +29,9 @@ from pipeline.answering.predictions import GivenAnswer, Header, Prediction
 from pipeline.datasets.frame_names import Picture
 from pipeline.evaluation.adapters.base import PredictionFormat, Published
 from pipeline.evaluation.vlm.answers import parse_box, parse_yes_no, spoken_part
-from pipeline.system.errors import needed, require
+from pipeline.system.door import opened, parse_json
+from pipeline.system.errors import InputError, needed, require
+from pipeline.system.limits import current_limits
 from pipeline.system.reading import Content, read_content
 
 PICTURES = ("frame", "rgb_path", "image_path", "image_file", "image", "img", "images", "input_media", "file_name")
@@ -130,8 +132,8 @@ def _traced(path: Path, number: Any) -> str | None:
     name = f"session-{number}"
     if "/" in name or "\\" in name:
         return None
-    with suppress(OSError, ValueError), open(path.parent / name / "trace.jsonl", encoding="utf-8") as file:
-        event = json.loads(file.readline())
+    with suppress(OSError, ValueError, InputError), opened(path.parent / name / "trace.jsonl", "unpacked") as file:
+        event = parse_json(file.readline(current_limits().text), path)
         return str(event["instruction"]).split("\n\n")[0] if event.get("event_type") == "init" else None
     return None
 

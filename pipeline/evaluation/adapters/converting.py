@@ -21,6 +21,7 @@ from pipeline.evaluation.job import RunReport
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.expression import parse
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files
+from pipeline.system.door import opened
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.plugins import load_plugins
 
@@ -166,7 +167,7 @@ def is_published(path: Path) -> bool:
     """Whether a file is not of our own schema: it does not begin with its header."""
     if path.is_dir():
         return True
-    with suppress(OSError), open(path, "rb") as file:
+    with suppress(OSError), opened(path, "unpacked") as file:
         return b'"spatialviz_predictions"' not in file.readline(1 << 16)
     return False
 
