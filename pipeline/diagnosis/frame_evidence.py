@@ -139,7 +139,8 @@ class FrameEvidence:
 
     def _score(self, relations: Sequence[str]) -> None:
         source, d = self.answers.source, self.detections
-        stand_in = None if self.asked_again else replace(source, scorer=source.scorer.stand_in)
+        other = None if self.asked_again else getattr(source.scorer, "stand_in", None)
+        stand_in = None if other is None else replace(source, scorer=other)
         points = any(needs_points(source.scorer, relation) for relation in relations)
         indices = self._involved(relations)
         true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}

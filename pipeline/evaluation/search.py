@@ -113,7 +113,7 @@ def _kind_of(type_: str) -> Kind | None:
 
 def fields_of(schema: pa.Schema) -> dict[str, Field]:
     """What a run's records can be searched by, short names first."""
-    found = ((field.name, _kind_of(str(field.type))) for field in schema)
+    found: list[tuple[str, Kind | None]] = [(field.name, _kind_of(str(field.type))) for field in schema]
     kinds: dict[str, Kind] = {name: "words" if name in WORDS else kind for name, kind in found if kind is not None}
     short = {name: Field(name, c, kinds[c]) for name, c in ALIASES.items() if c in kinds}
     return short | {name: Field(name, name, kind) for name, kind in kinds.items()}

@@ -92,15 +92,18 @@ class SentenceReport:
     @cached_property
     def deltas(self) -> Deltas | None:
         """What each module costs over the diagnosed sentences, ATTRIBUTE where any has attributes; None without any."""
-        found = [(j.diagnosis, j.sentence.frame) for j in self.judged if j.diagnosis is not None]
+        found = [(d, d.right_with, j.sentence.frame) for j in self.judged if (d := j.diagnosis) is not None]
         if not found:
             return None
-        oracles = max((d.oracles for d, _ in found), key=len)
+        oracles = max((d.oracles for d, *_ in found), key=len)
         # Without attributes the oracle of attributes changes nothing.
         right = [
-            d.right_with | (d.right_with << len(d.margins) if len(d.oracles) < len(oracles) else 0) for d, _ in found
+            with_ | (with_ << len(d.margins) if len(d.oracles) < len(oracles) else 0)
+            for d, with_, _ in found
+            if with_ is not None
         ]
-        return oracle_deltas(np.array(right, np.int64), np.array([frame for _, frame in found]), oracles=oracles)
+        frames = [frame for _, with_, frame in found if with_ is not None]
+        return oracle_deltas(np.array(right, np.int64), np.array(frames), oracles=oracles)
 
     @property
     def tables(self) -> tuple[Table, ...]:

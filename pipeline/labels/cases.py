@@ -294,9 +294,7 @@ _COLUMNS = {
 
 
 def _part(root: Path, name: str, columns: list[str], first: int, stop: int) -> pa.Table:
-    return read_parquet(
-        root / f"{name}.parquet", columns, [("frame_index", ">=", first), ("frame_index", "<", stop)]
-    )
+    return read_parquet(root / f"{name}.parquet", columns, [("frame_index", ">=", first), ("frame_index", "<", stop)])
 
 
 def _by_frame(table: pa.Table) -> dict[int, dict[str, list[Any]]]:

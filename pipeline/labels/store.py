@@ -90,11 +90,7 @@ class Store:
     def read_text(self, name: str) -> str | None:
         """A small file, or None where it is missing."""
         try:
-            return (
-                self._fs.cat_file(f"{self._root}/{name}").decode()
-                if self.remote
-                else read_text(self.folder / name)
-            )
+            return self._fs.cat_file(f"{self._root}/{name}").decode() if self.remote else read_text(self.folder / name)
         except FileNotFoundError:
             return None
         except UnicodeDecodeError as error:

@@ -107,7 +107,7 @@ def within(number: float, name: str, what: str, path: Any, limits: Limits) -> No
     if number > most:
         raise InputError(
             f"{what} is too large to be read" if name != "seconds" else what,
-            got=f"{shown(number)} {_UNIT_OF.get(name, name)}",
+            got=f"{shown(number)} {'bytes' if name in _OF_BYTES else name}",
             expected=f"at most {shown(most)}",
             cause=f"meant to be so large? {LIMITS_OPTION} {name}={shown_above(number)}",
             path=path,
@@ -122,4 +122,4 @@ def shown_above(number: float) -> str:
     return f"{-(-scaled // step) * step}{unit}"
 
 
-_UNIT_OF = dict.fromkeys(("bytes", "text", "unpacked", "model", "tensor", "memory"), "bytes")
+_OF_BYTES = ("bytes", "text", "unpacked", "model", "tensor", "memory")

@@ -164,12 +164,15 @@ def verdict_evidence(state: State, trace: Trace) -> list[Child]:
     judged = state.judged
     if not isinstance(judged, Diagnosis):
         return [h.p(UNKNOWN if judged is None else f"No verdict: {judged}.", cls="dim")]
-    return [None if state.other is None else _other(state, trace, state.other), _oracles(judged)]
+    return [None if state.other is None else _other(state, trace, state.other), *_oracles(judged)]
 
 
 def _oracles(d: Diagnosis) -> list[Child]:
-    """Each oracle alone: is the answer right with it, and by what margin."""
-    rows = [_oracle(d, "", 0), *(_oracle(d, name, 1 << k) for k, name in enumerate(d.oracles))]
+    """Each oracle alone: is the answer right with it, and by what margin; nothing where predictions do not tell."""
+    if d.right_with is None:
+        return []
+    names = [("", 0), *((name, 1 << k) for k, name in enumerate(d.oracles))]
+    rows = [_oracle(d, name, bool(d.right_with >> subset & 1), float(d.margins[subset])) for name, subset in names]
     repair = f"smallest repair: {' + '.join(d.repair)}" if d.repair else ""
     if len(d.mends) > 1:
         repair = f"each alone would do: {', '.join(d.mends)}"
@@ -180,8 +183,7 @@ def _oracles(d: Diagnosis) -> list[Child]:
     ]
 
 
-def _oracle(d: Diagnosis, name: str, subset: int) -> Element:
-    right, margin = bool(d.right_with >> subset & 1), float(d.margins[subset])
+def _oracle(d: Diagnosis, name: str, right: bool, margin: float) -> Element:
     words = ORACLE_WORDS.get(name, "nothing: as it is")
     return h.tr(
         h.th(term(name) if name else None, scope="row"),

@@ -181,6 +181,7 @@ def test_verdicts_are_exclusive_and_hold_what_they_say(
     said = explain(d, case, query=QUERY, problem=None)
     assert said.endswith((".", "?"))
     assert "None" not in said
+    assert d.right_with is not None
     assert all(bool(d.right_with >> s & 1) == bool(found.right_target[s]) for s in range(SUBSETS))
 
 

@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -233,7 +234,8 @@ def encoded(kind: str) -> bytes:
 def test_headers_tell_the_size_that_a_decoder_makes(kind: str) -> None:
     data = encoded(kind)
     assert header_size(data) == (57, 34)
-    assert np.shape(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))[:2] == (34, 57)
+    decoded: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert decoded.shape[:2] == (34, 57)
     for cut in range(0, min(len(data), 200)):
         header_size(data[:cut])  # Whatever is cut off, nothing is raised.
 
