@@ -28,7 +28,7 @@ from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
-from pipeline.evaluation.summary import RunSummary, need_verdicts, oracle_table, summarise_run, verdict_table
+from pipeline.evaluation.summary import RunSummary, need_verdicts, summarise_run, summary_tables
 from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
 from pipeline.system.arrow import pa
@@ -354,8 +354,7 @@ def print_failures(
     if command.search:
         _print_found(command, name, summary.expressions, found)
     if not command.search or command.slices is not None:
-        of_run = {name: summary}
-        for table in (verdict_table(of_run), oracle_table(of_run), *(slice_table(s, intervals=False) for s in cuts)):
+        for table in (*summary_tables({name: summary}), *(slice_table(s, intervals=False) for s in cuts)):
             print_table(with_caveats(table, {name: shares}), caveats=False)
             say()
     if not command.search:

@@ -42,7 +42,7 @@ from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, median_
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
 from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
-from pipeline.evaluation.summary import RunSummary, has_verdicts, oracle_table, summarise_run, verdict_table
+from pipeline.evaluation.summary import RunSummary, has_verdicts, summarise_run, summary_tables
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
 from pipeline.labels.profiles import canonical_hash
@@ -369,7 +369,7 @@ class RunDiagnosis:
     @property
     def tables(self) -> list[Table]:
         """Verdicts and oracles, where there are verdicts."""
-        return self._shared([verdict_table(self.summaries), oracle_table(self.summaries)] if self.summaries else [])
+        return self._shared(summary_tables(self.summaries))
 
     def _shared(self, tables: Sequence[Table]) -> list[Table]:
         return [with_caveats(table, {name: self.shares.get(name, ()) for name in self.summaries}) for table in tables]

@@ -23,7 +23,7 @@ from pipeline.evaluation.plots import (
     write_figures,
 )
 from pipeline.evaluation.slices import Slices
-from pipeline.evaluation.summary import RunSummary, Share, residual_words
+from pipeline.evaluation.summary import Deltas, RunSummary, Share, residual_words
 from pipeline.labels.report.style import FULL, INK, QUIET, house_style, new_figure, save_figure, short
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
@@ -64,7 +64,8 @@ def draw_diagnosis(
         if summaries:
             first = next(iter(summaries))
             _verdicts(summaries, above, out / "verdicts.png")
-            _oracles(first, summaries[first], above, out / "oracles.png")
+            if (costs := summaries[first].deltas) is not None:
+                _oracles(first, summaries[first], costs, above, out / "oracles.png")
             _slices(first, slices, above, out / "slices.png")
         for found in confusions:
             _confusion(found, above, out / f"{found.key}.png")
@@ -104,7 +105,7 @@ def _verdicts(summaries: Mapping[str, RunSummary], above: str, path: Path) -> No
     save_figure(figure, path)
 
 
-def _oracles(name: str, summary: RunSummary, caveat: str, path: Path) -> None:
+def _oracles(name: str, summary: RunSummary, costs: Deltas, caveat: str, path: Path) -> None:
     figure = new_figure(FULL, 380, f"What each module costs: {name}", caveat + ADDS_UP)
     axes = figure.add_subplot()
     bars = waterfall(summary)
@@ -118,9 +119,9 @@ def _oracles(name: str, summary: RunSummary, caveat: str, path: Path) -> None:
             x - 0.18, max(end, 100 * start) + above + 0.4, estimate.formatted(signed=sign).split(" [")[0],
             ha="center", va="bottom", fontsize=9,
         )  # fmt: skip
-        single = summary.deltas.single.get(key)
+        single = costs.single.get(key)
         if single is not None:
-            base = 100 * float(summary.deltas.value[0])
+            base = 100 * float(costs.value[0])
             axes.bar(x + 0.2, 100 * single.value, 0.3, base, fill=False, edgecolor=LOSS_COLORS[key], linewidth=1.4)
             low, high = interval(single)
             axes.errorbar(x + 0.2, base + 100 * single.value, [[low], [high]], ecolor=QUIET, elinewidth=0.8, fmt="none")
@@ -130,7 +131,7 @@ def _oracles(name: str, summary: RunSummary, caveat: str, path: Path) -> None:
                 color=QUIET,
             )  # fmt: skip
     least = min(100 * min(s, s + e.value) for _, s, e in bars[1:])
-    alone = min((100 * (summary.deltas.value[0] + e.value) for e in summary.deltas.single.values()), default=least)
+    alone = min((100 * (costs.value[0] + e.value) for e in costs.single.values()), default=least)
     start = max(0.0, min(least, alone) - 10)
     axes.set_xticks(range(len(bars)), ["as answered", *(k for k, _, _ in bars[1:])])
     axes.set(ylim=(start, 104), ylabel=f"set-valued accuracy (%){f', from {start:.0f} on' if start else ''}")
@@ -194,7 +195,9 @@ def write_page(
     if summaries:
         parts.append(_verdicts_figure(summaries))
         for name, summary in summaries.items():
-            parts += [_oracles_figure(name, summary), _paragraph(f"{ADDS_UP} {name}: {residual_words(summary)}.")]
+            if (costs := summary.deltas) is not None:
+                words = f"{ADDS_UP} {name}: {residual_words(summary)}."
+                parts += [_oracles_figure(name, summary, costs), _paragraph(words)]
     for cut in slices:
         parts += [_slices_figure(system, cut) for system in dict.fromkeys(s.system for s in cut.slices if s.verdicts)]
     for found in confusions:
@@ -226,7 +229,7 @@ def _verdicts_figure(summaries: Mapping[str, RunSummary]) -> Any:
     )
 
 
-def _oracles_figure(name: str, summary: RunSummary) -> Any:
+def _oracles_figure(name: str, summary: RunSummary, costs: Deltas) -> Any:
     bars = waterfall(summary)
     figure = moving_figure()
     figure.add_bar(
@@ -235,9 +238,9 @@ def _oracles_figure(name: str, summary: RunSummary) -> Any:
         name="Shapley: adds up", offsetgroup="0", customdata=[e.formatted() for _, _, e in bars],
         hovertemplate="%{x}: %{customdata}",
     )  # fmt: skip
-    single = summary.deltas.single
+    single = costs.single
     figure.add_bar(
-        x=list(single), y=[100 * e.value for e in single.values()], base=100 * float(summary.deltas.value[0]),
+        x=list(single), y=[100 * e.value for e in single.values()], base=100 * float(costs.value[0]),
         marker={"color": "rgba(0,0,0,0)", "line": {"color": [LOSS_COLORS[k] for k in single], "width": 2}},
         error_y=_errors(list(single.values())), name="alone: does not add up", offsetgroup="1",
         customdata=[e.formatted(signed=True) for e in single.values()], hovertemplate="%{x} alone: %{customdata}",

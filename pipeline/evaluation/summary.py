@@ -61,7 +61,9 @@ class RunSummary:
         Set-valued, as answered.
     parse : Estimate
         v(none) - accuracy: what the gold parse would gain.
-    deltas : Deltas
+    deltas : Deltas or None
+        None where no expression tells what the truth in place of a module would do: imported predictions without
+        relation probabilities.
     residual : Estimate
         1 - v(all).
     residual_causes : dict of (str, str or None) to int
@@ -75,14 +77,14 @@ class RunSummary:
     lucky: Share
     accuracy: Estimate
     parse: Estimate
-    deltas: Deltas
+    deltas: Deltas | None
     residual: Estimate
     residual_causes: dict[tuple[str, str | None], int]
 
     @property
     def loss(self) -> dict[str, Estimate]:
-        """What adds up to one: accuracy, PARSE, the Shapley value of each oracle, residual."""
-        return {"accuracy": self.accuracy, "PARSE": self.parse, **self.deltas.shapley, "residual": self.residual}
+        """What adds up to one: accuracy, PARSE, the Shapley value of each oracle, residual; empty without deltas."""
+        return {} if self.deltas is None else {"accuracy": self.accuracy, "PARSE": self.parse, **self.deltas.shapley, "residual": self.residual}
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
@@ -97,8 +99,8 @@ class RunSummary:
             "lucky": self.lucky.record(),
             "accuracy": self.accuracy.record(),
             "parse": self.parse.record(),
-            "oracles": self.deltas.record(),
-            "residual": self.residual.record(),
+            "oracles": None if self.deltas is None else self.deltas.record(),
+            "residual": None if self.deltas is None else self.residual.record(),
             "residual_causes": [
                 {"verdict": verdict, "detail": detail, "count": n}
                 for (verdict, detail), n in self.residual_causes.items()
@@ -161,14 +163,13 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
     details = dict(zip(pairs, shares[len(kinds) :], strict=False))
     ordered = sorted(details, key=lambda p: (VERDICTS.index(p[0]), -details[p].count, p[1]))
     # Of imported predictions that do not tell: what is right stays so, and no oracle is known to mend the rest.
-    answered_right = column(records, "set_correct") > 0
-    right_with = column(records, "right_with")
-    right_with = np.where(np.isnan(right_with), answered_right * ((1 << SUBSETS) - 1), right_with).astype(np.int64)
-    deltas = oracle_deltas(right_with, clusters, config)
-    explained = sum(e.value for e in deltas.shapley.values())
-    if abs(explained - (deltas.value[-1] - deltas.value[0])) > EXACT:
+    answered, right_with = column(records, "set_correct"), column(records, "right_with")
+    told = not np.isnan(right_with).all()
+    right_with = np.where(np.isnan(right_with), (answered > 0) * ((1 << SUBSETS) - 1), right_with).astype(np.int64)
+    deltas = oracle_deltas(right_with, clusters, config) if told else None
+    explained = 0.0 if deltas is None else sum(e.value for e in deltas.shapley.values())
+    if deltas is not None and abs(explained - (deltas.value[-1] - deltas.value[0])) > EXACT:
         raise AssertionError(f"Shapley values sum to {explained}, not to v(all) - v(none)")
-    answered = column(records, "set_correct")
     unmended = (right_with >> (SUBSETS - 1)) & 1 == 0
     causes = Counter(zip(verdict[unmended].tolist(), detail[unmended].tolist(), strict=True))
     return RunSummary(
@@ -220,14 +221,20 @@ def verdict_table(systems: Mapping[str, RunSummary]) -> Table:
     )
 
 
+def summary_tables(systems: Mapping[str, RunSummary]) -> list[Table]:
+    """Verdicts, and oracles where a system has them."""
+    told = {name: s for name, s in systems.items() if s.deltas is not None}
+    return [verdict_table(systems), *([oracle_table(told)] if told else [])] if systems else []
+
+
 def oracle_table(systems: Mapping[str, RunSummary]) -> Table:
-    """The table "oracles": single deltas, and Shapley values with what completes them to one."""
+    """The table "oracles": single deltas, and Shapley values with what completes them to one; all have deltas."""
     found = list(systems.values())
 
     lines: dict[str, list[tuple[Cell, Cell]]] = {
         "as answered": [(None, s.accuracy) for s in found],
         "PARSE": [(s.parse, s.parse) for s in found],
-        **{m: [(s.deltas.single[m], s.deltas.shapley[m]) for s in found] for m in ORACLES},
+        **{m: [(d.single[m], d.shapley[m]) for s in found if (d := s.deltas) is not None] for m in ORACLES},
         "residual": [(None, s.residual) for s in found],
         "sum": [(None, float(sum(e.value for e in s.loss.values()))) for s in found],
     }

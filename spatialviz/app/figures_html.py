@@ -86,7 +86,10 @@ def _along(start: float, width: float) -> dict[str, str]:
 
 def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
     """From the accuracy as it is, module by module, to 100: each bar begins where the one above ends."""
-    shares = {"PARSE": summary.parse, **summary.deltas.shapley, "residual": summary.residual}
+    if summary.deltas is None:
+        why = "What each module costs is not known: these predictions give no relation probabilities."
+        return heading("Where the accuracy goes", ""), _in_words(summary, {}), h.p(why, cls="small dim")
+    shares = {name: e for name, e in summary.loss.items() if name != "accuracy"}
     alone = {"PARSE": summary.parse, **summary.deltas.single}
     base = summary.accuracy.value
     low = math.floor(max(0.0, base + min(0.0, *(e.value for e in alone.values())) - 0.02) * 100 / AXIS) * AXIS / 100

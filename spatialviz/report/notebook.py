@@ -138,7 +138,8 @@ def _run(run: Run) -> Element:
     summary = summarise_run(records) if run.verdicts else None
     parts = [] if summary is None else [
         _shares("verdict", {name: share.estimate for name, share in summary.verdicts.items()}, VERDICT_COLORS),
-        _shares("of all, lost to", {k: v for k, v in summary.loss.items() if k != "accuracy"}, LOSS_COLORS),
+        *([_shares("of all, lost to", {k: v for k, v in summary.loss.items() if k != "accuracy"}, LOSS_COLORS)]
+          if summary.loss else []),
     ]  # fmt: skip
     theirs = run.manifest.get("imported")
     whose = "" if theirs is None else f", imported, level {theirs['level']} of 3"

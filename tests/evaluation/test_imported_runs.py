@@ -128,6 +128,8 @@ def test_a_level_says_what_it_can_and_no_more(folder: Path, level: int) -> None:
     import_run(at_level(folder, level), "demo", folder / "labels", folder / f"run{level}", plots=False)
     ours = {r["id"]: r for r in rows(open_run(folder / "run"))}
     theirs = rows(open_run(folder / f"run{level}"))
+    (costs,) = json.loads((folder / f"run{level}" / "diagnosis.json").read_text())["systems"].values()
+    assert (costs["oracles"], costs["residual"]) == (None, None), "a table of zeros says what is not known"
     known = {0: set(), 1: {"OPM-TARGET", "OPM-REF"}, 2: {"OPM-TARGET", "OPM-REF", "LIFT"}}[level]
     assert {r["verdict"] for r in theirs} <= {"CORRECT", "LABEL", "PARSE", "UNEXPLAINED"} | known
     for row in theirs:
