@@ -85,6 +85,9 @@ class Trace:
         What made the candidates' scores of the detector's; None where they are its own.
     ranking : Ranking or None
         None where a class was not found.
+    answered : str or None
+        The answer in words where it was given elsewhere without what ranked it: then the first pair is it, if it is
+        one of the objects, and numbers of the pairs are no part of it.
     """
 
     frame: Frame
@@ -99,6 +102,7 @@ class Trace:
     exact: bool
     score_calibration: ScoreCalibration | None = None
     ranking: Ranking | None = None
+    answered: str | None = None
 
     def __repr__(self) -> str:
         pairs = 0 if self.ranking is None else len(self.ranking.pairs)
@@ -235,7 +239,10 @@ def ranked(
     edited : callable
         Changes the relation probabilities that the ranking asks for.
     """
-    if trace.missing:
+    rule = config.rule
+    if rule is not None and rule.answered is not None:
+        trace = replace(trace, answered=rule.answered)
+    if trace.missing or (trace.answered is not None and not rule.given):
         return trace
     with timed(trace.timings, "prm"):
         alike = same(trace.objects)

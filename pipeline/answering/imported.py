@@ -91,6 +91,8 @@ class GivenDetector:
         return self._found(frame, labels, lambda p: p.dropped is None or p.dropped in self._drops)
 
     def _found(self, frame: Frame, labels: Sequence[str] | None, keep: Callable[[Proposal], bool]) -> Proposals:
+        if self.line is not None and self.line.proposals is None:
+            return no_proposals(frame.height, frame.width)
         header, lines = self.predictions.header, self.predictions.of_frame(frame.id)
         lines = lines if self.line is None else (self.line,)
         names: tuple[str, ...] = self.vocabulary
@@ -162,7 +164,7 @@ class GivenScorer:
 
     def __init__(self, predictions: Predictions, line: Prediction | None, stand_in: RelationScorer) -> None:
         self.predictions, self.line, self.stand_in = predictions, line, stand_in
-        self.name = label_of(predictions)
+        self.name = stand_in.name if line is not None and line.relations is None else label_of(predictions)
         self.asked_again = predictions.header.scorer is not None
 
     def score(

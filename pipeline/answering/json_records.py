@@ -149,7 +149,8 @@ def trace_record(trace: Trace) -> Record:
 
     "answer" is the best pair, null without any: "holds" says whether every relation of the expression is at least as
     probable as not, "relation_probability" is that of the weakest of them, "probability" the posterior over the
-    candidate pairs; where it does not hold, "fails" lists the relations that do not.
+    candidate pairs; where it does not hold, "fails" lists the relations that do not. "answered" is there only where an
+    imported answer came without what ranked it: then these numbers are ours, and no part of it.
     """
     ranking, calibration = trace.ranking, trace.score_calibration
     pairs = () if ranking is None else ranking.pairs
@@ -176,6 +177,7 @@ def trace_record(trace: Trace) -> Record:
     return record | present(
         score_calibration=None if calibration is None else {"a": calibration.a, "b": calibration.b},
         reason=why_no_answer(trace),
+        answered=trace.answered,
         ranking=ranked,
         depth_source=trace.frame.depth_source or None,
     )
@@ -219,6 +221,8 @@ def _role_record(trace: Trace, name: str, index: int) -> Record:
 
 def why_no_answer(trace: Trace) -> str | None:
     """One line saying why there is no answer; None where there is one."""
+    if trace.answered is not None and trace.ranking is None:
+        return trace.answered
     if trace.missing:
         names = " and no ".join(repr(n) for n in trace.missing)
         return f"no {names} found in frame {trace.frame.id}"
@@ -366,10 +370,10 @@ def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = Non
     factors = {what: probability(p) for what, p in headline(pair)}
     return ToldAnswer(
         holds=pair.holds,
-        lead=_lead(ranking, pair),
-        numbers=", ".join(f"{what} {p}" for what, p in factors.items()),
-        below=_below(ranking, pair),
-        fails=tuple(fails),
+        lead="" if trace.answered else _lead(ranking, pair),
+        numbers=trace.answered or ", ".join(f"{what} {p}" for what, p in factors.items()),
+        below="" if trace.answered else _below(ranking, pair),
+        fails=() if trace.answered else tuple(fails),
     )
 
 

@@ -184,6 +184,8 @@ class PairRule:
     product : RankConfig or None
         The header's product, where the line's answer is not what it gives; the scores of changed pairs are then its.
     rescore : callable or None
+    answered : str or None
+        Of a line that does not tell what ranked: its answer in words, which no number of ours may stand beside.
     ids : (N,) int64 or None
         Of the list of objects that the table of pairs is about.
     """
@@ -196,6 +198,7 @@ class PairRule:
     separable: bool
     product: RankConfig | None = None
     rescore: Rescore | None = None
+    answered: str | None = None
     ids: np.ndarray | None = None
 
     def scores(self, target: Side, ends: Sequence[Side], p: np.ndarray, regular: bool = False) -> np.ndarray:
@@ -311,7 +314,9 @@ class RuledConfig(RankConfig):
 
 def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore | None) -> PairRule | None:
     """The rule of a line; None where its ranking is the header's product, and gives the line's answer."""
-    if not line.ranked or (header.ranking == "product" and header.same == "overlap"):
+    if not line.ranked:
+        return _unranked(header, line)
+    if header.ranking == "product" and header.same == "overlap":
         # What overlaps is no pair, and so the best product need not be the answer.
         return None
     factors, key = factors_of(line), (line.frame, line.text)
@@ -339,3 +344,20 @@ def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore 
     # What ranked is not told: of the answer it is known that it stands above all others, and no more.
     own = Samples(np.array(list(factors.values())).reshape(-1, 3), np.array([float(p == pair) for p in factors]))
     return PairRule(line, {p: float(p == pair) for p in factors}, factors, own, nothing, True, rescore=rescore)
+
+
+def _unranked(header: Header, line: Prediction) -> PairRule:
+    """The rule of a line that does not tell what ranked: its answer stands above all else, and no more is known."""
+    answer, found, words = line.answer, {}, f"{header.system} gave no answer"
+    if answer is None and line.problem:
+        words += f": {line.problem}"
+    elif answer is not None and answer.object is not None:
+        ends = (answer.reference,) if answer.reference is not None else (-1, *line.objects)
+        found, words = {(answer.object, end): 1.0 for end in ends}, f"as {header.system} answered"
+    elif answer is not None and answer.yes is not None:
+        words = f"{header.system} answered {'yes' if answer.yes else 'no'}"
+    elif answer is not None:
+        numbers = ", ".join(f"{v:g}" for v in answer.point or answer.box or ())
+        kind = "point" if answer.point else "box" if answer.box else "mask"
+        words = f"{header.system} answered a {kind}{numbers and f' at {numbers}'}"
+    return PairRule(line, found, {}, NONE, NONE, True, answered=words)

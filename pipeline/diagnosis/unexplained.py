@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-def unexplained(detail: str | None, target: str) -> str:
+def unexplained(detail: str | None, target: str, answered: bool = True) -> str:
     """The verdict UNEXPLAINED in words: what is known, and what would tell more.
 
     Parameters
@@ -12,13 +12,17 @@ def unexplained(detail: str | None, target: str) -> str:
         ANSWER, PROPOSALS, BOXES: what the file gives; or NOT-SEPARABLE.
     target : str
         The name that was asked for.
+    answered : bool
+        There is an answer.
     """
+    wrong = "Wrong" if answered else "Not answered"
+    proposed = f"{wrong}, and the right {target} was proposed"
     return {
-        "ANSWER": "Wrong. The file gives the answer alone; with its proposals (level 1) it could be said whether the "
-        "right thing was seen at all.",
-        "PROPOSALS": f"Wrong, and the right {target} was proposed. With 3D boxes (level 2) and relation probabilities "
+        "ANSWER": f"{wrong}. The file gives no more than the answer; with its proposals (level 1) it could be said "
+        "whether the right thing was seen at all.",
+        "PROPOSALS": f"{proposed}. With 3D boxes (level 2) and relation probabilities "
         "(level 3) it could be said why it lost.",
-        "BOXES": f"Wrong, and the right {target} was proposed, where it is. With relation probabilities (level 3) it "
+        "BOXES": f"{proposed}, where it is. With relation probabilities (level 3) it "
         "could be said whether these or the ranking are to blame.",
     }.get(
         detail or "",

@@ -207,10 +207,13 @@ def explain(
         return _parse(case, query, problem)
     if diagnosis.verdict in ("OPM-TARGET", "OPM-REF"):
         return _missed(diagnosis, unknown)
-    told = {"CORRECT": _correct, "LABEL": _label, "UNEXPLAINED": lambda d, c: unexplained(d.detail, c.target)}.get(
-        diagnosis.verdict, _lost
-    )
+    told = {"CORRECT": _correct, "LABEL": _label, "UNEXPLAINED": _unexplained}.get(diagnosis.verdict, _lost)
     return told(diagnosis, case)
+
+
+def _unexplained(d: Diagnosis, case: Case) -> str:
+    line = getattr(d.evidence.answers.source, "line", None)
+    return unexplained(d.detail, case.target, line is None or line.ranked or line.answer is not None)
 
 
 def _lost(d: Diagnosis, case: Case) -> str:

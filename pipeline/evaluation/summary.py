@@ -84,7 +84,9 @@ class RunSummary:
     @property
     def loss(self) -> dict[str, Estimate]:
         """What adds up to one: accuracy, PARSE, the Shapley value of each oracle, residual; empty without deltas."""
-        return {} if self.deltas is None else {"accuracy": self.accuracy, "PARSE": self.parse, **self.deltas.shapley, "residual": self.residual}
+        if self.deltas is None:
+            return {}
+        return {"accuracy": self.accuracy, "PARSE": self.parse, **self.deltas.shapley, "residual": self.residual}
 
     def record(self) -> dict[str, Any]:
         """As JSON."""

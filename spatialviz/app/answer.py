@@ -116,7 +116,7 @@ def _pair(state: State, trace: Trace) -> list[Child]:
         # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
         note(_capital(answer.lead.strip())) if pair is best and answer.lead else None,
         _names(state, trace, pair),
-        _headline(pair),
+        _headline(pair) if trace.answered is None else h.div(_capital(trace.answered), cls="dim", id="answer-heads"),
         h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None,
         h.div(with_terms(answer.below, "posterior", "margin"), cls="dim", id="answer-below"),
     ]

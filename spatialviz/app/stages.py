@@ -169,6 +169,8 @@ def _attribute(state: State) -> Stage | None:
 
 def _prm(trace: Trace) -> Stage:
     reason, ranking, cost = why_no_answer(trace), trace.ranking, _ms(trace, "prm")
+    if trace.answered is not None:
+        return Stage("PRM", "idle", f"{trace.answered}; what ranked it is not given")
     if reason is not None or ranking is None:
         return Stage("PRM", "idle" if trace.missing else "bad", "nothing to rank" if trace.missing else reason or "")
     if len(ranking.pairs) == 1:

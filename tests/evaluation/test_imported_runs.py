@@ -14,7 +14,7 @@ import pytest
 from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.predictions import GivenAnswer, Header, Prediction, read_predictions, write_predictions
-from pipeline.diagnosis.asking import ask_and_judge
+from pipeline.diagnosis.asking import ask_and_judge, edited_trace
 from pipeline.evaluation.importing import check_places, export_run, import_run
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
@@ -139,6 +139,25 @@ def test_a_level_says_what_it_can_and_no_more(folder: Path, level: int) -> None:
         assert (row["verdict"] == full) if same else row["verdict"] in {"UNEXPLAINED", "LIFT"}, (row, full)
         assert row["right_with"] is None
         assert ("level" in row["said"]) == (row["verdict"] == "UNEXPLAINED")
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_an_answer_without_its_ranking_is_shown_as_it_was_given(folder: Path, level: int) -> None:
+    source = open_imported(at_level(folder, level), "demo")
+    seen = set()
+    for (frame, text), line in source.predictions.lines.items():
+        if line.unknown:
+            continue
+        (answer,) = ask_and_judge(source, frame, [text], open_run(folder / "run").labels)
+        given = None if line.answer is None else line.answer.object
+        if answer.trace is not None:
+            assert (None if answer.target is None else answer.target.id) == given
+            assert "less" in answer.sentence
+            assert "product" not in answer.sentence
+            with pytest.raises(InputError, match="do not tell what ranked it"):
+                edited_trace(source, source.prepare(frame), text, {"k": 1})
+            seen.add(text)
+    assert len(seen) > 30
 
 
 def changed(folder: Path, tmp_path: Path, change: Callable[[list[dict[str, Any]]], None]) -> Path:
