@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.answering.pair_rules import PairRule, Rescore, RuledConfig, RunRules, line_rule
+from pipeline.answering.pair_rules import PairRule, Rescore, RuledConfig, RunRules, line_rule, missing_row
 from pipeline.answering.placing import box_2d, box_3d
 from pipeline.answering.predictions import Prediction, Predictions, Proposal, read_predictions
 from pipeline.answering.shown_scorer import ShownScorer
@@ -311,12 +311,21 @@ def open_source(dataset: Any, **options: Any) -> Pipeline:
 
 
 def needed_names(line: Prediction, names: Collection[str], predictions: Predictions) -> None:
-    """InputError where a line with proposals has none, not even an empty list, for a name that the expression asks."""
+    """InputError where a line with proposals has none, not even an empty list, for a name that the expression asks, or
+    one with relations has none of a pair that it asks for."""
     for name in names:
         require(
             line.proposals is None or name in (line.unknown or {}) or match(name, tuple(line.proposals)),
             f"{predictions.where(line, 'proposals')}: nothing for {name!r}, which the expression asks for",
             got=", ".join(line.proposals or ()) or "no names",
             expected="an empty list where nothing was found",
+            path=predictions.path,
+        )
+    missing = missing_row(line) if line.ranked else None
+    if missing is not None and missing[0] in PAIRWISE:
+        relation, a, b = missing
+        raise InputError(
+            f"{predictions.where(line, f'relations.{relation}')}: no probability of the pair {a}, {b}",
+            expected="a row for every ordered pair of the candidates of the expression",
             path=predictions.path,
         )

@@ -84,13 +84,24 @@ NONE = Samples(np.zeros((0, 3)), np.zeros(0))
 
 def factors_of(line: Prediction) -> dict[tuple[int, int], tuple[float, float, float]]:
     """P(target), P(reference), P(relation) of the pairs of a line that says one relation of two names, by ids."""
-    proposals, asked = line.proposals or {}, _asked(line)
-    rows = (line.relations or {}).get(asked[1] if asked else "", ())
-    names = [match(name, tuple(proposals)) for name in (asked[0], asked[2])] if asked else []
-    first, second = (
-        {p.id: p.score for name in known for p in proposals[name] if p.dropped is None} for known in names or ((), ())
-    )
+    relation, (first, second) = _ends(line)
+    rows = (line.relations or {}).get(relation, ())
     return {(r[0], r[1]): (first[r[0]], second[r[1]], r[-1]) for r in rows if r[0] in first and r[1] in second}
+
+
+def missing_row(line: Prediction) -> tuple[str, int, int] | None:
+    """The relation that a line asks, and the first pair of candidates that it has no probability for; None for none."""
+    relation, (first, second) = _ends(line)
+    told = {row[:2] for row in (line.relations or {}).get(relation, ())}
+    return next(((relation, a, b) for a in first for b in second if a != b and (a, b) not in told), None)
+
+
+def _ends(line: Prediction) -> tuple[str, list[dict[int, float]]]:
+    """The relation that a line asks, and the scores by id of what is proposed for its target and its reference."""
+    proposals, asked = line.proposals or {}, _asked(line)
+    names = [match(name, tuple(proposals)) for name in (asked[0], asked[2])] if asked else [(), ()]
+    scores = [{p.id: p.score for name in known for p in proposals[name] if p.dropped is None} for known in names]
+    return asked[1] if asked else "", scores
 
 
 def _asked(line: Prediction) -> tuple[str, str, str] | None:

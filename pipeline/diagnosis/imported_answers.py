@@ -11,10 +11,10 @@ from pipeline.answering.pair_table import PairTable
 from pipeline.answering.placing import box_2d, pixel_scale
 from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.missed import not_proposed
+from pipeline.diagnosis.missed import NEAR_MISS, not_proposed
 from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, SUBSETS, OracleScores, names_of
 from pipeline.diagnosis.substitution import substitute
-from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import decode_run_length, mask_box
@@ -85,6 +85,8 @@ def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str
         return replace(diagnosis, verdict="UNEXPLAINED", detail="ANSWER")
     found = substitute(evidence, case)
     unproposed = not_proposed(evidence, case, found, diagnosis)
+    if unproposed is None and line.answer is None:
+        unproposed = _one_for_both(evidence, case, found, diagnosis)
     if unproposed is not None:
         return unproposed
     if line.level == 1:
@@ -92,6 +94,22 @@ def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str
     if _misplaced(evidence, found, line):
         return replace(diagnosis, verdict="LIFT", repair=("LIFT",), mends=("LIFT",))
     return replace(diagnosis, verdict="UNEXPLAINED", detail="BOXES")
+
+
+def _one_for_both(
+    evidence: FrameEvidence, case: Case, found: OracleScores, diagnosis: Diagnosis
+) -> Diagnosis | None:
+    """OPM-REF where one thing covers both ends of every right pair, as of "book above another book"; else None."""
+    t, r = found.target.found, found.reference.found
+    two = found.target.index[:t, None] != found.reference.index[None, :r]
+    if not case.reference or (found.covered[:t, :r] & two).any():
+        return None
+    taken = found.target.index[:t][found.covered[:t, :r].any(axis=1)]
+    others = ~np.isin(found.reference.index[:r], taken)
+    wanted = evidence.truth.acceptable_pairs(case).any(axis=0)
+    best = float(found.reference.overlap[:r][others][:, wanted].max(initial=0.0))
+    missed = Missed("LOCALISATION" if best >= NEAR_MISS else "ABSENT", best)
+    return replace(diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference)
 
 
 def _misplaced(evidence: FrameEvidence, found: OracleScores, line: Prediction) -> bool:

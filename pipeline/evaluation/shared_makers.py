@@ -96,6 +96,11 @@ class Measured:
     network: str | None = None
     rule_too: tuple[str, ...] = ()
 
+    @property
+    def imported(self) -> bool:
+        """Predictions of another pipeline, whose boxes are not lifted here."""
+        return self.masks is not None and any(str(m.content).startswith("imported:") for m in self.masks.detectors)
+
     def record(self) -> dict[str, Any]:
         """As JSON: `measured` of a run."""
         masks = None if self.masks is None else self.masks.record()
@@ -145,7 +150,7 @@ def measured_of_run(manifest: Mapping[str, Any]) -> Measured:
 def shared_makers(makers: Makers, measured: Measured) -> tuple[Share, ...]:
     """What answers share with the labels that they are measured by: what makes their figures agreement comes first."""
     found = [*_masks(makers, measured.masks), *_relations(makers, measured)]
-    if measured.masks is not None and not any(share.title for share in found):
+    if measured.masks is not None and not measured.imported and not any(share.title for share in found):
         found.append(
             Share(
                 "boxes", "same geometry", "",
