@@ -311,8 +311,7 @@ def open_source(dataset: Any, **options: Any) -> Pipeline:
 
 
 def needed_names(line: Prediction, names: Collection[str], predictions: Predictions) -> None:
-    """InputError where a line with proposals has none, not even an empty list, for a name that the expression asks, or
-    one with relations has none of a pair that it asks for."""
+    """InputError where a line with proposals has none, not even an empty list, for a name that the expression asks."""
     for name in names:
         require(
             line.proposals is None or name in (line.unknown or {}) or match(name, tuple(line.proposals)),
@@ -321,6 +320,10 @@ def needed_names(line: Prediction, names: Collection[str], predictions: Predicti
             expected="an empty list where nothing was found",
             path=predictions.path,
         )
+
+
+def needed_rows(line: Prediction, predictions: Predictions) -> None:
+    """InputError where a line with relations lacks the probability of a pair that it asks for: none is made up."""
     missing = missing_row(line) if line.ranked else None
     if missing is not None and missing[0] in PAIRWISE:
         relation, a, b = missing

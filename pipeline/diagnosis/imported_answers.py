@@ -136,6 +136,10 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis:
     right pair win; where none does for certain it is not separable.
     """
     rule = found.table.config.rule
+    shown = [s for s in range(SUBSETS) if not s & RECALL]
+    if not np.isfinite(found.table.flat[shown][:, found.covered.ravel()]).any():
+        # The two things of every right pair count as one: whatever ranks, none is among the pairs.
+        return replace(diagnosis, verdict="PRM", detail="DEGENERATE", repair=())
     if wins(found, 0, regular=True) or _odd(found):
         return replace(diagnosis, verdict="PRM", detail="SCORE", repair=())
     if not rule.separable and rule.rescore is None and rule.product is None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.answering import FrameAnswers, StageClock
-from pipeline.answering.imported import ImportedPipeline, needed_names
+from pipeline.answering.imported import ImportedPipeline, needed_names, needed_rows
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.predictions import Prediction
 from pipeline.diagnosis.decision import diagnose
@@ -57,7 +57,7 @@ def imported_rows(
     Raises
     ------
     InputError
-        A line whose proposals lack a name that the expression asks for.
+        A line whose proposals lack a name that the expression asks for, or whose relations a pair.
     """
     rows = []
     for case in truth.cases:
@@ -68,6 +68,7 @@ def imported_rows(
         query, problem = _read(own, line, case, class_names)
         if not (line.relation and line.target) and source.predictions.header.settings is None:
             needed_names(line, (case.target, case.reference), source.predictions)
+        needed_rows(line, source.predictions)
         answers = FrameAnswers(own, context, (case.target, case.reference), (case.relation,), clock)
         overlap = iou_2d(answers.boxes, truth.boxes)
         if line.ranked:

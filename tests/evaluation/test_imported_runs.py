@@ -13,6 +13,7 @@ import pytest
 
 from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.opening import open_pipeline
+from pipeline.answering.pair_rules import factors_of
 from pipeline.answering.predictions import GivenAnswer, Header, Prediction, read_predictions, write_predictions
 from pipeline.diagnosis.asking import ask_and_judge, edited_trace
 from pipeline.evaluation.importing import check_places, export_run, import_run
@@ -256,6 +257,10 @@ def _set(line: int, **values: Any) -> Callable[[list[dict[str, Any]]], None]:
     return lambda lines: lines[line].update(values)
 
 
+def _without_a_row(lines: list[dict[str, Any]]) -> None:
+    next(rows for line in lines[1:] for rows in line["relations"].values() if rows).pop()
+
+
 def _other_box(lines: list[dict[str, Any]]) -> None:
     first = _first(lines[1])
     for line in lines[2:]:
@@ -300,6 +305,7 @@ def _answers_nothing(lines: list[dict[str, Any]]) -> None:
         (_other_box, r"line \d+, proposals\..*: the object \d+ .* another box than in line 2"),
         (lambda lines: lines.append(lines[1]), r"line \d+, text: the expression stands in the file already"),
         (lambda lines: lines[1].pop("text"), "line 2, text"),
+        (_without_a_row, r"line \d+, relations\.\w+: no probability of the pair \d+, \d+"),
         (lambda lines: lines[1].update(text="an unheard of thing"), ""),
     ],
 )
@@ -325,3 +331,32 @@ def test_a_killed_writer_leaves_whole_lines(folder: Path, tmp_path: Path) -> Non
     path.write_text("nonsense\n")
     with pytest.raises(InputError, match="line 1: not JSON"):
         read_predictions(path)
+
+
+def test_a_ranking_that_can_be_asked_again_is_judged_like_the_product_that_it_is(folder: Path, tmp_path: Path) -> None:
+    read = read_predictions(folder / "run.jsonl")
+    asked: list[int] = []
+
+    def scored(factors: np.ndarray) -> np.ndarray:
+        return np.log(np.clip(factors, [0.01, 0.01, 1e-6], [0.99, 0.99, 1.0])).sum(axis=1)
+
+    def rescore(line: Prediction, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        assert ids.shape == (len(factors), 2)
+        assert factors.shape == (len(ids), 3)
+        assert set(ids.ravel().tolist()) <= {-1, *line.objects}
+        asked.append(len(ids))
+        return scored(factors)
+
+    lines = []
+    for line in read.lines.values():
+        factors = factors_of(line)
+        scores = scored(np.array(list(factors.values())).reshape(-1, 3)).tolist()
+        lines.append(replace(line, pairs=tuple((a, b, s) for (a, b), s in zip(factors, scores, strict=True))))
+    header = replace(read.header, ranking="pair_scores")
+    write_predictions(tmp_path / "own.jsonl", header, lines)
+    labels = folder / "labels"
+    import_run(tmp_path / "own.jsonl", "demo", labels, tmp_path / "run", plots=False, rescore=rescore)
+    ours = {r["id"]: r["verdict"] for r in rows(open_run(folder / "run"))}
+    theirs = {r["id"]: r["verdict"] for r in rows(open_run(tmp_path / "run"))}
+    assert theirs == ours
+    assert asked
