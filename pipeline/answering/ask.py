@@ -88,6 +88,8 @@ class Trace:
     answered : str or None
         The answer in words where it was given elsewhere without what ranked it: then the first pair is it, if it is
         one of the objects, and numbers of the pairs are no part of it.
+    own_scores : bool
+        An imported ranking that is not the product of the factors.
     """
 
     frame: Frame
@@ -103,6 +105,7 @@ class Trace:
     score_calibration: ScoreCalibration | None = None
     ranking: Ranking | None = None
     answered: str | None = None
+    own_scores: bool = False
 
     def __repr__(self) -> str:
         pairs = 0 if self.ranking is None else len(self.ranking.pairs)
@@ -240,9 +243,9 @@ def ranked(
         Changes the relation probabilities that the ranking asks for.
     """
     rule = config.rule
-    if rule is not None and rule.answered is not None:
-        trace = replace(trace, answered=rule.answered)
-    if trace.missing or (trace.answered is not None and not rule.given):
+    if rule is not None:
+        trace = replace(trace, answered=rule.answered, own_scores=rule.product is None)
+    if trace.missing or (rule is not None and rule.answered is not None and not rule.given):
         return trace
     with timed(trace.timings, "prm"):
         alike = same(trace.objects)

@@ -367,7 +367,7 @@ def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = Non
     several = len(pair.links) > 1
     fails = [f"{link_words(link, name)} {probability(link.probability)}" for link in failing_links(pair) if several]
     fails += [f"{name(f.object)} {f.text} {probability(f.probability)}" for f in pair.factors if not f.holds]
-    factors = {what: probability(p) for what, p in headline(pair)}
+    factors = {what: probability(p) for what, p in headline(pair, trace.own_scores)}
     return ToldAnswer(
         holds=pair.holds,
         lead="" if trace.answered else _lead(ranking, pair),
@@ -377,12 +377,16 @@ def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = Non
     )
 
 
-def headline(pair: ScoredPair) -> tuple[tuple[str, float], ...]:
-    """The numbers at the top of an answer: of its relation, of its attributes and choices, and the product."""
+def headline(pair: ScoredPair, own_scores: bool = False) -> tuple[tuple[str, float], ...]:
+    """The numbers at the top of an answer: of its relation, of its attributes and choices, and the product.
+
+    Without the product where a pair's score is another (`Trace.own_scores`), unless there is nothing else.
+    """
     relation = "weakest relation" if len(pair.links) > 1 else "relation"
     asked = ((relation, pair.relation_probability),) if pair.reference is not None else ()
     attributes = (("attributes", pair.p_attributes),) if pair.factors else ()
-    return (*asked, *attributes, ("product", pair.product))
+    told = (*asked, *attributes)
+    return told if told and own_scores else (*told, ("product", pair.product))
 
 
 def pair_words(trace: Trace, pair: ScoredPair, name: Callable[[int], str]) -> str:

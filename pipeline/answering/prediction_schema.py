@@ -215,9 +215,9 @@ class Prediction:
 
     @property
     def level(self) -> int:
-        """0 the answer, 1 with proposals, 2 with their 3D boxes, 3 with relation probabilities."""
-        given = (self.proposals, self.boxes_3d, self.relations)
-        return next((k for k, part in enumerate(given) if part is None), 3)
+        """0 the answer, 1 with proposals, 2 with their 3D boxes, 3 with relation probabilities (boxes or not)."""
+        given = (self.relations, self.boxes_3d, self.proposals)
+        return next((3 - k for k, part in enumerate(given) if part is not None), 0)
 
     @property
     def ranked(self) -> bool:

@@ -196,15 +196,9 @@ def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edi
     Raises
     ------
     InputError
-        Edits that cannot be read, or ones that name a file; an imported answer without what ranked it.
+        Edits that cannot be read, or ones that name a file.
     """
     read = pathless_edits(edits)
-    rule = source.asked(context.frame.id, text).config.rank.rule
-    require(
-        rule is None or rule.answered is None,
-        "what edits do to this answer is not known: the predictions do not tell what ranked it",
-        expected="relations (level 3) of docs/predictions.md",
-    )
     return rerun(Baseline(source, context, text), read).trace, replace(source.config.rank, **read.rank)
 
 

@@ -130,6 +130,15 @@ class FrameEvidence:
         """Whether what gave the relations can be asked again, of other geometry."""
         return bool(getattr(getattr(self.answers.source, "scorer", None), "asked_again", True))
 
+    @property
+    def placed(self) -> bool:
+        """Whether 3D boxes are those that the relations go by: of predictions only where the file gives them."""
+        source = self.answers.source
+        line, predictions = getattr(source, "line", None), getattr(source, "predictions", None)
+        if line is None or predictions is None:
+            return True
+        return any(predictions.box_of(line.frame, i) is not None for i in line.objects)
+
     def stand_in(self, relation: str) -> np.ndarray | None:
         """As `probabilities`, all by what stands in for a scorer that cannot be asked again; None where ours can."""
         if self.asked_again:

@@ -239,7 +239,7 @@ def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, re
         sure = np.where(after > HOLDS, max(STATE_PROBABILITY[1], float(np.nanmax(base, initial=0.0))), after)
         sure = np.where(after < HOLDS, STATE_PROBABILITY[-1], sure)
         moved_them = (np.abs(after - before) >= CHANGED) & (np.abs(base - before) < EXPLAINED)
-        lifted = np.where(moved_them & moved, sure, base)
+        lifted = np.where(moved_them & moved & evidence.placed, sure, base)
     a, b = (np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference))
     if evidence.labelled:
         known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])

@@ -230,10 +230,12 @@ def export_run(run: Run, out: str | Path) -> int:
     InputError
         The file exists, the run is not of the pipeline, or its data cannot be opened.
     """
+    kept = run.spec.options.get("predictions")
+    require(not kept, "the run is made of predictions already", expected="nothing to write: the file", path=kept)
     require(
-        run.spec.system == "pipeline" and not run.spec.options.get("predictions"),
+        run.spec.system == "pipeline",
         "only a run of the pipeline can be written as predictions",
-        got=run.spec.options.get("predictions") or run.spec.system,
+        got=run.spec.system,
         path=run.folder,
     )
     require(not Path(out).exists(), "the file exists", expected="another name", path=out)

@@ -106,6 +106,7 @@ class RunSummary:
             "residual_causes": [
                 {"verdict": verdict, "detail": detail, "count": n}
                 for (verdict, detail), n in self.residual_causes.items()
+                if self.deltas is not None
             ],
         }
 

@@ -116,7 +116,7 @@ def _pair(state: State, trace: Trace) -> list[Child]:
         # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
         note(_capital(answer.lead.strip())) if pair is best and answer.lead else None,
         _names(state, trace, pair),
-        _headline(pair) if trace.answered is None else h.div(_capital(trace.answered), cls="dim", id="answer-heads"),
+        _headline(trace, pair),
         h.div(f"not so: {'; '.join(answer.fails)}", cls="dim") if answer.fails else None,
         h.div(with_terms(answer.below, "posterior", "margin"), cls="dim", id="answer-below"),
     ]
@@ -142,10 +142,13 @@ def _names(state: State, trace: Trace, pair: ScoredPair) -> Element:
     return h.h2(parts, cls="names", id="answer-names")
 
 
-def _headline(pair: ScoredPair) -> Element:
-    """The numbers at the top: that the pair stands in the relation, and the product of all factors."""
+def _headline(trace: Trace, pair: ScoredPair) -> Element:
+    """The numbers at the top: that the pair stands in the relation, and the product of all factors; of an answer that
+    came without its ranking that it is so."""
+    if trace.answered is not None:
+        return h.div(_capital(trace.answered), cls="dim", id="answer-heads")
     cells = []
-    for what, value in headline(pair):
+    for what, value in headline(pair, trace.own_scores):
         name = what if what == "product" else f"P({what})"
         low = "low" if what != "product" and not pair.holds else ""
         cells.append(h.span(term(name), " ", h.b(probability(value), cls=low)))

@@ -94,7 +94,7 @@ def test_every_relation_of_an_answer_has_to_hold(found: ScoredPair, stands: bool
 
 def test_the_relation_that_fails_is_named() -> None:
     ranking: Any = SimpleNamespace(pairs=(links(0.9, 0.2),), margin=1.0)
-    trace: Any = SimpleNamespace(answered=None, ranking=ranking)
+    trace: Any = SimpleNamespace(answered=None, own_scores=False, ranking=ranking)
     answer = told(trace, lambda place: f"thing·{place}")
     assert answer.numbers == "weakest relation 0.20, product 0.50"
     assert answer.fails == ("thing·1 left of thing·2 0.20",)
@@ -103,7 +103,7 @@ def test_the_relation_that_fails_is_named() -> None:
 
 def test_where_the_closest_lost_by_its_score_no_one_is_told_that_there_is_none() -> None:
     ranking: Any = SimpleNamespace(pairs=(links(0.05, relation="closest"),), margin=1.0)
-    trace: Any = SimpleNamespace(answered=None, ranking=ranking)
+    trace: Any = SimpleNamespace(answered=None, own_scores=False, ranking=ranking)
     answer = told(trace, str)
     assert not answer.holds
     assert answer.lead == "another is the closest; best by all scores is "
@@ -115,7 +115,7 @@ def test_no_pair_is_denied_that_stands_below_the_best() -> None:
         ((weak, links(0.2)), NO_SUCH_PAIR),
         ((weak, links(0.2), standing), "pair 3 stands in it with a smaller product; best by all scores is "),
     ):
-        trace: Any = SimpleNamespace(answered=None, ranking=SimpleNamespace(pairs=pairs, margin=0.5))
+        trace: Any = SimpleNamespace(answered=None, own_scores=False, ranking=SimpleNamespace(pairs=pairs, margin=0.5))
         assert told(trace, str).lead == lead
 
 

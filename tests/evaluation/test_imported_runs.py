@@ -142,6 +142,18 @@ def test_a_level_says_what_it_can_and_no_more(folder: Path, level: int) -> None:
         assert ("level" in row["said"]) == (row["verdict"] == "UNEXPLAINED")
 
 
+def test_relations_without_boxes_are_level_3(folder: Path, tmp_path: Path) -> None:
+    def bare(lines: list[dict[str, Any]]) -> None:
+        for line in lines[1:]:
+            del line["boxes_3d"]
+        del lines[0]["scorer"]
+
+    source = open_imported(changed(folder, tmp_path, bare), "demo")
+    assert source.predictions.level == 3
+    answers = (ask_and_judge(source, f, [t], open_run(folder / "run").labels) for f, t in [*source.predictions.lines][:3])
+    assert all(answer.trace is not None and "level 3" in answer.trace.detector for found in answers for answer in found)
+
+
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_an_answer_without_its_ranking_is_shown_as_it_was_given(folder: Path, level: int) -> None:
     source = open_imported(at_level(folder, level), "demo")

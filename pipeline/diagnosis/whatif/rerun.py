@@ -154,8 +154,15 @@ def rerun(baseline: Baseline, edits: Edits) -> Outcome:
     ------
     InputError
         For a mask of another picture size, a scorer that cannot be used, or a
-        probability of a relation that has none for two objects alone.
+        probability of a relation that has none for two objects alone; any edit
+        of an imported answer that came without what ranked it.
     """
+    rule = baseline.source.config.rank.rule
+    require(
+        rule is None or rule.answered is None or not edits,
+        "what edits do to this answer is not known: the predictions do not tell what ranked it",
+        expected="relations (level 3) of docs/predictions.md",
+    )
     with baseline._lock:
         return _rerun(baseline, edits)
 
