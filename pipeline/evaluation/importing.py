@@ -17,11 +17,13 @@ from pipeline.answering.pair_rules import Rescore
 from pipeline.answering.placing import (
     IN_ORDER,
     MEETS,
+    box_2d,
     box_3d,
     box_overlap,
     checked_box,
     holds,
     other_conventions,
+    pixel_scale,
     seen_box,
     try_box,
 )
@@ -47,6 +49,8 @@ from pipeline.system.errors import InputError, require
 
 LOOKED_AT = 24
 """Frames whose coordinates are looked at, spread evenly."""
+LEAST_PLACED = 3
+"""Of fewer answers in points or boxes nothing is said of their unit."""
 FEW_MEET, MOST_MEET = 0.5, 0.7
 """Boxes are of another convention where fewer than this share meet their objects, and by another at least this."""
 
@@ -134,12 +138,17 @@ def check_places(source: ImportedPipeline, frames: Sequence[str]) -> None:
     met: list[list[float]] = [[] for _ in range(1 + len(conventions))]
     flat: dict[str, list[float]] = {order: [] for order in IN_ORDER}
     worst: tuple[str, int] | None = None
+    placed: list[tuple[Prediction, bool]] = []
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(LOOKED_AT, len(frames))).astype(int))
     for frame_id in (frames[int(k)] for k in chosen):
         frame = source.dataset.load(frame_id)
         context = prepare_frame(source.dataset, frame, source.config.lift)
         camera = context.frame.camera
         for line in predictions.of_frame(frame_id):
+            spot = _answered_spot(line, header, frame.width, frame.height)
+            if spot is not None:
+                inside = (spot >= 0).all() and (spot <= [frame.width, frame.height]).all() and (spot > 1).any()
+                placed.append((line, bool(inside)))
             for name, found in (line.proposals or {}).items():
                 for k, p in enumerate(found):
                     where = predictions.where(line, f"proposals.{name}.{k}.box")
@@ -169,6 +178,15 @@ def check_places(source: ImportedPipeline, frames: Sequence[str]) -> None:
             for k, (_, other, swapped) in enumerate(conventions, 1):
                 tried = try_box(given, other, camera, swapped)
                 met[k].append(0.0 if tried is None else holds(tried, points))
+    wrong = [line for line, inside in placed if not inside]
+    if len(placed) >= LEAST_PLACED and len(wrong) > len(placed) / 2:
+        where = predictions.where(wrong[0], "answer")
+        raise InputError(
+            f"{where}: {len(wrong)} of {len(placed)} answers lie outside the picture or in its first pixel",
+            got=f'"box_unit": "{header.box_unit}"',
+            expected="pixels, shares or thousandths of width and height, as the answers are",
+            path=predictions.path,
+        )
     _judge_flat(flat, header, predictions)
     if not met[0] or worst is None:
         return
@@ -182,6 +200,16 @@ def check_places(source: ImportedPipeline, frames: Sequence[str]) -> None:
             cause=f"by that {shares[best]:.0%} meet",
             path=predictions.path,
         )
+
+
+def _answered_spot(line: Prediction, header: Header, width: int, height: int) -> np.ndarray | None:
+    """(2,) float64: the point that was answered, or the centre of the box, pixels; None for another answer."""
+    if line.answer is None or (line.answer.point is None and line.answer.box is None):
+        return None
+    if line.answer.point is not None:
+        return np.array(line.answer.point) * pixel_scale(header, width, height)
+    assert line.answer.box is not None
+    return box_2d(line.answer.box, header, width, height).reshape(2, 2).mean(axis=0)
 
 
 class _Plain:

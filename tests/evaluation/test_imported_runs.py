@@ -150,8 +150,19 @@ def test_relations_without_boxes_are_level_3(folder: Path, tmp_path: Path) -> No
 
     source = open_imported(changed(folder, tmp_path, bare), "demo")
     assert source.predictions.level == 3
-    answers = (ask_and_judge(source, f, [t], open_run(folder / "run").labels) for f, t in [*source.predictions.lines][:3])
-    assert all(answer.trace is not None and "level 3" in answer.trace.detector for found in answers for answer in found)
+
+
+@pytest.mark.parametrize(("unit", "far"), [("pixels", 1), ("shares", 640)])
+def test_points_in_another_unit_are_refused(folder: Path, tmp_path: Path, unit: Any, far: float) -> None:
+    def point(k: int) -> tuple[float, float]:
+        return 0.1 * far * k, 0.09 * far * k
+
+    asked = [*read_predictions(folder / "run.jsonl").lines][:8]
+    lines = [Prediction(f, t, GivenAnswer(point=point(k))) for k, (f, t) in enumerate(asked, 1)]
+    write_predictions(tmp_path / "points.jsonl", Header(box_unit=unit), lines)
+    with pytest.raises(InputError, match=r"line \d, answer: 8 of 8 answers lie .*box_unit") as caught:
+        import_run(tmp_path / "points.jsonl", "demo", folder / "labels", tmp_path / "run", plots=False)
+    assert f'"{unit}"' in str(caught.value)
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
