@@ -35,8 +35,12 @@ predictions."""
 
 
 def shown_verdicts(occurring: Collection[str]) -> tuple[str, ...]:
-    """VERDICTS; ATTRIBUTE and UNEXPLAINED only where they occur: plain expressions of our own cannot have them."""
-    return tuple(v for v in VERDICTS if v not in ("ATTRIBUTE", "UNEXPLAINED") or v in occurring)
+    """VERDICTS; ATTRIBUTE and UNEXPLAINED only where they occur: plain expressions of our own cannot have them.
+
+    Where some are unexplained, a module that none names is not known to cost nothing, and is left out.
+    """
+    always = VERDICTS[:3] if "UNEXPLAINED" in occurring else tuple(v for v in VERDICTS[:-1] if v != "ATTRIBUTE")
+    return tuple(v for v in VERDICTS if v in always or v in occurring)
 
 
 MODULE_OF = {

@@ -120,8 +120,11 @@ def relation_table(
     )
 
 
-def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NOTHING_SHARED) -> Table:
-    """How many expressions get how far: what the next stage still could get right; `shares` as in `systems_table`."""
+def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NOTHING_SHARED) -> Table | None:
+    """How many expressions get how far: what the next stage still could get right; `shares` as in `systems_table`.
+
+    None where no system has proposals.
+    """
     rows = []
     for name, records in systems.items():
         if not has_opm(records):
@@ -136,6 +139,8 @@ def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NO
             float(np.mean(column(records, "set_correct"))),
         )
         rows.append(Row(name, cells, shares=shares.get(name, "")))
+    if not rows:
+        return None
     return Table(
         "stages",
         "How far expressions get",
