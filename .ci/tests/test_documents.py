@@ -16,12 +16,25 @@ def test_files_that_documents_name_are_there() -> None:
     assert [(d, f) for d, f in named if not any((root / f).exists() for root in roots)] == []
 
 
+def anchors(document: Path) -> set[str]:
+    """What the headings of a document are linked by, as GitHub makes it."""
+    headings = re.findall(r"^#+ (.*)$", document.read_text(), re.M)
+    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
+
+
 def test_links_between_documents_lead_somewhere() -> None:
     links = [
-        (d, link)
+        (d, link, anchor)
         for d in DOCUMENTS
-        for link in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", d.read_text())
+        for link, anchor in re.findall(r"\]\(([^)#]*)(?:#([^)]*))?\)", d.read_text())
         if "://" not in link
     ]
     assert len(links) > 5
-    assert [(d.name, link) for d, link in links if not (d.parent / link).exists()] == []
+    gone = [(d.name, link) for d, link, _ in links if not (d.parent / link).exists()]
+    assert gone == []
+    assert [(d.name, a) for d, link, a in links if a and a not in anchors(d.parent / link if link else d)] == []
+
+
+def test_the_readme_lists_every_document() -> None:
+    readme = (ROOT / "README.md").read_text()
+    assert [d.name for d in DOCUMENTS if d.parent.name == "docs" and f"](docs/{d.name})" not in readme] == []

@@ -21,7 +21,7 @@ def test_failures_are_those_of_the_search_as_an_arrow_table(run: pipeline.Run) -
     assert [f.row["id"] for f in found] == find_failures(run.records, found.search).column("id").to_pylist()
     assert {f.row["verdict"] for f in found} == {"SRM", "LIFT"}
     assert pa.table(found).equals(found.table)  # pyright: ignore[reportArgumentType]
-    assert found.to_pandas().shape == (len(found), run.records.num_columns + 1)  # And the marks.
+    assert found.table.shape == (len(found), run.records.num_columns + 1)  # And the marks.
     assert found.shown.column_names[:2] == ["id", "frame"]
     assert repr(found) == f"<Failures 'verdict:SRM,LIFT sort:margin': {len(found)} expressions>"
     assert len(run.failures()) == run.records.num_rows - run.verdicts["CORRECT"]
