@@ -135,6 +135,8 @@ def _parse(trace: Trace) -> Stage:
 def _opm(trace: Trace) -> Stage:
     counts = ", ".join(f"{len(c.index)} for “{name}”" for name, c in trace.candidates.items())
     words = f"candidates: {counts} (detector: {trace.detector})"
+    if trace.answered is not None and not any(len(c.index) for c in trace.candidates.values()):
+        return Stage("OPM", "idle", f"no proposals are given (detector: {trace.detector})")
     return Stage("OPM", "bad" if trace.missing else "good", words, _ms(trace, "opm"))
 
 
@@ -152,6 +154,8 @@ def _lift(state: State, trace: Trace) -> Stage:
 
 def _srm(state: State, trace: Trace) -> Stage:
     chosen, cost = state.chosen, _ms(trace, "srm")
+    if trace.answered is not None and trace.scorer != trace.detector:
+        return Stage("SRM", "idle", "relations are not given")
     if chosen is None or chosen.reference is None:
         return Stage("SRM", "good" if trace.objects else "idle", f"relations are scored by {trace.scorer}", cost)
     words = f"“{trace.phrase}” has {probability(chosen.p_relation)} for the chosen pair (scorer: {trace.scorer})"
