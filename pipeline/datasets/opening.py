@@ -35,6 +35,7 @@ from pipeline.datasets.up import with_given_up
 from pipeline.system.door import enter
 from pipeline.system.errors import require
 from pipeline.system.plugins import load_plugins
+from pipeline.system.remote import local_path
 
 FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,
@@ -89,7 +90,7 @@ def open_dataset(
     Parameters
     ----------
     path : str or Path
-        The dataset's folder.
+        The dataset's folder, or its URL (see `remote.local_path`).
     intrinsics : (fx, fy, cx, cy), optional
         Pixels.
     depth_scale : float, optional
@@ -117,7 +118,7 @@ def open_dataset(
         No such folder, an unknown format (with what was looked for), or facts
         missing that only a person can give.
     """
-    root = Path(path).expanduser()
+    root = local_path(path)
     require(root.exists(), "there is no such dataset", expected="a folder", path=root)
     require(up is None or level_at is None, "--up and --level-at say the same", expected="one of them")
     told = None if up is None else GivenUp.parse(up)

@@ -26,6 +26,7 @@ from pipeline.system.arrow import pq
 from pipeline.system.errors import InputError, require
 from pipeline.system.limits import LIMITS_OPTION, Limits, current_limits, within
 from pipeline.system.picture_headers import array_shape, header_size
+from pipeline.system.remote import fetch
 
 
 class _Root(NamedTuple):
@@ -109,7 +110,7 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
     OSError
         What the system says: missing, not to be read.
     """
-    _check(path, os.stat(path), limit)
+    _present(path, limit)
     # What was a file a moment ago may be a FIFO now: opening must not wait.
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | _FLAGS)) as file:
         _check(path, os.fstat(file.fileno()), limit)
@@ -119,10 +120,18 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
 
 def checked_path(path: Path, limit: str = "bytes") -> Path:
     """The path, for a library that opens it itself; raises as `opened`."""
-    _check(path, os.stat(path), limit)
+    _present(path, limit)
     _check_place(path)
     return path
 
+
+def _present(path: Path, limit: str) -> None:
+    """Check a file before it is opened; one of a URL is fetched where that was not done yet."""
+    state = os.stat(path)
+    _check(path, state, limit)
+    # Where nobody may write it, it may be one that is not here yet.
+    if not state.st_mode & stat.S_IWUSR:
+        fetch(path, state, limit, limits_of(path))
 
 def _check(path: Path, state: os.stat_result, limit: str) -> None:
     if stat.S_ISDIR(state.st_mode):
