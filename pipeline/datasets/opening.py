@@ -49,6 +49,7 @@ FORMATS: tuple[DatasetFormat, ...] = (
     sunrgbd.FORMAT,
     ycb_video.FORMAT,
     phones.ARKITSCENES,
+    phones.RECORD3D,
     reconstructions.NERFSTUDIO,
     reconstructions.COLMAP,
     redwood.FORMAT,

@@ -170,7 +170,7 @@ class Recording:
             return
         raise InputError(
             f"{seen}; {what} {are} missing",
-            expected=" and ".join(missing),
+            expected=" and ".join(missing) + (f", in one {INTRINSICS},UNITS_PER_METRE" if len(missing) > 1 else ""),
             cause=f"{'1000 for millimetres; ' if unit else ''}or kept in {FILE_NAME} beside the data",
             path=self.root,
         )

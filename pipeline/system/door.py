@@ -26,7 +26,6 @@ from pipeline.system.arrow import pq
 from pipeline.system.errors import InputError, require
 from pipeline.system.limits import LIMITS_OPTION, Limits, current_limits, within
 from pipeline.system.picture_headers import array_shape, header_size
-from pipeline.system.remote import fetch
 
 
 class _Root(NamedTuple):
@@ -131,6 +130,8 @@ def _present(path: Path, limit: str) -> None:
     _check(path, state, limit)
     # Where nobody may write it, it may be one that is not here yet.
     if not state.st_mode & stat.S_IWUSR:
+        from pipeline.system.remote import fetch
+
         fetch(path, state, limit, limits_of(path))
 
 def _check(path: Path, state: os.stat_result, limit: str) -> None:

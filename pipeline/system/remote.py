@@ -7,6 +7,7 @@ stays the same when it is fetched.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -17,8 +18,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote, urlsplit
 from uuid import uuid4
-
-import xxhash
 
 from pipeline.system.errors import as_input_error, extra_module, first_line, kind_and_text, require
 from pipeline.system.limits import Limits, current_limits, within
@@ -71,7 +70,7 @@ def _copies() -> Path:
 
 
 def _copy_of(url: str, cache: Path) -> Path:
-    return cache / xxhash.xxh3_64_hexdigest(url.encode())
+    return cache / hashlib.sha256(url.encode()).hexdigest()[:16]
 
 
 @lru_cache(maxsize=64)
@@ -138,7 +137,7 @@ def _entry(info: dict[str, Any]) -> Entry:
 
 def _mark(path: Path, entry: Entry, unchanged: bool) -> None:
     """Put a file without content in place of a file of this version, unless that is there."""
-    told = xxhash.xxh3_64_intdigest(repr(entry).encode()) % 10**9 * 10**9
+    told = int(hashlib.sha256(repr(entry).encode()).hexdigest()[:16], 16) % 10**9 * 10**9
     with suppress(FileNotFoundError):
         if path.stat().st_mtime_ns == told or unchanged:
             return
