@@ -404,9 +404,7 @@ def labelled_dataset(
         The labels do not name it, or it cannot be opened.
     """
     record = manifest.dataset
-    where = path or named_before(
-        needed(record.get("path") or None, "the labels do not say which dataset they are of")
-    )
+    where = path or named_before(needed(record.get("path") or None, "the labels do not say which dataset they are of"))
     if where == DEMO_NAME and not Path(where).exists():
         where = demo_path()
     options = dict(record.get("options") or {})

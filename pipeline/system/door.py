@@ -134,6 +134,7 @@ def _present(path: Path, limit: str) -> None:
 
         fetch(path, state, limit, limits_of(path))
 
+
 def _check(path: Path, state: os.stat_result, limit: str) -> None:
     if stat.S_ISDIR(state.st_mode):
         raise IsADirectoryError(errno.EISDIR, "Is a directory", os.fspath(path))
