@@ -26,6 +26,7 @@ from pipeline.datasets import (
     ycb_video,
 )
 from pipeline.datasets.base import Dataset, DatasetFormat
+from pipeline.datasets.cameras import ShiftedPoses
 from pipeline.datasets.depth.estimated import EstimatedDepth
 from pipeline.datasets.depth.estimator import open_depth_model
 from pipeline.datasets.files import listed_once
@@ -138,6 +139,8 @@ def open_dataset(
         for candidate in formats:
             if candidate.recognises(root):
                 dataset = candidate.open(root, settings)
+                if settings.pose_shift:
+                    dataset = ShiftedPoses(dataset, settings.pose_shift)
                 if model is not None:
                     dataset = EstimatedDepth(dataset, model, browse)
                 return with_given_up(dataset, settings, level_at)

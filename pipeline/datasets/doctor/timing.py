@@ -12,6 +12,7 @@ from pipeline.datasets.base import Dataset, load_picture, scene_of
 from pipeline.datasets.doctor.hypotheses import Hypothesis, by_block, surely_positive
 from pipeline.datasets.doctor.opinions import Opinion
 from pipeline.datasets.doctor.search import FINE
+from pipeline.datasets.settings import FILE_NAME
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.landing import Views, detail_of
 from pipeline.geometry.pose_convention import standard_poses
@@ -25,7 +26,7 @@ MOST_SECONDS = 3.0
 GRID = (20, 26)
 
 
-def time_opinion(dataset: Dataset, frames: Sequence[Frame], poses: str) -> Opinion:
+def time_opinion(dataset: Dataset, frames: Sequence[Frame], poses: str, shifted: int = 0) -> Opinion:
     """What is thought of the time of the poses: those of the frames' neighbours land better, or they do not.
 
     Parameters
@@ -34,6 +35,8 @@ def time_opinion(dataset: Dataset, frames: Sequence[Frame], poses: str) -> Opini
         Of one size, as they are once what is wrong is mended.
     poses : str
         The convention of the poses as the dataset reads them, one of `CONVENTIONS`.
+    shifted : int
+        By how many places they are shifted already.
     """
     scene, used = _of_one_scene(dataset, frames)
     ids = [frame_id for frame_id in dataset.frame_ids if scene_of(dataset, frame_id) == scene]
@@ -60,8 +63,10 @@ def time_opinion(dataset: Dataset, frames: Sequence[Frame], poses: str) -> Opini
     if better:
         gain, shift = max(better)
         when = f"{counted(abs(shift), 'place')} {'later' if shift > 0 else 'earlier'}"
-        text = f"with the poses of frames {when}, {gain:.0%} more of the points land: shift the poses in their file"
-        return Opinion("time", "wrong", text, evidence={"shift": float(shift), "gain": round(gain, 4)})
+        text = f"with the poses of frames {when}, {gain:.0%} more of the points land"
+        mend = {"pose_shift": shift + shifted}
+        option = f"pose_shift = {shift + shifted} in {FILE_NAME}"
+        return Opinion("time", "wrong", text, mend, option, {"shift": float(shift), "gain": round(gain, 4)})
     if not worse:
         return Opinion("time", "unknown", "too few frames, or too close together, to tell the poses of neighbours")
     text = f"the poses of frames {counted(min(worse), 'place')} earlier or later land worse"
