@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.datasets.base import ChangedFrames, Dataset, load_picture, scene_of
+from pipeline.datasets.base import ChangedFrames, Dataset, load_picture, load_pose, scene_of
 from pipeline.datasets.files import Blob, read_matrix
 from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import INTRINSICS, Settings
@@ -259,6 +259,11 @@ class ShiftedPoses(ChangedFrames):
             frame_id: ids[k + shift] if 0 <= k + shift < len(ids) else None
             for ids in scenes.values() for k, frame_id in enumerate(ids)
         }  # fmt: skip
+
+    def load_pose(self, frame_id: str) -> np.ndarray | None:
+        """See `base.load_pose`."""
+        other = self._others[frame_id]
+        return None if other is None else load_pose(self.inner, other)
 
     def changed(self, frame: Frame) -> Frame:
         """A frame with the pose of the other one, and the up that is declared with it."""

@@ -19,6 +19,7 @@ from pipeline.datasets.pairing import Pair
 from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
 from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.pose_convention import standard_poses
 from pipeline.geometry.registration import Registration, registered
 from pipeline.system.errors import InputError
 
@@ -109,6 +110,14 @@ class Recording:
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
         return self._decoded(frame_id)
+
+    def load_pose(self, frame_id: str) -> np.ndarray | None:
+        """T_world_camera (4, 4) of a frame as it is loaded, without decoding it."""
+        pose, told = self._listed(frame_id, []).pose, self._settings
+        if pose is None or told.registration is not None:
+            # A warp moves the pose.
+            return pose if pose is None else self._decoded(frame_id, annotated=False).camera.T_world_camera
+        return pose if told.poses is None else standard_poses(pose, told.poses)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         """Each format's own: the files of a frame and what is known of them; `notes` takes what is to be said."""
