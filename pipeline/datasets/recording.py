@@ -10,7 +10,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from pipeline.datasets.base import unknown_id
+from pipeline.datasets.base import load_picture, unknown_id
 from pipeline.datasets.camera_files import NOTHING, Stated
 from pipeline.datasets.cameras import differ_in_size, known_intrinsics, make_camera, make_frame, one_file
 from pipeline.datasets.files import Blob
@@ -113,11 +113,12 @@ class Recording:
 
     def load_pose(self, frame_id: str) -> np.ndarray | None:
         """T_world_camera (4, 4) of a frame as it is loaded, without decoding it."""
-        pose, told = self._listed(frame_id, []).pose, self._settings
-        if pose is None or told.registration is not None:
-            # A warp moves the pose.
-            return pose if pose is None else self._decoded(frame_id, annotated=False).camera.T_world_camera
-        return pose if told.poses is None else standard_poses(pose, told.poses)
+        told = self._settings
+        if told.registration is not None or type(self)._listed is Recording._listed:
+            # A warp moves the pose; some formats read a frame in a way of their own.
+            return load_picture(self, frame_id).camera.T_world_camera
+        pose = self._listed(frame_id, []).pose
+        return pose if pose is None or told.poses is None else standard_poses(pose, told.poses)
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         """Each format's own: the files of a frame and what is known of them; `notes` takes what is to be said."""
