@@ -105,7 +105,11 @@ def _mirrored(url: str, cache: Path) -> Path:
 def _connected(url: str) -> tuple[Any, str]:
     """The file system of a URL, and what it calls the place."""
     fsspec = extra_module("fsspec", f"reading {url}", "remote")
-    with as_input_error("this kind of URL cannot be read", ImportError, ValueError, got=first_line, path=url):
+    package = "pip install 'spatialviz[remote]' for HTTP; s3fs, gcsfs or huggingface_hub for their own"
+    with (
+        as_input_error("this kind of URL cannot be read", ValueError, got=first_line, path=url),
+        as_input_error("a package is missing for this URL", ImportError, got=first_line, cause=package, path=url),
+    ):
         system, root = fsspec.core.url_to_fs(url)
     return system, root.rstrip("/")
 
