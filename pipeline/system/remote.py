@@ -86,7 +86,8 @@ def _mirrored(url: str, cache: Path) -> Path:
     ):
         found.update(_listed(system, root, url))
     require(found, "there is no such dataset", expected="a folder or a file at this URL", cause=kept, path=url)
-    folders = {str(above) for name in found if name for above in PurePosixPath(name).parents}
+    parents = {PurePosixPath(folder) for folder in {name.rpartition("/")[0] for name in found}}
+    folders = {str(above) for parent in parents for above in (parent, *parent.parents)}
     # Object stores may have a file and a folder of one name; the file is left out.
     files = {name: entry for name, entry in found.items() if name not in folders}
     with as_input_error("the copy of a URL cannot be kept", OSError, got=lambda e: e.strerror, path=copy):
@@ -94,6 +95,8 @@ def _mirrored(url: str, cache: Path) -> Path:
         known = _read_index(index, index.stat().st_mtime_ns)[1] if index.is_file() else {}
         for name in known.keys() - files.keys():
             (top / name).unlink(missing_ok=True)
+        for folder in () if "" in files else sorted(folders):
+            (top / folder).mkdir(exist_ok=True)
         for name, entry in files.items():
             _mark(top / name, entry, known.get(name) == list(entry))
         temporary = copy / f".{uuid4().hex}.tmp"
@@ -142,16 +145,16 @@ def _entry(info: dict[str, Any]) -> Entry:
 def _mark(path: Path, entry: Entry, unchanged: bool) -> None:
     """Put a file without content in place of a file of this version, unless that is there."""
     told = int(hashlib.sha256(repr(entry).encode()).hexdigest()[:16], 16) % 10**9 * 10**9
-    with suppress(FileNotFoundError):
-        if path.stat().st_mtime_ns == told or unchanged:
-            return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{uuid4().hex}.tmp")
-    with open(temporary, "wb") as file:
+    try:
+        descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0)
+    except FileExistsError:
+        if not unchanged and path.stat().st_mtime_ns != told:
+            path.unlink()
+            _mark(path, entry, unchanged)
+        return
+    with open(descriptor, "wb") as file:
         file.truncate(_UNTOLD if entry[0] is None else min(entry[0], _LARGEST))
-    os.chmod(temporary, 0)
-    os.utime(temporary, ns=(told, told))
-    os.replace(temporary, path)
+    os.utime(path, ns=(told, told))
 
 
 def fetch(path: Path, state: os.stat_result, limit: str, limits: Limits) -> None:
