@@ -133,7 +133,7 @@ def _listed(system: Any, root: str, url: str) -> Iterator[tuple[str, Entry]]:
         for info in files.values():
             name = info["name"][len(root) :].strip("/")
             parts = name.split("/")
-            odd = any(not part or part[0] == "." or "\0" in part or len(part.encode()) > 255 for part in parts)
+            odd = any(p[:1] in ("", ".") or {"\0", "\\"} & set(p) or len(p.encode()) > 255 for p in parts)
             if not odd and not (web and set("?#") & set(name)):
                 yield name, _entry(info)
 

@@ -162,7 +162,7 @@ def test_poses_of_neighbours(tmp_path: Path) -> None:
     assert mended.load("0").camera.T_world_camera is None
     assert "-1 places on" in mended.load("0").notes[-1]
     for number in range(1, len(late)):
-        pose = mended.load(str(number)).camera.T_world_camera
+        pose = np.asarray(mended.load(str(number)).camera.T_world_camera)
         np.testing.assert_allclose(pose, np.asarray(frames[number].camera.T_world_camera), atol=1e-6)
     assert examine(tmp_path / "late", **told).of("time").state == "fine"
 

@@ -136,7 +136,17 @@ def test_a_size_that_is_not_told_is_limited_while_it_is_fetched(room: Bucket, mo
 
 
 def test_names_that_lead_out_or_hide_are_left_out(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = ["../out.png", "color/../../out.png", ".hidden", "color//x", "b", "b/c.txt", f"{'n' * 300}.png", "d.txt"]
+    names = [
+        "../out.png",
+        "color/../../out.png",
+        ".hidden",
+        "color//x",
+        "..\\..\\out.png",
+        "b",
+        "b/c.txt",
+        f"{'n' * 300}.png",
+        "d.txt",
+    ]
     entries = {name: {"name": f"{bucket.name}/room/{name}", "size": 1, "type": "file"} for name in names}
     monkeypatch.setattr(bucket.system, "info", lambda path: {"type": "directory"})
     monkeypatch.setattr(bucket.system, "walk", lambda path, **options: [(path, {}, entries)])
