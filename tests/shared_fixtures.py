@@ -30,14 +30,16 @@ ROOT = Path(__file__).resolve().parent.parent
 for _variable in THREAD_VARIABLES:
     os.environ.setdefault(_variable, "1")
 
-# No test is about time: on a busy machine one example may well take a second.
-settings.register_profile("untimed", deadline=None)
+# No test is about time: on a busy machine one example may well take a second. Half of hypothesis's own number of
+# examples keeps five thousand tests under five minutes; each run draws others.
+settings.register_profile("untimed", deadline=None, max_examples=50)
 settings.load_profile("untimed")
 
 
 def pytest_collection_finish() -> None:
-    """What all test files loaded stays to the end: the collector need not walk it again and again."""
+    """What all test files loaded stays to the end: the collector need not walk it again and again, nor run so often."""
     gc.freeze()
+    gc.set_threshold(50_000, 20, 20)
 
 
 @pytest.fixture(scope="session", autouse=True)

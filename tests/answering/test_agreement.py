@@ -69,7 +69,7 @@ def by_trial(overlap: np.ndarray, same: np.ndarray, min_iou: float) -> tuple[int
     ),
     st.sampled_from([0.1, 0.3, 0.5, 0.75]),
 )
-@settings(max_examples=120)
+@settings(max_examples=60)
 def test_the_matching_is_the_best_of_all(found: tuple[np.ndarray, np.ndarray], min_iou: float) -> None:
     overlap, same = found
     pairs = matched(overlap, same, min_iou)
@@ -92,7 +92,7 @@ COUNTS = ("both", "otherwise", "only_a", "only_b", "beyond_a", "beyond_b", "a", 
 
 
 @given(layers(), layers(), st.randoms(use_true_random=False))
-@settings(max_examples=80)
+@settings(max_examples=40)
 def test_neither_order_nor_side_matters(a: Layer, b: Layer, random: Any) -> None:
     there, back = figures([agree(a, b)]), figures([turned(agree(b, a))])
     order = list(range(len(a)))

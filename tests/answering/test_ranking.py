@@ -109,7 +109,7 @@ CONFIGS = st.sampled_from([RankConfig(), RankConfig(0.25, 0.5, 2.0)])
 
 
 @given(SEEDS, CONFIGS)
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_max_product_is_the_best_of_all_assignments(seed: int, config: RankConfig) -> None:
     problem, root = random_problem(seed)
     found = problem.rank(root, config=config)

@@ -203,7 +203,7 @@ steps = st.lists(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(steps=steps)
 def test_any_sequence_of_edits_and_undos_equals_its_replay(
     steps: list[tuple[str, str, list[tuple[int, int]]]], empty: Path, tmp_path_factory: pytest.TempPathFactory
@@ -262,7 +262,7 @@ def test_any_sequence_of_edits_and_undos_equals_its_replay(
     journal.close()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(data=st.data())
 def test_two_interleaved_authors_lose_nothing(
     data: st.DataObject, empty: Path, tmp_path_factory: pytest.TempPathFactory

@@ -37,7 +37,7 @@ steps = st.lists(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(steps=steps, page=st.integers(1, 5))
 def test_what_is_taken_back_is_what_the_whole_history_says(
     steps: list[tuple[str, str, list[int], int]], page: int, empty: Path, tmp_path_factory: pytest.TempPathFactory

@@ -40,22 +40,18 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_same_seed_gives_the_same_bytes_and_another_seed_does_not(rendered: Path, tmp_path: Path) -> None:
-    render_dataset(tmp_path / "again", rooms=2, views=2, seed=3, **SIZE)
-    names = files_below(rendered)
-    assert names == files_below(tmp_path / "again")
-    _, differ, errors = filecmp.cmpfiles(rendered, tmp_path / "again", names, shallow=False)
-    assert (differ, errors) == ([], [])
+def test_another_seed_gives_other_pictures(rendered: Path, tmp_path: Path) -> None:
     render_dataset(tmp_path / "other", rooms=1, views=1, seed=4, **SIZE)
     image = "000001/rgb/000000.jpg"
     assert (rendered / image).read_bytes() != (tmp_path / "other" / image).read_bytes()
 
 
-def test_workers_do_not_change_a_byte(rendered: Path, tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_bytes_whatever_the_workers(rendered: Path, tmp_path: Path) -> None:
     render_dataset(tmp_path / "two", rooms=2, views=2, seed=3, workers=2, **SIZE)
     names = files_below(rendered)
     assert names == files_below(tmp_path / "two")
-    assert filecmp.cmpfiles(rendered, tmp_path / "two", names, shallow=False)[1:] == ([], [])
+    _, differ, errors = filecmp.cmpfiles(rendered, tmp_path / "two", names, shallow=False)
+    assert (differ, errors) == ([], [])
 
 
 def test_what_is_written_is_bop_and_agrees_with_the_room(rendered: Path) -> None:

@@ -168,7 +168,7 @@ def some_edits(draw: st.DrawFn) -> Edits:
     return edits
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(some_edits(), min_size=1, max_size=4), st.sampled_from(QUESTIONS), st.sampled_from(["rule", "trained"]))
 def test_one_edit_after_another_is_each_from_the_start(steps: list[Edits], text: str, scorer: str) -> None:
     asked, context = source(scorer=scorer), context_of(FRAME)

@@ -50,7 +50,7 @@ def profiles(draw: st.DrawFn) -> Profile:
     return Profile(cone=cone, doubtful_cone=draw(st.floats(cone, 89)), dead_zone=draw(st.floats(0, 0.3)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     st.sampled_from(sorted(HORIZONTAL)), st.tuples(lengths, lengths, lengths), st.tuples(lengths, lengths, lengths),
     st.tuples(numbers, numbers, st.floats(-1, 4)), profiles(), st.integers(0, 2**32 - 1),
@@ -97,7 +97,7 @@ def _covers(triangles: np.ndarray, place: np.ndarray) -> bool:
     return bool(((((signs >= 0).all(axis=1)) | (signs <= 0).all(axis=1)) & (area > 0)).any())
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(
     st.sampled_from(PAIRWISE), st.tuples(lengths, lengths, lengths), st.tuples(lengths, lengths, lengths),
     st.tuples(numbers, numbers, numbers), st.tuples(numbers, numbers, numbers), profiles(),

@@ -38,7 +38,7 @@ QUERIES = ("", "-verdict:CORRECT,LABEL sort:margin", "verdict:SRM,LIFT -class:ch
            "scene=000001", "second_verdict:PRM -relation:left")  # fmt: skip
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2), st.sampled_from(QUERIES))
 def test_a_facet_counts_what_the_rest_of_the_search_finds(number: int, query: str) -> None:
     records = PAIRS[number]
@@ -54,7 +54,7 @@ def test_a_facet_counts_what_the_rest_of_the_search_finds(number: int, query: st
                 assert len(found) == value.count, (query, facet.name, value)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2), st.sampled_from(QUERIES), st.data())
 def test_a_value_that_is_asked_for_twice_is_taken_back(number: int, query: str, data: st.DataObject) -> None:
     records = PAIRS[number]

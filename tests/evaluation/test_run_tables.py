@@ -25,6 +25,7 @@ from pipeline.metrics.intervals import BootstrapConfig, Estimate
 from pipeline.system.errors import InputError
 
 FRAMES = 3
+EXPRESSIONS = 60
 QUICK = BootstrapConfig(resamples=200)
 MAKERS = Makers(None, "", None, None, None, None)
 VLM = f"VLM {MODELS[0]}"
@@ -40,7 +41,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     record_detections(source, out / "found.json", names, frame_ids=frames)
     for name in ("annotations", "simulated"):
         evaluated(out, name, detector=name)
-    whole = EvalSpec("demo", str(out / "labels"), {"detector": "simulated", "srm": "rule"}, system="referring")
+    whole = EvalSpec(
+        "demo", str(out / "labels"), {"detector": "simulated", "srm": "rule"}, system="referring", limit=EXPRESSIONS
+    )
     evaluate_dataset(whole, out / "whole", plots=False, bootstrap=QUICK)
     with pytest.MonkeyPatch.context() as patch, running(Clock()) as server:
         patch.setenv("SPATIALVIZ_CACHE", str(out / "cache"))
@@ -54,7 +57,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def evaluated(
     folder: Path, name: str, others: tuple[str, ...] = (), plots: bool = False, **options: object
 ) -> RunReport:
-    spec = EvalSpec("demo", str(folder / "labels"), {"srm": "rule", **options})
+    spec = EvalSpec("demo", str(folder / "labels"), {"srm": "rule", **options}, limit=EXPRESSIONS)
     return evaluate_dataset(
         spec, folder / name, others=[folder / o for o in others], plots=plots, bootstrap=QUICK, overwrite=True
     )

@@ -122,7 +122,7 @@ STYLES: dict[str, tuple[str, int, float, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("style", STYLES)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(x=st.tuples(st.floats(0.0, 0.99), st.floats(0.0, 0.99)), y=st.tuples(st.floats(0.0, 0.99), st.floats(0, 0.99)))
 def test_a_box_written_in_any_style_is_read_back(style: str, x: tuple[float, float], y: tuple[float, float]) -> None:
     form, digits, factor, options = STYLES[style]

@@ -32,7 +32,7 @@ from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.relations import T
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 40), st.integers(1, 40), st.floats(0, 1))
 def test_runs_of_any_mask(seed: int, height: int, width: int, share: float) -> None:
     mask = np.random.default_rng(seed).random((height, width)) < share
@@ -53,7 +53,7 @@ def test_runs_of_large_blocks() -> None:
     assert isinstance(read_mask(encode_run_length(mask), 480, 641), str)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.text(st.characters(min_codepoint=0, max_codepoint=300), max_size=40))
 def test_a_code_is_read_as_pycocotools_reads_it_or_refused(code: str) -> None:
     """Whatever is accepted decodes, without a byte written beyond the mask, to the area that was said."""
@@ -67,7 +67,7 @@ def test_a_code_is_read_as_pycocotools_reads_it_or_refused(code: str) -> None:
 VALUES = [None, -2, -1, 0, 1, 2, 0.5, 1.5, "x", "plane", [0.0] * 3, [0.0] * 9, [1.0, None, 2.0], [1, 2], [], True]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.data())
 def test_constraints_agree_with_the_models(data: st.DataObject) -> None:
     """A cell is refused where, and only where, pydantic refuses it, for every column that can hold the value at all."""

@@ -156,7 +156,7 @@ def test_overlapping_boxes_share_no_pixel_and_only_lose_by_it() -> None:
         assert iou(together[k], masks_of(frame)[k]) > 0.8
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(SEEDS)
 def test_a_mask_stays_in_its_box_and_is_never_empty(seed: int) -> None:
     frame = scene()
