@@ -84,31 +84,42 @@ NONE = Samples(np.zeros((0, 3)), np.zeros(0))
 
 def factors_of(line: Prediction) -> dict[tuple[int, int], tuple[float, float, float]]:
     """P(target), P(reference), P(relation) of the pairs of a line that says one relation of two names, by ids."""
-    relation, (first, second) = _ends(line)
+    relation, (first, second) = _ends(line, _asked(line))
     rows = (line.relations or {}).get(relation, ())
     return {(r[0], r[1]): (first[r[0]], second[r[1]], r[-1]) for r in rows if r[0] in first and r[1] in second}
 
 
 def missing_row(line: Prediction) -> tuple[str, int, int] | None:
     """The relation that a line asks, and the first pair of candidates that it has no probability for; None for none."""
-    relation, (first, second) = _ends(line)
+    return _lacking(line, _asked(line))
+
+
+def _lacking(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, int, int] | None:
+    relation, (first, second) = _ends(line, asked)
     told = {row[:2] for row in (line.relations or {}).get(relation, ())}
     return next(((relation, a, b) for a in first for b in second if a != b and (a, b) not in told), None)
 
 
-def _ends(line: Prediction) -> tuple[str, list[dict[int, float]]]:
-    """The relation that a line asks, and the scores by id of what is proposed for its target and its reference."""
-    proposals, asked = line.proposals or {}, _asked(line)
+def _ends(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, list[dict[int, float]]]:
+    """The relation that is asked, and the scores by id of what is proposed for its target and its reference."""
+    proposals = line.proposals or {}
     names = [match(name, tuple(proposals)) for name in (asked[0], asked[2])] if asked else [(), ()]
     scores = [{p.id: p.score for name in known for p in proposals[name] if p.dropped is None} for known in names]
     return asked[1] if asked else "", scores
 
 
 def _asked(line: Prediction) -> tuple[str, str, str] | None:
-    """Target, relation and reference of a line that says no more; None for others, and where it cannot be read."""
+    """Target, relation and reference of a line that says no more; None for others, and where it cannot be read.
+
+    Words that are read here as another relation than the only one that the line has say what that one says.
+    """
     if line.target and line.relation and line.reference:
         return line.target, line.relation, line.reference
-    return _read(line.text, tuple(line.proposals or ()))
+    read, told = _read(line.text, tuple(line.proposals or ())), tuple(line.relations or ())
+    if read is None or read[1] in told or len(told) != 1:
+        return read
+    tried = ((a, told[0], b) for a, b in ((read[0], read[2]), (read[2], read[0])))
+    return next((asked for asked in tried if _lacking(line, asked) is None), None)
 
 
 @lru_cache(maxsize=20_000)

@@ -27,11 +27,17 @@ DECIDED_ALIKE = 0.85
 _STEEPEST = 4.0
 
 
-def described(a: Box3D, b: Box3D) -> np.ndarray:
-    """(11,) float64: where box `a` lies from box `b`, camera frame, metres."""
-    apart = a.center - b.center
-    reach = (np.abs(a.R) @ a.size + np.abs(b.R) @ b.size) / 2
-    return np.concatenate([apart, np.abs(apart), reach, [np.linalg.norm(apart), 1.0]])
+def described(boxes: Sequence[Box3D]) -> np.ndarray:
+    """(N, N, 11) float64: where each box lies from each other, camera frame, metres."""
+    center, half = (np.array([v(b) for b in boxes]).reshape(-1, 3) for v in (lambda b: b.center, _half))
+    apart = center[:, None] - center[None]
+    away = np.linalg.norm(apart, axis=2, keepdims=True)
+    return np.concatenate([apart, np.abs(apart), half[:, None] + half[None], away, np.ones_like(away)], axis=2)
+
+
+def _half(box: Box3D) -> np.ndarray:
+    """(3,): how far it reaches from its centre along the axes of its frame."""
+    return np.abs(box.R) @ box.size / 2
 
 
 @dataclass(frozen=True)
@@ -57,9 +63,10 @@ class ShownScorer:
             given = ((i, predictions.box_of(line.frame, i)) for i in line.objects)
             tried = ((i, None if box is None else try_box(box, header, None, False)) for i, box in given)
             boxes = {i: box for i, box in tried if box is not None}
+            index, away = {i: k for k, i in enumerate(boxes)}, described(list(boxes.values()))
             for relation, pairs in (line.relations or {}).items():
                 known = [r for r in pairs if len(r) == 3 and r[0] in boxes and r[1] in boxes and r[0] != r[1]]
-                rows.setdefault(relation, []).extend((described(boxes[a], boxes[b]), p) for a, b, p in known)
+                rows.setdefault(relation, []).extend((away[index[a], index[b]], p) for a, b, p in known)
         found = {}
         for relation, samples in rows.items():
             if len(samples) >= LEAST_PAIRS:
@@ -78,16 +85,14 @@ class ShownScorer:
     ) -> RelationScores:
         found = RuleScorer().score(objects, viewer, appearance, relations)
         probabilities = found.probabilities.copy()
-        boxes = [o.box for o in objects]
+        boxed = np.array([k for k, o in enumerate(objects) if o.box is not None], np.int64)
+        away = described([o.box for o in objects if o.box is not None])
+        others = ~np.eye(len(boxed), dtype=np.bool_)
         for r, relation in enumerate(found.relations):
-            weights = self.weights.get(relation)
-            if weights is None:
-                continue
-            for i, a in enumerate(boxes):
-                for j, b in enumerate(boxes):
-                    if i != j and a is not None and b is not None:
-                        odds = float(np.clip(described(a, b) @ weights, -_STEEPEST, _STEEPEST))
-                        probabilities[i, j, r] = 1 / (1 + np.exp(-odds))
+            if relation in self.weights:
+                odds = np.clip(away @ self.weights[relation], -_STEEPEST, _STEEPEST)
+                here = probabilities[boxed[:, None], boxed, r]
+                probabilities[boxed[:, None], boxed, r] = np.where(others, 1 / (1 + np.exp(-odds)), here)
         return replace(found, probabilities=probabilities)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.other_pipeline import FAULTS, lines, tally, verdicts
+from benchmarks.other_pipeline import CENTRES, FAULTS, lines, tally, verdicts
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.datasets.demo import demo_labels
@@ -14,11 +14,10 @@ MOST = 0.8
 
 def test_the_verdict_names_the_planted_module_of_another_pipeline() -> None:
     labels = open_labels(demo_labels())
-    found = list(lines(open_pipeline("demo", srm="rule").dataset, labels, 4, every=25, share=0.7))
-    counts = tally(verdicts("demo", labels, found))
+    found = list(lines(CENTRES, open_pipeline("demo", srm="rule").dataset, labels, 4, every=25, share=0.7))
+    counts = tally(verdicts(CENTRES, "demo", labels, found))
     planted = {fault: found for fault, found in counts.items() if fault in FAULTS}
     assert len(planted) >= 4
-    named = sum(counts[fault][verdict] for fault, wanted in FAULTS.items() if fault in counts for verdict in wanted)
-    assert named >= MOST * sum(c.total() for c in planted.values()), counts
+    assert sum(found[fault] for fault, found in planted.items()) >= MOST * sum(c.total() for c in planted.values())
     clean = counts["clean"]
-    assert clean["CORRECT"] + clean["LABEL"] >= MOST * clean.total()
+    assert clean["CORRECT"] + clean["LABEL"] >= MOST * clean.total(), counts
