@@ -124,8 +124,8 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
     unproposed = not_proposed(evidence, case, found, diagnosis)
     if unproposed is not None:
         return unproposed
-    if found.table.config.rule is not None:
-        return by_rule(found, diagnosis)
+    if found.table.config.rule is not None and (ranked := by_rule(found, diagnosis)) is not None:
+        return ranked
     flips = [bit for bit in FLIPS if bit < found.subsets and found.accepted[bit]]
     verdict, detail, repair = _flipped(found, diagnosis, flips)
     mends = tuple(name for bit in flips for name in names_of(bit))
