@@ -296,7 +296,7 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
         )
         config = replace(config, rank=rank)
     named = read.header.scorer
-    scorer = ShownScorer.of(read) if named is None else make_scorer(named, options.get("vectors"))
+    scorer = ShownScorer(read, source.dataset) if named is None else make_scorer(named, options.get("vectors"))
     return ImportedPipeline(
         source.dataset, GivenDetector(read), GivenScorer(read, None, scorer), config, source.synonyms,
         predictions=read, rescore=rescore,

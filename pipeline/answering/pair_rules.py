@@ -261,7 +261,7 @@ def _product(header: Header, ids: np.ndarray, factors: np.ndarray) -> np.ndarray
 
 
 def _shown(shown: ShownRanking, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    return shown.unit * shown.sums(factors)
+    return shown.sums(factors)
 
 
 def _rescored(rescore: Rescore, line: Prediction, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:

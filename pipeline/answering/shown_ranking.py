@@ -15,10 +15,13 @@ import numpy as np
 
 LEAST_COMPARED, MOST_COMPARED = 30, 12_000
 """Comparisons: of fewer nothing is said, of more some are taken, evenly."""
-DECIDED_ALIKE = 0.8
-"""A fit stands in that says so much of the comparisons as they are; some scores may be wrong themselves."""
-UNLIKELY = 0.1
-"""A comparison that is less probable than this is left out of the last fit: its scores are wrong, or odd."""
+MOST_ODD = 0.25
+"""A pair is odd whose score stands the wrong way round with more than half of the others of its line; so many may be,
+of those of all lines, whose scores are wrong."""
+CONTRADICTED = 0.15
+"""A fit stands in that contradicts no more than this of what is said of the others."""
+ALIKE = 0.02
+"""Scores are fitted as they stand where that contradicts no more comparisons than this beyond a fit to their order."""
 _RIDGE = 0.5
 _BENDS = (0.25, 0.5, 0.75)
 
@@ -43,9 +46,9 @@ class ShownRanking:
     Attributes
     ----------
     weights : (K,) float64
-        Of `curves`; the difference of two sums is the log odds that the one pair scores more.
+        Of `curves`; the difference of two sums is how much more the one pair scores, about.
     unit : float
-        How much more a pair scores, about, in the file's own scores, where its sum is one more.
+        So much more is one more of the log odds that it scores more at all.
     """
 
     weights: np.ndarray
@@ -58,38 +61,61 @@ class ShownRanking:
     @staticmethod
     def of(lines: Sequence[Compared]) -> ShownRanking | None:
         """What lines show together; None where that is nothing, or nothing that their factors explain."""
-        higher, lower, more = [], [], []
-        for factors, scores in lines:
+        above, below, start = [], [], 0
+        for _, scores in lines:
             a, b = np.nonzero(scores[:, None] > scores[None] + 1e-9)
-            higher.append(factors[a])
-            lower.append(factors[b])
-            more.append(scores[a] - scores[b])
-        count = sum(map(len, more))
-        if count < LEAST_COMPARED:
+            above.append(a + start)
+            below.append(b + start)
+            start += len(scores)
+        every = np.stack([np.concatenate(above), np.concatenate(below)], axis=1)
+        if len(every) < LEAST_COMPARED:
             return None
-        chosen = np.unique(np.linspace(0, count - 1, min(MOST_COMPARED, count)).astype(int))
-        x = curves(np.concatenate(higher)[chosen]) - curves(np.concatenate(lower)[chosen])
-        weights = _fitted(x)
-        if (x @ weights > 0).mean() < DECIDED_ALIKE:
+        every = every[np.unique(np.linspace(0, len(every) - 1, min(MOST_COMPARED, len(every))).astype(int))]
+        seen = curves(np.concatenate([factors for factors, _ in lines]))
+        x = seen[every[:, 0]] - seen[every[:, 1]]
+        wrong = x @ fitted(x, rising=True) <= 0
+        compared, contradicted = (np.bincount(of.ravel(), minlength=start) for of in (every, every[wrong]))
+        odd = contradicted > compared / 2
+        kept = ~odd[every].any(axis=1)
+        if odd.sum() > MOST_ODD * np.count_nonzero(compared) or wrong[kept].mean() > CONTRADICTED:
             return None
-        kept = x @ weights > np.log(UNLIKELY / (1 - UNLIKELY))
-        weights = _fitted(x[kept])
-        apart = x[kept] @ weights
-        unit = np.concatenate(more)[chosen][kept] @ apart / max(float(apart @ apart), 1e-12)
-        return ShownRanking(weights, max(float(unit), 1e-12))
+        x, every = x[kept], every[kept]
+        scores = np.concatenate([scores for _, scores in lines])
+        more = scores[every[:, 0]] - scores[every[:, 1]]
+        weights = _regressed(x, more)
+        if (x @ weights <= 0).mean() > (x @ fitted(x, rising=True) <= 0).mean() + ALIKE:
+            weights = fitted(x, rising=True)
+            weights = weights * (more @ (x @ weights)) / max(float(np.square(x @ weights).sum()), 1e-12)
+        noise = float((more - x @ weights).std())
+        return ShownRanking(weights, max(noise * np.sqrt(3) / np.pi, 1e-9))
 
 
-def _fitted(x: np.ndarray) -> np.ndarray:
-    """(K,) float64, none below 0: weights that make what x ((N, K)) compares most probable, as a logistic."""
+def _regressed(x: np.ndarray, more: np.ndarray) -> np.ndarray:
+    """(K,) float64, none below 0: weights of x ((N, K)) that give differences of scores ((N,)) best."""
+    from scipy.optimize import nnls
+
+    scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-6)
+    z = x / scale
+    ridge = np.sqrt(_RIDGE) * np.eye(z.shape[1])
+    normal = np.concatenate([z, ridge]).T @ np.concatenate([z, ridge])
+    # Of the normal equations: as many rows as there are weights.
+    root = np.linalg.cholesky(normal).T
+    return nnls(root, np.linalg.solve(root.T, z.T @ more))[0] / scale
+
+
+def fitted(x: np.ndarray, p: np.ndarray | float = 1.0, rising: bool = False) -> np.ndarray:
+    """(K,) float64: weights of x ((N, K)) that give log odds under which p ((N,)) is most probable; with `rising` none
+    below 0."""
     from scipy.optimize import minimize
 
-    scale = np.maximum(x.std(axis=0), 1e-6)
+    scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-6)
     z = x / scale
 
     def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
-        odds = z @ w
-        wrong = 1 / (1 + np.exp(np.clip(odds, -500, 500)))
-        return float(np.logaddexp(0, -odds).sum() + _RIDGE * w @ w / 2), _RIDGE * w - wrong @ z
+        odds = np.clip(z @ w, -500, 500)
+        wrong = 1 / (1 + np.exp(-odds)) - p
+        return float((np.logaddexp(0, odds) - p * odds).sum() + _RIDGE * w @ w / 2), _RIDGE * w + wrong @ z
 
-    start = np.full(z.shape[1], 0.1)
-    return minimize(loss, start, jac=True, method="L-BFGS-B", bounds=[(0, None)] * z.shape[1]).x / scale
+    start = np.full(z.shape[1], 0.1 if rising else 0.0)
+    bounds = [(0 if rising else None, None)] * z.shape[1]
+    return minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x / scale

@@ -25,6 +25,8 @@ _POINTED = ("paper30", "canon30")
 
 DEFAULT_CONFIDENCE = 0.5
 """Confidence of a recalled object where no right detection is known to take it from."""
+OFF_M = 0.15
+"""Extents differ by this much, metres, because one box holds what is seen of a thing, and the other all of it."""
 
 
 def matched(overlap: np.ndarray, alike: np.ndarray | bool = True) -> np.ndarray:
@@ -130,14 +132,25 @@ class FrameEvidence:
         """Whether what gave the relations can be asked again, of other geometry."""
         return bool(getattr(getattr(self.answers.source, "scorer", None), "asked_again", True))
 
-    @property
-    def placed(self) -> bool:
-        """Whether 3D boxes are those that the relations go by: of predictions only where the file gives them."""
+    def off(self, indices: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+        """(K,) bool: whether the extents of a detection of the list are not those of the labelled object that it is, by
+        more than a quarter of the larger and OFF_M; `shapes` (K,) are these objects, -1 for none.
+
+        Of predictions only where the file gives 3D boxes: they are those that its relations go by.
+        """
         source = self.answers.source
         line, predictions = getattr(source, "line", None), getattr(source, "predictions", None)
-        if line is None or predictions is None:
-            return True
-        return any(predictions.box_of(line.frame, i) is not None for i in line.objects)
+        given = line is None or predictions is None
+        known = (shapes >= 0) & (indices < self.detections) & (
+            given or any(predictions.box_of(line.frame, i) is not None for i in line.objects)
+        )  # fmt: skip
+        found = np.zeros(len(indices), np.bool_)
+        for k in np.flatnonzero(known).tolist():
+            own, true = self.answers.objects[indices[k]].lifted, self.truth.geometry
+            lo, size = true["lo"][shapes[k]], true["size"][shapes[k]]
+            least = np.maximum(OFF_M, np.maximum(own.hi - own.lo, size) / 4)
+            found[k] = (np.abs(own.lo - lo) > least).any() or (np.abs(own.hi - lo - size) > least).any()
+        return found
 
     def stand_in(self, relation: str) -> np.ndarray | None:
         """As `probabilities`, all by what stands in for a scorer that cannot be asked again; None where ours can."""

@@ -11,7 +11,7 @@ from pipeline.answering.placing import box_2d, pixel_scale
 from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.missed import NEAR_MISS, not_proposed
-from pipeline.diagnosis.oracles import LIFT, RECALL, SRM, SUBSETS, OracleScores
+from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, SUBSETS, OracleScores, margins_of
 from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.boxes import iou_2d
@@ -131,28 +131,40 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
     """The verdict where a right pair stood among the candidates and lost by a ranking that is not ours, and the ranking
     is to blame, or nothing can be said; None where the oracles say which module is.
     """
-    rule, table = found.table.config.rule, found.plain
+    rule, table = found.table.config.rule, found.table
     shown = [s for s in range(found.subsets) if not s & RECALL]
     if not np.isfinite(found.table.flat[shown][:, found.covered.ravel()]).any():
         # The two things of every right pair count as one: whatever ranks, none is among the pairs.
         return replace(diagnosis, verdict="PRM", detail="DEGENERATE", repair=())
     if rule.model is None:
         return replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=(), right_with=None)
-    scores = np.where(
+    regular = np.where(
         np.isfinite(table.log_score), rule.scores(table.target, table.ends, table.p_relation, True), -np.inf
     )
-    ahead = scores[found.covered].max(initial=-np.inf) - scores[~found.covered].max(initial=-np.inf)
-    mended = any(found.accepted[s] for s in shown)
-    if ahead > (rule.unit * LIKELY if mended else 0):
+    ahead = margins_of(replace(table, log_score=regular), found.covered)
+    mended = any(found.mends(s) for s in shown)
+    if ahead[0] > rule.unit * LIKELY or (not mended and (ahead[shown] > 0).any()):
         return replace(diagnosis, verdict="PRM", detail="SCORE", repair=())
     return None if mended else replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=())
 
 
-def to_blame(diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
+def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
     """Of the oracles that alone mend an answer those that may name the module.
 
     True relations always do what true geometry does. Where a scorer cannot be asked again, true geometry is put in only
-    where a box explains the probability that was given: then it is the box.
+    where a box is off and explains the probability that was given: then it is the box. And what spoke for the right
+    pair is not to blame for its losing, though a truth that is surer still would have helped it.
     """
-    again = diagnosis.evidence.asked_again
-    return [bit for bit in flips if again or bit != SRM or LIFT not in flips]
+    if diagnosis.evidence.asked_again:
+        return list(flips)
+    chain = [bit for bit in flips if bit != SRM or LIFT not in flips]
+    winner, right = diagnosis.winner, diagnosis.right
+    if winner is None or right is None:
+        return chain
+    (mine, true_mine), (its, true_its) = (
+        found.p_relation[0, :2, k // found.covered.shape[1], k % found.covered.shape[1]]
+        for k in (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
+    )
+    surer = winner.p_target * winner.p_reference > right.p_target * right.p_reference
+    related = bool(mine > its or mine > HIT > true_mine or its < HIT < true_its)
+    return [bit for bit in chain if {CONF: surer}.get(bit, related)] or chain
