@@ -59,15 +59,25 @@ def _ends(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, li
 def _asked(line: Prediction) -> tuple[str, str, str] | None:
     """Target, relation and reference of a line that says no more; None for others, and where it cannot be read.
 
-    Words that are read here as another relation than the only one that the line has say what that one says.
+    Words that are not read here, or as another relation than the only one that the line has, say what that one says.
     """
     if line.target and line.relation and line.reference:
         return line.target, line.relation, line.reference
-    read, told = _read(line.text, tuple(line.proposals or ())), tuple(line.relations or ())
-    if read is None or read[1] in told or len(told) != 1:
+    names, told = tuple(line.proposals or ()), tuple(line.relations or ())
+    read = _read(line.text, names)
+    if (read is not None and read[1] in told) or len(told) != 1 or not 1 <= len(names) <= 2:
         return read
-    tried = ((a, told[0], b) for a, b in ((read[0], read[2]), (read[2], read[0])))
-    return next((asked for asked in tried if _lacking(line, asked) is None), None)
+    tried = ((a, told[0], b) for a, b in ((names[0], names[-1]), (names[-1], names[0])))
+    return next((asked for asked in tried if _fits(line, asked)), None)
+
+
+def _fits(line: Prediction, asked: tuple[str, str, str]) -> bool:
+    """Whether a line has all rows of a reading, and its pairs and answer are of its names."""
+    first, second = _ends(line, asked)[1]
+    answer = line.answer
+    pairs = [row[:2] for row in line.pairs or ()] + ([] if answer is None else [(answer.object, answer.reference)])
+    within = all(a in (None, *first) and b in (None, *second) for a, b in pairs)
+    return within and _lacking(line, asked) is None
 
 
 @lru_cache(maxsize=20_000)

@@ -22,6 +22,8 @@ CONTRADICTED = 0.15
 """A fit stands in that contradicts no more than this of what is said of the others."""
 ALIKE = 0.02
 """Scores are fitted as they stand where that contradicts no more comparisons than this beyond a fit to their order."""
+LEAST_NOISE = 0.01
+"""No fit is surer than this share of all that it spans."""
 _RIDGE = 0.5
 _BENDS = (0.25, 0.5, 0.75)
 
@@ -86,8 +88,9 @@ class ShownRanking:
         if (x @ weights <= 0).mean() > (x @ fitted(x, rising=True) <= 0).mean() + ALIKE:
             weights = fitted(x, rising=True)
             weights = weights * (more @ (x @ weights)) / max(float(np.square(x @ weights).sum()), 1e-12)
-        noise = float((more - x @ weights).std())
-        return ShownRanking(weights, max(noise * np.sqrt(3) / np.pi, 1e-9))
+        noise = float((more - x @ weights).std()) * np.sqrt(3) / np.pi
+        low, high = curves(np.array([[0.0] * 3, [1.0] * 3])) @ weights
+        return ShownRanking(weights, max(noise, LEAST_NOISE * (high - low), 1e-12))
 
 
 def _regressed(x: np.ndarray, more: np.ndarray) -> np.ndarray:

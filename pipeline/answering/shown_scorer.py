@@ -26,8 +26,9 @@ from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScores, RuleScorer
 
 LEAST_PAIRS, MOST_PAIRS = 60, 4000
-DECIDED_ALIKE = 0.85
-"""A fit stands in that decides at least this share of the file's pairs as they are; some may be wrong themselves."""
+DECIDED_ALIKE = 0.7
+"""A fit stands in that decides at least this share of the file's pairs as they are; the others may be wrong themselves,
+in every line of a file whose scorer is broken."""
 LOOKED_AT = 24
 """Frames whose pairs are fitted to, spread evenly."""
 _SURE = 0.99
@@ -55,8 +56,8 @@ class ShownScorer:
     name = "rule"
 
     @cached_property
-    def weights(self) -> dict[str, np.ndarray]:
-        """(K,) float64 by relation: of `described`, giving the log odds."""
+    def weights(self) -> dict[str, np.ndarray | None]:
+        """(K,) float64 by relation: of `described`, giving the log odds; None where nothing explains its pairs."""
         predictions, rows = self.predictions, dict[str, list[tuple[np.ndarray, float]]]()
         frames = list(dict.fromkeys(line.frame for line in predictions.lines.values()))
         chosen = np.unique(np.linspace(0, len(frames) - 1, min(LOOKED_AT, len(frames))).astype(int))
@@ -72,8 +73,11 @@ class ShownScorer:
                 for relation, pairs in (line.relations or {}).items():
                     known = [r for r in pairs if len(r) == 3 and r[0] in boxes and r[1] in boxes and r[0] != r[1]]
                     rows.setdefault(relation, []).extend((away[index[a], index[b]], p) for a, b, p in known)
-        found = {relation: _weights(samples) for relation, samples in rows.items() if len(samples) >= LEAST_PAIRS}
-        return {relation: weights for relation, weights in found.items() if weights is not None}
+        return {relation: _weights(samples) for relation, samples in rows.items() if len(samples) >= LEAST_PAIRS}
+
+    def follows(self, relation: str) -> bool:
+        """Whether probabilities may follow from the boxes: not where many pairs show that they do not."""
+        return self.weights.get(relation, ()) is not None
 
     def score(
         self,
@@ -88,8 +92,8 @@ class ShownScorer:
         away = described([o.box for o in objects if o.box is not None], viewer)
         others = ~np.eye(len(boxed), dtype=np.bool_)
         for r, relation in enumerate(found.relations):
-            if relation in self.weights:
-                told = np.clip(1 / (1 + np.exp(-away @ self.weights[relation])), 1 - _SURE, _SURE)
+            if (weights := self.weights.get(relation)) is not None:
+                told = np.clip(1 / (1 + np.exp(-away @ weights)), 1 - _SURE, _SURE)
                 here = probabilities[boxed[:, None], boxed, r]
                 probabilities[boxed[:, None], boxed, r] = np.where(others, told, here)
         return replace(found, probabilities=probabilities)

@@ -152,6 +152,11 @@ class FrameEvidence:
             found[k] = (np.abs(own.lo - lo) > least).any() or (np.abs(own.hi - lo - size) > least).any()
         return found
 
+    def follows(self, relation: str) -> bool:
+        """Whether a scorer that cannot be asked again may go by its boxes, as far as its file shows."""
+        told = getattr(getattr(self.answers.source.scorer, "stand_in", None), "follows", None)
+        return told is None or told(relation)
+
     def stand_in(self, relation: str) -> np.ndarray | None:
         """As `probabilities`, all by what stands in for a scorer that cannot be asked again; None where ours can."""
         if self.asked_again:

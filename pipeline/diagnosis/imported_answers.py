@@ -149,22 +149,22 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
 
 
 def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
-    """Of the oracles that alone mend an answer those that may name the module.
+    """Of the oracles that alone mend an answer those that may name the module; of an imported ranking one.
 
-    True relations always do what true geometry does. Where a scorer cannot be asked again, true geometry is put in only
-    where a box is off and explains the probability that was given: then it is the box. And what spoke for the right
-    pair is not to blame for its losing, though a truth that is surer still would have helped it.
+    What spoke for the right pair is not to blame for its losing, though a truth that is surer still would have helped
+    it. Of the others it is the first of the chain: a thing that is none of the class and was surer than the right one;
+    a box that is off and explains the probability that was given; that probability; the confidences of real things.
     """
-    if diagnosis.evidence.asked_again:
-        return list(flips)
-    chain = [bit for bit in flips if bit != SRM or LIFT not in flips]
     winner, right = diagnosis.winner, diagnosis.right
-    if winner is None or right is None:
-        return chain
+    if diagnosis.evidence.asked_again or winner is None or right is None:
+        return list(flips)
     (mine, true_mine), (its, true_its) = (
         found.p_relation[0, :2, k // found.covered.shape[1], k % found.covered.shape[1]]
         for k in (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
     )
-    surer = winner.p_target * winner.p_reference > right.p_target * right.p_reference
+    false = (diagnosis.false_target and winner.p_target > right.p_target) or (
+        diagnosis.false_reference and winner.p_reference > right.p_reference
+    )
     related = bool(mine > its or mine > HIT > true_mine or its < HIT < true_its)
-    return [bit for bit in chain if {CONF: surer}.get(bit, related)] or chain
+    chain = [(CONF, false), (LIFT, related), (SRM, related), (CONF, True)]
+    return [bit for bit, spoke in chain if spoke and bit in flips][:1] or list(flips)

@@ -247,7 +247,7 @@ def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, re
         before, after = stand_in[target.index[:, None], reference.index], stand_in[shaped[0][:, None], shaped[1]]
         off = [evidence.off(role.index, role.shape_of) for role in (target, reference)]
         explained = (np.abs(base - before) < EXPLAINED) | ((base > HOLDS) == (before > HOLDS))
-        changed = explained & (off[0][:, None] | off[1]) & (np.abs(after - before) > 1e-9)
+        changed = explained & (off[0][:, None] | off[1]) & (np.abs(after - before) > 1e-9) & evidence.follows(relation)
         shifted = 1 / (1 + np.exp(-(_odds(base) + _odds(after) - _odds(before))))
         # What it decides of a true box it decides as surely as it does elsewhere: a stand-in never is.
         surest = max(STATE_PROBABILITY[1], float(np.nanmax(base, initial=0.0)))
