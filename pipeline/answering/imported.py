@@ -268,6 +268,13 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
     for name in ("detector", "model", "segmenter", "fuse", "also", "config"):
         require(not options.get(name), f"{name} is not for imported predictions", cause="the file says what was seen")
     rescore = options.pop("rescore", None)
+    rescored = options.pop("rescored", False)
+    require(
+        rescore is not None or not rescored,
+        "the run's ranking was asked again by a function, which no file holds",
+        expected="in Python: open_run(RUN, rescore=that function)",
+        path=predictions,
+    )
     options.pop("srm", None)
     source = open_pipeline(dataset, srm="rule", **options)
     read = read_predictions(predictions)

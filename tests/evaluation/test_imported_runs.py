@@ -383,3 +383,7 @@ def test_a_ranking_that_can_be_asked_again_is_judged_like_the_product_that_it_is
     theirs = {r["id"]: r["verdict"] for r in rows(open_run(tmp_path / "run"))}
     assert theirs == ours
     assert asked
+    # The function is in no file: what stands is read, and what would be answered by another ranking is refused.
+    with pytest.raises(InputError, match=r"asked again by a function.*open_run\(RUN, rescore="):
+        _ = open_run(tmp_path / "run").source
+    assert open_run(tmp_path / "run", rescore=rescore).source.dataset.frame_ids
