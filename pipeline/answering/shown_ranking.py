@@ -22,6 +22,8 @@ CONTRADICTED = 0.15
 """A fit stands in that contradicts no more than this of what is said of the others."""
 ALIKE = 0.02
 """Scores are fitted as they stand where that contradicts no more comparisons than this beyond a fit to their order."""
+FAR = 4.0
+"""A difference of scores is left out of the last fit that is off by so many times the median."""
 LEAST_NOISE = 0.01
 """No fit is surer than this share of all that it spans."""
 _RIDGE = 0.5
@@ -63,7 +65,7 @@ class ShownRanking:
     @staticmethod
     def of(lines: Sequence[Compared]) -> ShownRanking | None:
         """What lines show together; None where that is nothing, or nothing that their factors explain."""
-        above, below, start = [], [], 0
+        above, below, start = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], 0
         for _, scores in lines:
             a, b = np.nonzero(scores[:, None] > scores[None] + 1e-9)
             above.append(a + start)
@@ -85,10 +87,15 @@ class ShownRanking:
         scores = np.concatenate([scores for _, scores in lines])
         more = scores[every[:, 0]] - scores[every[:, 1]]
         weights = _regressed(x, more)
-        if (x @ weights <= 0).mean() > (x @ fitted(x, rising=True) <= 0).mean() + ALIKE:
-            weights = fitted(x, rising=True)
-            weights = weights * (more @ (x @ weights)) / max(float(np.square(x @ weights).sum()), 1e-12)
-        noise = float((more - x @ weights).std()) * np.sqrt(3) / np.pi
+        # A wrong score that stands the right way round is known by how far it stands from all others.
+        far = np.abs(more - x @ weights)
+        near = far <= FAR * np.median(far) + 1e-9
+        weights = _regressed(x[near], more[near])
+        order = fitted(x, rising=True)
+        if (x @ weights <= 0).mean() > (x @ order <= 0).mean() + ALIKE:
+            apart = x @ order
+            weights, near = order * (more @ apart) / max(float(apart @ apart), 1e-12), np.ones(len(x), np.bool_)
+        noise = float((more - x @ weights)[near].std()) * np.sqrt(3) / np.pi
         low, high = curves(np.array([[0.0] * 3, [1.0] * 3])) @ weights
         return ShownRanking(weights, max(noise, LEAST_NOISE * (high - low), 1e-12))
 
