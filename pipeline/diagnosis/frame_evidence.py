@@ -166,28 +166,25 @@ class FrameEvidence:
 
     def _score(self, relations: Sequence[str]) -> None:
         source, d = self.answers.source, self.detections
-        other = None if self.asked_again else getattr(source.scorer, "stand_in", None)
-        stand_in = None if other is None else replace(source, scorer=other)
         points = any(needs_points(source.scorer, relation) for relation in relations)
         indices = self._involved(relations)
         true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}
         indices = np.array([p for p in indices.tolist() if p < d or true[p - d] is not None], np.int64)
         objects = [self.answers.objects[p] if p < d else true[p - d] for p in indices.tolist()]
         present = [o for o in objects if o is not None]
-        scores = source.score(self.answers.context, present, relations) if present else None
-        if stand_in is not None and present:
-            other = stand_in.score(self.answers.context, present, relations)
+        kept = [(source, self._probabilities)]
+        if not self.asked_again:
+            kept.append((replace(source, scorer=getattr(source.scorer, "stand_in", source.scorer)), self._stand_ins))
+        for own, tables in kept:
+            scores = own.score(self.answers.context, present, relations) if present else None
             for relation in relations:
-                table = self._stand_ins[relation] = np.full((d + self.labelled, d + self.labelled), np.nan)
-                table[np.ix_(indices, indices)] = other.of(relation)
+                table = tables[relation] = np.full((d + self.labelled, d + self.labelled), np.nan)
+                if scores is not None:
+                    table[np.ix_(indices, indices)] = scores.of(relation)
         for relation in relations:
-            table = np.full((d + self.labelled, d + self.labelled), np.nan)
-            if scores is not None:
-                table[np.ix_(indices, indices)] = scores.of(relation)
-            own = self.answers.probabilities(relation)
-            if own is not None:
-                table[:d, :d] = own
-            self._probabilities[relation] = table
+            told = self.answers.probabilities(relation)
+            if told is not None:
+                self._probabilities[relation][:d, :d] = told
 
     def _involved(self, relations: Sequence[str]) -> np.ndarray:
         """Indices of the candidates and labelled objects that the cases of these relations are about, rising."""
