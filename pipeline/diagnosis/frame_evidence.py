@@ -140,10 +140,9 @@ class FrameEvidence:
         """
         source = self.answers.source
         line, predictions = getattr(source, "line", None), getattr(source, "predictions", None)
-        given = line is None or predictions is None
-        known = (shapes >= 0) & (indices < self.detections) & (
-            given or any(predictions.box_of(line.frame, i) is not None for i in line.objects)
-        )  # fmt: skip
+        known = (shapes >= 0) & (indices < self.detections)
+        if line is not None and predictions is not None:
+            known &= any(predictions.box_of(line.frame, i) is not None for i in line.objects)
         found = np.zeros(len(indices), np.bool_)
         for k in np.flatnonzero(known).tolist():
             own, true = self.answers.objects[indices[k]].lifted, self.truth.geometry
