@@ -244,7 +244,7 @@ def ranked(
     """
     rule = config.rule
     if rule is not None:
-        trace = replace(trace, answered=rule.answered, own_scores=rule.product is None)
+        trace = replace(trace, answered=rule.answered, own_scores=rule.told)
     if trace.missing or (rule is not None and rule.answered is not None and not rule.given):
         return trace
     with timed(trace.timings, "prm"):

@@ -19,14 +19,12 @@ from pydantic import TypeAdapter
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.answering.pair_rules import PairRule, Rescore, RuledConfig, RunRules, line_rule, missing_row
+from pipeline.answering.pair_rules import Rescore, RuledConfig, RunRules, line_rule, missing_row
 from pipeline.answering.placing import box_2d, box_3d
 from pipeline.answering.predictions import Prediction, Predictions, Proposal, read_predictions
 from pipeline.answering.shown_scorer import ShownScorer
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import LiftedObject
-from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import parse
 from pipeline.language.naming import match, suggest
 from pipeline.language.relation_names import PAIRWISE, PHRASE
@@ -34,9 +32,8 @@ from pipeline.language.tree import Query
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
 from pipeline.relations import make_scorer
-from pipeline.relations.features import Appearance
-from pipeline.relations.given import with_given
-from pipeline.relations.scorer import RelationScorer, RelationScores
+from pipeline.relations.given import GivenRelations
+from pipeline.relations.scorer import RelationScorer
 from pipeline.system.errors import InputError, UnknownClass, as_input_error, require
 
 
@@ -151,32 +148,12 @@ def alike(a: Box3D, b: Box3D) -> bool:
     return all(np.allclose(x, y, atol=1e-6) for x, y in ((a.center, b.center), (a.R, b.R), (a.size, b.size)))
 
 
-class GivenScorer:
-    """Gives the relation probabilities of a line, and those of a stand-in for pairs that the line does not have.
-
-    Attributes
-    ----------
-    stand_in : RelationScorer
-        What scores the relations of true geometry.
-    asked_again : bool
-        The stand-in is what made the probabilities.
-    """
-
-    def __init__(self, predictions: Predictions, line: Prediction | None, stand_in: RelationScorer) -> None:
-        self.predictions, self.line, self.stand_in = predictions, line, stand_in
-        self.name = stand_in.name if line is not None and line.relations is None else label_of(predictions)
-        self.asked_again = predictions.header.scorer is not None
-
-    def score(
-        self,
-        objects: Sequence[LiftedObject],
-        viewer: ViewerAxes,
-        appearance: Appearance | None = None,
-        relations: Collection[str] = PAIRWISE,
-    ) -> RelationScores:
-        found = self.stand_in.score(objects, viewer, appearance, relations)
-        given = {} if self.line is None else self.line.relations or {}
-        return with_given(found, given, appearance, self.name)
+def scorer_of(predictions: Predictions, line: Prediction | None, stand_in: RelationScorer) -> GivenRelations:
+    """The relation probabilities of a line, and for pairs that it does not have those of a stand-in, which may be asked
+    again where it is what made them."""
+    relations = {} if line is None or line.relations is None else line.relations
+    name = stand_in.name if line is not None and line.relations is None else label_of(predictions)
+    return GivenRelations(relations, stand_in, name, predictions.header.scorer is not None)
 
 
 @dataclass(frozen=True)
@@ -215,10 +192,14 @@ class ImportedPipeline(Pipeline):
         if line is self.line:
             return self
         detector = GivenDetector(self.predictions, line)
-        assert isinstance(self.scorer, GivenScorer)
-        scorer = GivenScorer(self.predictions, line, self.scorer.stand_in)
+        assert isinstance(self.scorer, GivenRelations)
+        scorer = scorer_of(self.predictions, line, self.scorer.stand_in)
         rule = line_rule(self._rules, self.predictions.header, line, self.rescore)
-        config = self.config if rule is None else replace(self.config, rank=ruled(self.config, rule))
+        config = (
+            self.config
+            if rule is None
+            else replace(self.config, rank=RuledConfig(**vars(self.config.rank), pairs=rule))
+        )
         below = GivenDetector(self.predictions, line, below=True)
         reader = _given_reader(line, label_of(self.predictions)) if line.relation and line.target else self.reader
         return replace(
@@ -230,12 +211,6 @@ class ImportedPipeline(Pipeline):
             open_unfiltered=lambda: below,
             reader=reader,
         )
-
-
-def ruled(config: AskConfig, rule: PairRule) -> RuledConfig:
-    """The ranking's weights with a rule that is not the product."""
-    rank = config.rank
-    return RuledConfig(rank.target_weight, rank.reference_weight, rank.relation_weight, rank.aggregate, rule)
 
 
 def _given_reader(line: Prediction, system: str) -> Callable[..., Query]:
@@ -268,6 +243,13 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
     for name in ("detector", "model", "segmenter", "fuse", "also", "config"):
         require(not options.get(name), f"{name} is not for imported predictions", cause="the file says what was seen")
     rescore = options.pop("rescore", None)
+    rescored = options.pop("rescored", False)
+    require(
+        rescore is not None or not rescored,
+        "the run's ranking was asked again by a function, which no file holds",
+        expected="in Python: open_run(RUN, rescore=that function)",
+        path=predictions,
+    )
     options.pop("srm", None)
     source = open_pipeline(dataset, srm="rule", **options)
     read = read_predictions(predictions)
@@ -296,9 +278,9 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
         )
         config = replace(config, rank=rank)
     named = read.header.scorer
-    scorer = ShownScorer.of(read) if named is None else make_scorer(named, options.get("vectors"))
+    scorer = ShownScorer(read, source.dataset) if named is None else make_scorer(named, options.get("vectors"))
     return ImportedPipeline(
-        source.dataset, GivenDetector(read), GivenScorer(read, None, scorer), config, source.synonyms,
+        source.dataset, GivenDetector(read), scorer_of(read, None, scorer), config, source.synonyms,
         predictions=read, rescore=rescore,
     )  # fmt: skip
 

@@ -1,19 +1,23 @@
 """A relation scorer that cannot be asked again, as far as the pairs of its file show what it goes by.
 
 Where the truth takes the place of a box, somebody has to say what the scorer would have said. For each relation that
-the file has enough pairs of, their probabilities are fitted by where the one box lies from the other; where the fit
-decides nearly all pairs as they are, it stands in. Else the rule does.
+the file has enough pairs of, their probabilities are fitted by where the one box lies from the other, as the viewer
+sees it; where the fit decides nearly all pairs as they are, it stands in. Else the rule does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
+from pipeline.answering.objects import prepare_frame
 from pipeline.answering.placing import try_box
 from pipeline.answering.predictions import Predictions
+from pipeline.answering.shown_ranking import fitted
+from pipeline.datasets.base import Dataset
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
@@ -21,53 +25,59 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScores, RuleScorer
 
-LEAST_PAIRS = 60
-DECIDED_ALIKE = 0.85
-"""A fit stands in that decides at least this share of the file's pairs as they are; some may be wrong themselves."""
-_STEEPEST = 4.0
+LEAST_PAIRS, MOST_PAIRS = 60, 4000
+DECIDED_ALIKE = 0.7
+"""A fit stands in that decides at least this share of the file's pairs as they are; the others may be wrong themselves,
+in every line of a file whose scorer is broken."""
+LOOKED_AT = 24
+"""Frames whose pairs are fitted to, spread evenly."""
+_SURE = 0.99
 
 
-def described(a: Box3D, b: Box3D) -> np.ndarray:
-    """(11,) float64: where box `a` lies from box `b`, camera frame, metres."""
-    apart = a.center - b.center
-    reach = (np.abs(a.R) @ a.size + np.abs(b.R) @ b.size) / 2
-    return np.concatenate([apart, np.abs(apart), reach, [np.linalg.norm(apart), 1.0]])
+def described(boxes: Sequence[Box3D], viewer: ViewerAxes) -> np.ndarray:
+    """(N, N, K) float64: where each box lies from each other along the viewer's axes: in metres, in their own extents,
+    by how they look from the camera, and how far apart."""
+    center = np.array([box.center for box in boxes]).reshape(-1, 3) @ viewer.matrix.T
+    half = np.array([np.abs(viewer.matrix @ box.R) @ box.size / 2 for box in boxes]).reshape(-1, 3)
+    seen = np.array([box.center / max(float(box.center[2]), 0.1) for box in boxes]).reshape(-1, 3)[:, :2]
+    apart, reach, bearing = center[:, None] - center[None], half[:, None] + half[None], seen[:, None] - seen[None]
+    gap = np.abs(apart) - reach
+    one = np.ones_like(apart[..., :1])
+    return np.concatenate([apart, apart / (reach + 0.05), bearing, gap, np.maximum(gap, 0), one], axis=2)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ShownScorer:
-    """The rule, and in its place what the file shows.
+    """The rule, and in its place what the file shows."""
 
-    Attributes
-    ----------
-    weights : dict of str to (11,) float64
-        By relation: of `described`, giving the log odds.
-    """
-
-    weights: dict[str, np.ndarray]
+    predictions: Predictions
+    dataset: Dataset = field(repr=False)
 
     name = "rule"
 
-    @staticmethod
-    def of(predictions: Predictions) -> ShownScorer:
-        """What the pairs of a file show; boxes in the world show nothing, for their frames are not at hand."""
-        header = predictions.header
-        rows: dict[str, list[tuple[np.ndarray, float]]] = {}
-        for line in predictions.lines.values() if header.coordinates != "world" else ():
-            given = ((i, predictions.box_of(line.frame, i)) for i in line.objects)
-            tried = ((i, None if box is None else try_box(box, header, None, False)) for i, box in given)
+    @cached_property
+    def weights(self) -> dict[str, np.ndarray | None]:
+        """(K,) float64 by relation: of `described`, giving the log odds; None where nothing explains its pairs."""
+        predictions, rows = self.predictions, dict[str, list[tuple[np.ndarray, float]]]()
+        frames = list(dict.fromkeys(line.frame for line in predictions.lines.values()))
+        chosen = np.unique(np.linspace(0, len(frames) - 1, min(LOOKED_AT, len(frames))).astype(int))
+        for frame_id in (frames[int(k)] for k in chosen):
+            frame, lines = self.dataset.load(frame_id), predictions.of_frame(frame_id)
+            ids = dict.fromkeys(i for line in lines for i in line.objects)
+            given = ((i, predictions.box_of(frame_id, i)) for i in ids)
+            tried = ((i, None if b is None else try_box(b, predictions.header, frame.camera, False)) for i, b in given)
             boxes = {i: box for i, box in tried if box is not None}
-            for relation, pairs in (line.relations or {}).items():
-                known = [r for r in pairs if len(r) == 3 and r[0] in boxes and r[1] in boxes and r[0] != r[1]]
-                rows.setdefault(relation, []).extend((described(boxes[a], boxes[b]), p) for a, b, p in known)
-        found = {}
-        for relation, samples in rows.items():
-            if len(samples) >= LEAST_PAIRS:
-                x, p = np.array([s[0] for s in samples]), np.array([s[1] for s in samples])
-                weights = fitted(x, p)
-                if ((x @ weights > 0) == (p > 0.5)).mean() >= DECIDED_ALIKE:
-                    found[relation] = weights
-        return ShownScorer(found)
+            index = {i: k for k, i in enumerate(boxes)}
+            away = described(list(boxes.values()), prepare_frame(self.dataset, frame).viewer)
+            for line in lines:
+                for relation, pairs in (line.relations or {}).items():
+                    known = [r for r in pairs if len(r) == 3 and r[0] in boxes and r[1] in boxes and r[0] != r[1]]
+                    rows.setdefault(relation, []).extend((away[index[a], index[b]], p) for a, b, p in known)
+        return {relation: _weights(samples) for relation, samples in rows.items() if len(samples) >= LEAST_PAIRS}
+
+    def follows(self, relation: str) -> bool:
+        """Whether probabilities may follow from the boxes: not where many pairs show that they do not."""
+        return self.weights.get(relation, ()) is not None
 
     def score(
         self,
@@ -78,29 +88,23 @@ class ShownScorer:
     ) -> RelationScores:
         found = RuleScorer().score(objects, viewer, appearance, relations)
         probabilities = found.probabilities.copy()
-        boxes = [o.box for o in objects]
+        boxed = np.array([k for k, o in enumerate(objects) if o.box is not None], np.int64)
+        away = described([o.box for o in objects if o.box is not None], viewer)
+        others = ~np.eye(len(boxed), dtype=np.bool_)
         for r, relation in enumerate(found.relations):
-            weights = self.weights.get(relation)
-            if weights is None:
-                continue
-            for i, a in enumerate(boxes):
-                for j, b in enumerate(boxes):
-                    if i != j and a is not None and b is not None:
-                        odds = float(np.clip(described(a, b) @ weights, -_STEEPEST, _STEEPEST))
-                        probabilities[i, j, r] = 1 / (1 + np.exp(-odds))
+            if (weights := self.weights.get(relation)) is not None:
+                told = np.clip(1 / (1 + np.exp(-away @ weights)), 1 - _SURE, _SURE)
+                here = probabilities[boxed[:, None], boxed, r]
+                probabilities[boxed[:, None], boxed, r] = np.where(others, told, here)
         return replace(found, probabilities=probabilities)
 
 
-def fitted(x: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """(K,) float64: weights of x ((N, K)) whose log odds come nearest to those of p ((N,)); twice, without what is odd.
+def _weights(samples: Sequence[tuple[np.ndarray, float]]) -> np.ndarray | None:
+    """What the pairs of a relation show; None where that is nothing.
 
     A pair whose probability is wrong says the opposite of all others, and the second fit leaves it out.
     """
-    odds = np.clip(np.log(np.clip(p, 1e-6, 1) / np.clip(1 - p, 1e-6, 1)), -_STEEPEST, _STEEPEST)
-    kept = np.ones(len(p), np.bool_)
-    weights = np.zeros(x.shape[1])
-    for _ in range(2):
-        a = x[kept]
-        weights = np.linalg.solve(a.T @ a + 1e-3 * len(a) * np.eye(x.shape[1]), a.T @ odds[kept])
-        kept = (x @ weights) * odds > -1.0
-    return weights
+    chosen = np.unique(np.linspace(0, len(samples) - 1, min(MOST_PAIRS, len(samples))).astype(int))
+    x, p = (np.array([samples[k][part] for k in chosen]) for part in (0, 1))
+    alike = (x @ fitted(x, p) > 0) == (p > 0.5)
+    return fitted(x[alike], p[alike]) if alike.mean() >= DECIDED_ALIKE else None

@@ -124,9 +124,9 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
     unproposed = not_proposed(evidence, case, found, diagnosis)
     if unproposed is not None:
         return unproposed
-    if found.table.config.rule is not None:
-        return by_rule(found, diagnosis)
-    flips = [bit for bit in FLIPS if bit < found.subsets and found.accepted[bit]]
+    if found.table.config.rule is not None and (ranked := by_rule(found, diagnosis)) is not None:
+        return ranked
+    flips = [bit for bit in FLIPS if bit < found.subsets and found.mends(bit)]
     verdict, detail, repair = _flipped(found, diagnosis, flips)
     mends = tuple(name for bit in flips for name in names_of(bit))
     return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair), mends=mends)
@@ -164,7 +164,7 @@ def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tup
         return "COMPOUND", "+".join(names_of(smallest)), smallest
     chosen = flips[0]
     if len(flips) > 1:
-        margin = {bit: found.decided_margin(bit) for bit in to_blame(diagnosis, flips)}
+        margin = {bit: found.decided_margin(bit) for bit in to_blame(found, diagnosis, flips)}
         farthest = max(margin.values())
         chosen = next(bit for bit, m in margin.items() if m >= farthest - SAME_MARGIN)
     if chosen == CONF:

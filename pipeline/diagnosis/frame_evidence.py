@@ -25,6 +25,8 @@ _POINTED = ("paper30", "canon30")
 
 DEFAULT_CONFIDENCE = 0.5
 """Confidence of a recalled object where no right detection is known to take it from."""
+OFF_M = 0.15
+"""Extents differ by this much, metres, because one box holds what is seen of a thing, and the other all of it."""
 
 
 def matched(overlap: np.ndarray, alike: np.ndarray | bool = True) -> np.ndarray:
@@ -130,14 +132,29 @@ class FrameEvidence:
         """Whether what gave the relations can be asked again, of other geometry."""
         return bool(getattr(getattr(self.answers.source, "scorer", None), "asked_again", True))
 
-    @property
-    def placed(self) -> bool:
-        """Whether 3D boxes are those that the relations go by: of predictions only where the file gives them."""
+    def off(self, indices: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+        """(K,) bool: whether the extents of a detection of the list are not those of the labelled object that it is, by
+        more than a quarter of the larger and OFF_M; `shapes` (K,) are these objects, -1 for none.
+
+        Of predictions only where the file gives 3D boxes: they are those that its relations go by.
+        """
         source = self.answers.source
         line, predictions = getattr(source, "line", None), getattr(source, "predictions", None)
-        if line is None or predictions is None:
-            return True
-        return any(predictions.box_of(line.frame, i) is not None for i in line.objects)
+        known = (shapes >= 0) & (indices < self.detections)
+        if line is not None and predictions is not None:
+            known &= any(predictions.box_of(line.frame, i) is not None for i in line.objects)
+        found = np.zeros(len(indices), np.bool_)
+        for k in np.flatnonzero(known).tolist():
+            own, true = self.answers.objects[indices[k]].lifted, self.truth.geometry
+            lo, size = true["lo"][shapes[k]], true["size"][shapes[k]]
+            least = np.maximum(OFF_M, np.maximum(own.hi - own.lo, size) / 4)
+            found[k] = (np.abs(own.lo - lo) > least).any() or (np.abs(own.hi - lo - size) > least).any()
+        return found
+
+    def follows(self, relation: str) -> bool:
+        """Whether a scorer that cannot be asked again may go by its boxes, as far as its file shows."""
+        told = getattr(getattr(self.answers.source.scorer, "stand_in", None), "follows", None)
+        return told is None or told(relation)
 
     def stand_in(self, relation: str) -> np.ndarray | None:
         """As `probabilities`, all by what stands in for a scorer that cannot be asked again; None where ours can."""
@@ -148,28 +165,25 @@ class FrameEvidence:
 
     def _score(self, relations: Sequence[str]) -> None:
         source, d = self.answers.source, self.detections
-        other = None if self.asked_again else getattr(source.scorer, "stand_in", None)
-        stand_in = None if other is None else replace(source, scorer=other)
         points = any(needs_points(source.scorer, relation) for relation in relations)
         indices = self._involved(relations)
         true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}
         indices = np.array([p for p in indices.tolist() if p < d or true[p - d] is not None], np.int64)
         objects = [self.answers.objects[p] if p < d else true[p - d] for p in indices.tolist()]
         present = [o for o in objects if o is not None]
-        scores = source.score(self.answers.context, present, relations) if present else None
-        if stand_in is not None and present:
-            other = stand_in.score(self.answers.context, present, relations)
+        kept = [(source, self._probabilities)]
+        if not self.asked_again:
+            kept.append((replace(source, scorer=getattr(source.scorer, "stand_in", source.scorer)), self._stand_ins))
+        for own, tables in kept:
+            scores = own.score(self.answers.context, present, relations) if present else None
             for relation in relations:
-                table = self._stand_ins[relation] = np.full((d + self.labelled, d + self.labelled), np.nan)
-                table[np.ix_(indices, indices)] = other.of(relation)
+                table = tables[relation] = np.full((d + self.labelled, d + self.labelled), np.nan)
+                if scores is not None:
+                    table[np.ix_(indices, indices)] = scores.of(relation)
         for relation in relations:
-            table = np.full((d + self.labelled, d + self.labelled), np.nan)
-            if scores is not None:
-                table[np.ix_(indices, indices)] = scores.of(relation)
-            own = self.answers.probabilities(relation)
-            if own is not None:
-                table[:d, :d] = own
-            self._probabilities[relation] = table
+            told = self.answers.probabilities(relation)
+            if told is not None:
+                self._probabilities[relation][:d, :d] = told
 
     def _involved(self, relations: Sequence[str]) -> np.ndarray:
         """Indices of the candidates and labelled objects that the cases of these relations are about, rising."""

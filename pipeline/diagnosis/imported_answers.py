@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.answering.pair_table import PairTable
 from pipeline.answering.placing import box_2d, pixel_scale
 from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.missed import NEAR_MISS, not_proposed
-from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, SUBSETS, OracleScores, names_of
+from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, SUBSETS, OracleScores, margins_of
 from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.boxes import iou_2d
@@ -20,7 +19,8 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import decode_run_length, mask_box
 from pipeline.labels.cases import HIT, Case, FrameCases
 
-_ALONE = {LIFT: "LIFT", SRM: "SRM", CONF: "OPM-CONF"}
+LIKELY = float(np.log(3))
+"""Log odds: a ranking is to blame that put a right pair below others where its like would put it first so probably."""
 
 
 def answered_box(line: Prediction, predictions: Predictions, frame: Frame, end: str = "object") -> np.ndarray | None:
@@ -96,9 +96,7 @@ def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str
     return replace(diagnosis, verdict="UNEXPLAINED", detail="BOXES")
 
 
-def _one_for_both(
-    evidence: FrameEvidence, case: Case, found: OracleScores, diagnosis: Diagnosis
-) -> Diagnosis | None:
+def _one_for_both(evidence: FrameEvidence, case: Case, found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
     """OPM-REF where one thing covers both ends of every right pair, as of "book above another book"; else None."""
     t, r = found.target.found, found.reference.found
     two = found.target.index[:t, None] != found.reference.index[None, :r]
@@ -129,72 +127,44 @@ def _misplaced(evidence: FrameEvidence, found: OracleScores, line: Prediction) -
     return denied or bool(held.any() and (true[pair][held] < HIT).all())
 
 
-def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis:
-    """The verdict where a right pair stood among the candidates and lost by scores that are not a product of ours.
-
-    PRM where the right pair would stand first by what all other pairs scored; else the oracle that for certain makes a
-    right pair win; where none does for certain it is not separable.
+def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
+    """The verdict where a right pair stood among the candidates and lost by a ranking that is not ours, and the ranking
+    is to blame, or nothing can be said; None where the oracles say which module is.
     """
-    rule = found.table.config.rule
-    shown = [s for s in range(SUBSETS) if not s & RECALL]
+    rule, table = found.table.config.rule, found.table
+    shown = [s for s in range(found.subsets) if not s & RECALL]
     if not np.isfinite(found.table.flat[shown][:, found.covered.ravel()]).any():
         # The two things of every right pair count as one: whatever ranks, none is among the pairs.
         return replace(diagnosis, verdict="PRM", detail="DEGENERATE", repair=())
-    if wins(found, 0, regular=True) or _odd(found):
-        return replace(diagnosis, verdict="PRM", detail="SCORE", repair=())
-    if not rule.separable and rule.rescore is None and rule.product is None:
+    if rule.model is None:
         return replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=(), right_with=None)
-    flips = [bit for bit in _ALONE if wins(found, bit)]
-    if flips:
-        margin = {bit: found.decided_margin(bit) for bit in to_blame(diagnosis, flips)}
-        chosen = next(bit for bit, m in margin.items() if m >= max(margin.values()) - 1e-6)
-        verdict = _ALONE[chosen]
-        if chosen == CONF and not (diagnosis.false_target or diagnosis.false_reference):
-            verdict = "PRM"
-        mends = tuple(name for bit in flips for name in names_of(bit))
-        return replace(diagnosis, verdict=verdict, detail=None, repair=names_of(chosen), mends=mends)
-    several = [s for s in range(SUBSETS) if not s & RECALL and s.bit_count() > 1 and wins(found, s)]
-    if not several:
-        return replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=())
-    smallest = min(several, key=lambda s: (s.bit_count(), s))
-    names = names_of(smallest)
-    return replace(diagnosis, verdict="COMPOUND", detail="+".join(names), repair=names)
-
-
-def _odd(found: OracleScores) -> bool:
-    """Whether the answer scored more than any pair like it in the file, and a right one would else be likelier."""
-    table = found.plain
-    low, high = table.config.rule.bounds(table.target, table.ends, table.p_relation, regular=True)
-    first, allowed = int(found.winners[0]), np.isfinite(table.log_score)
-    middle = np.where(allowed, (low + high) / 2, -np.inf)
-    likelier = middle[found.covered].max(initial=-np.inf) > middle[~found.covered].max(initial=-np.inf)
-    return bool(likelier and table.flat[0, first] > high.ravel()[first] + 1e-9)
-
-
-def to_blame(diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
-    """Of the oracles that alone mend an answer those that may name the module.
-
-    True relations always do what true geometry does. Where a scorer cannot be asked again, true geometry is put in only
-    where a box explains the probability that was given: then it is the box.
-    """
-    again = diagnosis.evidence.asked_again
-    return [bit for bit in flips if again or bit != SRM or LIFT not in flips]
-
-
-def wins(found: OracleScores, subset: int, regular: bool = False) -> bool:
-    """Whether a right pair stands first for certain under a subset of the oracles; `regular` as of `PairRule`."""
-    table: PairTable = found.table.scene(subset)
-    low, high = table.config.rule.bounds(table.target, table.ends, table.p_relation, regular)
-    allowed = np.isfinite(table.log_score)
-    right, wrong = np.nonzero(allowed & found.covered), np.nonzero(allowed & ~found.covered)
-    if not len(right[0]):
-        return False
-    factors = np.stack(
-        [*np.broadcast_arrays(table.target.scores[:, None], table.ends[0].scores[None, :], table.p_relation)], axis=-1
+    regular = np.where(
+        np.isfinite(table.log_score), rule.scores(table.target, table.ends, table.p_relation, True), -np.inf
     )
-    (a, b), (low_a, high_b) = (factors[right], factors[wrong]), (low[right], high[wrong])
-    fixed = low == high
-    no_less = (a[:, None] >= b[None] - 1e-9).all(axis=2) & (a[:, None] > b[None] + 1e-9).any(axis=2)
-    no_less &= ~(fixed[right][:, None] & fixed[wrong][None])
-    above = low_a[:, None] > high_b[None] + 1e-12
-    return bool((no_less | above).all(axis=1).any())
+    ahead = margins_of(replace(table, log_score=regular), found.covered)
+    mended = any(found.mends(s) for s in shown)
+    if ahead[0] > rule.unit * LIKELY or (not mended and (ahead[shown] > 0).any()):
+        return replace(diagnosis, verdict="PRM", detail="SCORE", repair=())
+    return None if mended else replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=())
+
+
+def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
+    """Of the oracles that alone mend an answer those that may name the module; of an imported ranking one.
+
+    What spoke for the right pair is not to blame for its losing, though a truth that is surer still would have helped
+    it. Of the others it is the first of the chain: a thing that is none of the class and was surer than the right one;
+    a box that is off and explains the probability that was given; that probability; the confidences of real things.
+    """
+    winner, right = diagnosis.winner, diagnosis.right
+    if diagnosis.evidence.asked_again or winner is None or right is None:
+        return list(flips)
+    (mine, true_mine), (its, true_its) = (
+        found.p_relation[0, :2, k // found.covered.shape[1], k % found.covered.shape[1]]
+        for k in (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
+    )
+    false = (diagnosis.false_target and winner.p_target > right.p_target) or (
+        diagnosis.false_reference and winner.p_reference > right.p_reference
+    )
+    related = bool(mine > its or mine > HIT > true_mine or its < HIT < true_its)
+    chain = [(CONF, false), (LIFT, related), (SRM, related), (CONF, True)]
+    return [bit for bit, spoke in chain if spoke and bit in flips][:1] or list(flips)

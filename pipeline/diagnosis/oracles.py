@@ -51,8 +51,12 @@ ALL_ORACLES = (*ORACLES, "ATTRIBUTE")
 RECALL, LIFT, SRM, CONF, ATTRIBUTE = (1 << k for k in range(5))
 SUBSETS = 16
 STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
-CHANGED, EXPLAINED = 0.4, 0.3
-"""Probabilities of the rule that are so far apart are of other states; one that is so near to the rule's is as it."""
+NEARLY = 0.25
+"""Log odds by which a fitted ranking does not tell which of two is first."""
+SURE = 0.95
+"""Beyond this, or below one less this, a probability of true boxes is as sure as any."""
+EXPLAINED = 0.3
+"""A probability that is so near to what a box says, or on the same side of a half, follows from the box."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +145,11 @@ class OracleScores:
         """(S,) bool: an acceptable pair wins."""
         flat = self.covered.ravel()
         return np.array([w >= 0 and bool(flat[w]) for w in self.winners])
+
+    def mends(self, subset: int) -> bool:
+        """Whether an acceptable pair wins under a subset, or nearly ties by a ranking that was only fitted."""
+        rule = self.table.config.rule
+        return bool(self.accepted[subset] or (rule is not None and self.margins[subset] > -NEARLY * rule.unit))
 
     @cached_property
     def right_target(self) -> np.ndarray:
@@ -233,13 +242,18 @@ def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, re
     lifted = np.where(moved & np.isfinite(lifted), lifted, base)
     stand_in = evidence.stand_in(relation)
     if stand_in is not None:
-        # A scorer that cannot be asked again says the same as before, but where the rule judges true geometry otherwise
-        # than theirs, and theirs as they did: then their box is what they went by.
+        # A scorer that cannot be asked again says the same as before, but where a box is off and what stands in for it
+        # decides as it did: then the box is what it went by, and of a true one it would say so much more or less.
         before, after = stand_in[target.index[:, None], reference.index], stand_in[shaped[0][:, None], shaped[1]]
-        sure = np.where(after > HOLDS, max(STATE_PROBABILITY[1], float(np.nanmax(base, initial=0.0))), after)
-        sure = np.where(after < HOLDS, STATE_PROBABILITY[-1], sure)
-        moved_them = (np.abs(after - before) >= CHANGED) & (np.abs(base - before) < EXPLAINED)
-        lifted = np.where(moved_them & moved & evidence.placed, sure, base)
+        off = [evidence.off(role.index, role.shape_of) for role in (target, reference)]
+        explained = (np.abs(base - before) < EXPLAINED) | ((base > HOLDS) == (before > HOLDS))
+        changed = explained & (off[0][:, None] | off[1]) & (np.abs(after - before) > 1e-9) & evidence.follows(relation)
+        shifted = 1 / (1 + np.exp(-(_odds(base) + _odds(after) - _odds(before))))
+        # What it decides of a true box it decides as surely as it does elsewhere: a stand-in never is.
+        surest = max(STATE_PROBABILITY[1], float(np.nanmax(base, initial=0.0)))
+        sides = ((after > HOLDS) != (before > HOLDS)) | (shifted > SURE) | (shifted < 1 - SURE)
+        sure = np.where(after > HOLDS, surest, STATE_PROBABILITY[-1])
+        lifted = np.where(changed, np.where(sides, sure, shifted), base)
     a, b = (np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference))
     if evidence.labelled:
         known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])
@@ -258,6 +272,11 @@ def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, re
 def names_of(subset: int) -> tuple[str, ...]:
     """The oracles of a subset, which is a number with one bit for each."""
     return tuple(name for k, name in enumerate(ALL_ORACLES) if subset >> k & 1)
+
+
+def _odds(p: np.ndarray) -> np.ndarray:
+    clear = np.clip(p, STATE_PROBABILITY[-1], STATE_PROBABILITY[1])
+    return np.log(clear / (1 - clear))
 
 
 def decided(p: np.ndarray, holds: float) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 from collections.abc import Iterable, Mapping
 from itertools import chain
@@ -31,7 +32,7 @@ def import_records(
     Raises
     ------
     InputError
-        As `import_run`; messages count the header as line 1, the first record as line 2. No record.
+        As `import_run`; messages count the records from 1, without the header. No record.
     """
     folder = Path(tempfile.mkdtemp(prefix="spatialviz-run-")) / "run" if out is None else Path(out)
     if isinstance(records, str | Path):
@@ -48,16 +49,27 @@ def import_records(
         rest = chain([first], rest)
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as place:
         file = Path(place) / "records.jsonl"
-        if not isinstance(header, Header):
-            header = parse_header({VERSION_FIELD: 1, **(header or {})}, file)
-        with file.open("w", encoding="utf-8") as lines:
-            for line in chain([header], rest):
-                lines.write(
-                    as_json(line) if isinstance(line, (Header, Prediction)) else json.dumps(line, default=plain)
-                )
-                lines.write("\n")
-        import_run(file, dataset, labels, folder, **options)
+        try:
+            if not isinstance(header, Header):
+                header = parse_header({VERSION_FIELD: 1, **(header or {})}, file)
+            with file.open("w", encoding="utf-8") as lines:
+                for line in chain([header], rest):
+                    lines.write(
+                        as_json(line) if isinstance(line, (Header, Prediction)) else json.dumps(line, default=plain)
+                    )
+                    lines.write("\n")
+            import_run(file, dataset, labels, folder, **options)
+        except InputError as error:
+            if error.path != file:
+                raise
+            raise InputError(_of_records(str(error).removesuffix(f" [{file}]"))) from error
     return folder
+
+
+def _of_records(message: str) -> str:
+    """A message about lines of a file, about the header and the records after it, from 1."""
+    numbered = re.sub(r"\bline (\d+)", lambda found: f"record {int(found[1]) - 1}", message)
+    return numbered.replace("record 0", "header")
 
 
 VERSION_FIELD = "spatialviz_predictions"

@@ -206,8 +206,9 @@ def evaluate_dataset(
         if isinstance(source, ImportedPipeline):
             # The run keeps what it was made of.
             copyfile(source.predictions.path, folder / PREDICTIONS_FILE)
-            plain_options = {k: v for k, v in spec.options.items() if k != "rescore"}
-            spec = replace(spec, options={**plain_options, "predictions": out.resolve() / PREDICTIONS_FILE})
+            kept = {k: v for k, v in spec.options.items() if k != "rescore"}
+            kept |= {"predictions": out.resolve() / PREDICTIONS_FILE}
+            spec = replace(spec, options=kept if source.rescore is None else {**kept, "rescored": True})
             imported = source.predictions.record()
         write_json(
             folder / RUN_FILE,

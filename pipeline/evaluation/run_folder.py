@@ -256,7 +256,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return manifest
 
 
-def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | None = None) -> Run:
+def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | None = None, **given: Any) -> Run:
     """Open a run folder.
 
     Parameters
@@ -264,6 +264,8 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
     folder : str or Path
     dataset, labels : str, optional
         Where they are now, if they are no longer where the run found them.
+    given
+        `rescore`, of a run that was imported with one: without it its records stand, and nothing is answered again.
 
     Raises
     ------
@@ -289,7 +291,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
         spec = replace(spec, dataset=dataset)
     if labels is not None:
         spec = replace(spec, labels=labels)
-    return Run(folder, manifest["name"], manifest, spec)
+    return Run(folder, manifest["name"], manifest, replace(spec, options={**spec.options, **given}))
 
 
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:

@@ -18,23 +18,6 @@ Rows = Iterable[Sequence[float]]
 """[a, b, p]: P("a RELATION b") of two objects by their numbers."""
 
 
-def with_given(
-    found: RelationScores, given: Mapping[str, Rows], appearance: Appearance | None, name: str
-) -> RelationScores:
-    """Scores with those that are given in their place, by the objects' numbers in `appearance`; `name` gave them."""
-    if appearance is None or not appearance.ids:
-        return found
-    at = {i: k for k, i in enumerate(appearance.ids) if i >= 0}
-    probabilities, scored_by = found.probabilities.copy(), dict(found.scored_by)
-    for relation in given.keys() & set(found.relations):
-        r = found.relations.index(relation)
-        scored_by[relation] = name
-        for a, b, *_, p in given[relation]:
-            if a in at and b in at:
-                probabilities[at[int(a)], at[int(b)], r] = p
-    return replace(found, probabilities=probabilities, scored_by=scored_by)
-
-
 @dataclass(frozen=True)
 class GivenRelations:
     """A relation scorer of probabilities at hand.
@@ -43,14 +26,18 @@ class GivenRelations:
     ----------
     relations : mapping of str to rows
         By relation; see `given_relations`.
-    rest : RelationScorer
+    stand_in : RelationScorer
         Scores what is not given.
+    name : str
+        Who gave them.
+    asked_again : bool
+        The stand-in is what made them, and may be asked of other geometry.
     """
 
     relations: Mapping[str, Rows]
-    rest: RelationScorer
-
-    name = "given"
+    stand_in: RelationScorer
+    name: str = "given"
+    asked_again: bool = True
 
     def score(
         self,
@@ -59,8 +46,18 @@ class GivenRelations:
         appearance: Appearance | None = None,
         relations: Collection[str] = PAIRWISE,
     ) -> RelationScores:
-        found = self.rest.score(objects, viewer, appearance, relations)
-        return with_given(found, self.relations, appearance, self.name)
+        found = self.stand_in.score(objects, viewer, appearance, relations)
+        if appearance is None or not appearance.ids:
+            return found
+        at = {i: k for k, i in enumerate(appearance.ids) if i >= 0}
+        probabilities, scored_by = found.probabilities.copy(), dict(found.scored_by)
+        for relation in self.relations.keys() & set(found.relations):
+            r = found.relations.index(relation)
+            scored_by[relation] = self.name
+            for a, b, *_, p in self.relations[relation]:
+                if a in at and b in at:
+                    probabilities[at[int(a)], at[int(b)], r] = p
+        return replace(found, probabilities=probabilities, scored_by=scored_by)
 
 
 def given_relations(

@@ -76,12 +76,12 @@ def test_records_at_hand_are_the_run_of_the_file(traced: Path, imported: pipelin
     assert run.records.equals(imported.records)
 
 
-def test_dicts_are_records_and_what_is_wrong_with_one_names_its_line(traced: Path, tmp_path: Path) -> None:
+def test_dicts_are_records_and_what_is_wrong_with_one_names_its_number(traced: Path, tmp_path: Path) -> None:
     contents = [json.loads(line) for line in traced.read_text(encoding="utf-8").splitlines()]
     contents[3]["proposals"] = {"mug": [{"id": 1, "score": 3}]}
-    with pytest.raises(pipeline.InputError, match=r"line \d+, proposals.mug.*score"):
+    with pytest.raises(pipeline.InputError, match=r"^record \d+, proposals.mug[^\[]*score[^\[]*$"):
         pipeline.Run.from_records(contents, "demo", demo_labels(), tmp_path / "a", plots=False)
-    with pytest.raises(pipeline.InputError, match=r"line 1, rank: .*expected one of .*ranking"):
+    with pytest.raises(pipeline.InputError, match=r"^header, rank: .*expected one of .*ranking"):
         pipeline.Run.from_records(contents[1:], "demo", demo_labels(), header={"rank": "product"})
     with pytest.raises(pipeline.InputError, match="there are no predictions"):
         pipeline.Run.from_records([], "demo", demo_labels(), tmp_path / "a")

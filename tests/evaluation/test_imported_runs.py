@@ -16,6 +16,7 @@ from pipeline.answering.opening import open_pipeline
 from pipeline.answering.pair_rules import factors_of
 from pipeline.answering.predictions import GivenAnswer, Header, Prediction, read_predictions, write_predictions
 from pipeline.diagnosis.asking import ask_and_judge, edited_trace
+from pipeline.diagnosis.cases.saving import save_case
 from pipeline.evaluation.importing import check_places, export_run, import_run
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
@@ -101,6 +102,8 @@ def test_an_imported_run_can_be_asked_and_edited(folder: Path, imported: Importe
     assert "imported, level 3" in answer.trace.detector
     with pytest.raises(InputError, match="has no line for this expression"):
         imported.ask(imported.prepare(row["frame"]), "a zebra left of a unicorn")
+    with pytest.raises(InputError, match="an imported answer is no case"):
+        save_case(folder / "case", imported, imported.prepare(row["frame"]), row["text"])
 
 
 def at_level(folder: Path, level: int) -> Path:
@@ -383,3 +386,7 @@ def test_a_ranking_that_can_be_asked_again_is_judged_like_the_product_that_it_is
     theirs = {r["id"]: r["verdict"] for r in rows(open_run(tmp_path / "run"))}
     assert theirs == ours
     assert asked
+    # The function is in no file: what stands is read, and what would be answered by another ranking is refused.
+    with pytest.raises(InputError, match=r"asked again by a function.*open_run\(RUN, rescore="):
+        _ = open_run(tmp_path / "run").source
+    assert open_run(tmp_path / "run", rescore=rescore).source.dataset.frame_ids

@@ -112,6 +112,11 @@ def save_case(
     """
     folder = Path(folder)
     require(
+        getattr(source, "predictions", None) is None,
+        "an imported answer is no case: what gave it cannot be run again here",
+        expected="the predictions of a later version, imported and compared as a run",
+    )
+    require(
         not (folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))),
         "the folder for the case is not empty",
         expected="a new one",

@@ -70,7 +70,7 @@ def read_answers(fields: Fields, published: Published) -> tuple[Header, Iterator
 
 def _lines(fields: Fields, published: Published, content: Content) -> Iterator[Prediction]:
     items = {} if published.key is None else _items(read_content(published.key), fields.id)
-    several = 0
+    several = numbers = 0
     for k, row in enumerate(content.value if isinstance(content.value, list) else [content.value]):
         where = content.where(k)
         require(isinstance(row, dict), f"{where}: an object is asked for", path=content.path)
@@ -93,9 +93,14 @@ def _lines(fields: Fields, published: Published, content: Content) -> Iterator[P
         scale = 1000.0 if any(_THOUSANDTHS.search(text) for text in candidates) else None
         answer, problem, more = answer_of(said, lambda f=frame: published.size(f), scale, in_pixels)
         several += more
+        numbers += answer is None and any(c.isdigit() for c in said)
         yield Prediction(frame, text, answer, problem)
     if several:
         published.notes.append(f"{several} answers have more than one place; the first of each is taken")
+    if numbers:
+        published.notes.append(
+            f"{numbers} answers are numbers (a count, a distance): no place, and counted as unanswered"
+        )
 
 
 def _items(content: Content, name: str) -> dict[str, Mapping[str, Any]]:

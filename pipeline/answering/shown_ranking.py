@@ -1,0 +1,131 @@
+"""A ranking that cannot be asked again, as far as the scores of its file show what it goes by.
+
+Of two pairs of one line the file says which scored more. How probable that is follows from P(target), P(reference) and
+P(relation) of both: a sum of curves, each of which rises with these factors, is fitted to all such comparisons of the
+file, whatever the scale of its scores. A ranking that uses its factors at all gives no less to a pair that is better in
+all of them. Where such a sum does not say what most comparisons say, the ranking goes by something else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+LEAST_COMPARED, MOST_COMPARED = 30, 12_000
+"""Comparisons: of fewer nothing is said, of more some are taken, evenly."""
+MOST_ODD = 0.25
+"""A pair is odd whose score stands the wrong way round with more than half of the others of its line; so many may be,
+of those of all lines, whose scores are wrong."""
+CONTRADICTED = 0.15
+"""A fit stands in that contradicts no more than this of what is said of the others."""
+ALIKE = 0.02
+"""Scores are fitted as they stand where that contradicts no more comparisons than this beyond a fit to their order."""
+FAR = 4.0
+"""A difference of scores is left out of the last fit that is off by so many times the median."""
+LEAST_NOISE = 0.01
+"""No fit is surer than this share of all that it spans."""
+_RIDGE = 0.5
+_BENDS = (0.25, 0.5, 0.75)
+
+Compared = tuple[np.ndarray, np.ndarray]
+"""(N, 3) float64 factors and (N,) float64 scores of the pairs of one line."""
+
+
+def curves(factors: np.ndarray) -> np.ndarray:
+    """(..., K) float64: of factors (..., 3), each no less where a factor is more."""
+    clear = np.clip(factors, 0.01, 0.99)
+    bends = [np.minimum(clear, bend) for bend in _BENDS]
+    odds = np.log(clear / (1 - clear))
+    t, r, p = np.moveaxis(clear, -1, 0)
+    joined = [np.minimum(t, r), np.minimum(t, p), np.minimum(r, p), t * r, t * p, r * p, t * r * p]
+    return np.concatenate([clear, *bends, np.log(clear), odds, np.stack(joined, axis=-1)], axis=-1)
+
+
+@dataclass(frozen=True)
+class ShownRanking:
+    """What the file shows of its ranking.
+
+    Attributes
+    ----------
+    weights : (K,) float64
+        Of `curves`; the difference of two sums is how much more the one pair scores, about.
+    unit : float
+        So much more is one more of the log odds that it scores more at all.
+    """
+
+    weights: np.ndarray
+    unit: float
+
+    def sums(self, factors: np.ndarray) -> np.ndarray:
+        """(...) float64: of factors (..., 3)."""
+        return np.asarray(curves(factors) @ self.weights)
+
+    @staticmethod
+    def of(lines: Sequence[Compared]) -> ShownRanking | None:
+        """What lines show together; None where that is nothing, or nothing that their factors explain."""
+        above, below, start = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], 0
+        for _, scores in lines:
+            a, b = np.nonzero(scores[:, None] > scores[None] + 1e-9)
+            above.append(a + start)
+            below.append(b + start)
+            start += len(scores)
+        every = np.stack([np.concatenate(above), np.concatenate(below)], axis=1)
+        if len(every) < LEAST_COMPARED:
+            return None
+        every = every[np.unique(np.linspace(0, len(every) - 1, min(MOST_COMPARED, len(every))).astype(int))]
+        seen = curves(np.concatenate([factors for factors, _ in lines]))
+        x = seen[every[:, 0]] - seen[every[:, 1]]
+        wrong = x @ fitted(x, rising=True) <= 0
+        compared, contradicted = (np.bincount(of.ravel(), minlength=start) for of in (every, every[wrong]))
+        odd = contradicted > compared / 2
+        kept = ~odd[every].any(axis=1)
+        if odd.sum() > MOST_ODD * np.count_nonzero(compared) or wrong[kept].mean() > CONTRADICTED:
+            return None
+        x, every = x[kept], every[kept]
+        scores = np.concatenate([scores for _, scores in lines])
+        more = scores[every[:, 0]] - scores[every[:, 1]]
+        weights = _regressed(x, more)
+        # A wrong score that stands the right way round is known by how far it stands from all others.
+        far = np.abs(more - x @ weights)
+        near = far <= FAR * np.median(far) + 1e-9
+        weights = _regressed(x[near], more[near])
+        order = fitted(x, rising=True)
+        if (x @ weights <= 0).mean() > (x @ order <= 0).mean() + ALIKE:
+            apart = x @ order
+            weights, near = order * (more @ apart) / max(float(apart @ apart), 1e-12), np.ones(len(x), np.bool_)
+        noise = float((more - x @ weights)[near].std()) * np.sqrt(3) / np.pi
+        low, high = curves(np.array([[0.0] * 3, [1.0] * 3])) @ weights
+        return ShownRanking(weights, max(noise, LEAST_NOISE * (high - low), 1e-12))
+
+
+def _regressed(x: np.ndarray, more: np.ndarray) -> np.ndarray:
+    """(K,) float64, none below 0: weights of x ((N, K)) that give differences of scores ((N,)) best."""
+    from scipy.optimize import nnls
+
+    scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-6)
+    z = x / scale
+    ridge = np.sqrt(_RIDGE) * np.eye(z.shape[1])
+    normal = np.concatenate([z, ridge]).T @ np.concatenate([z, ridge])
+    # Of the normal equations: as many rows as there are weights.
+    root = np.linalg.cholesky(normal).T
+    return nnls(root, np.linalg.solve(root.T, z.T @ more))[0] / scale
+
+
+def fitted(x: np.ndarray, p: np.ndarray | float = 1.0, rising: bool = False) -> np.ndarray:
+    """(K,) float64: weights of x ((N, K)) that give log odds under which p ((N,)) is most probable; with `rising` none
+    below 0."""
+    from scipy.optimize import minimize
+
+    scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-6)
+    z = x / scale
+
+    def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
+        odds = np.clip(z @ w, -500, 500)
+        wrong = 1 / (1 + np.exp(-odds)) - p
+        return float((np.logaddexp(0, odds) - p * odds).sum() + _RIDGE * w @ w / 2), _RIDGE * w + wrong @ z
+
+    start = np.full(z.shape[1], 0.1 if rising else 0.0)
+    bounds = [(0 if rising else None, None)] * z.shape[1]
+    return minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x / scale
