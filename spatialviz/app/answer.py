@@ -189,7 +189,7 @@ def _oracles(d: Diagnosis) -> list[Child]:
 def _oracle(d: Diagnosis, name: str, right: bool, margin: float) -> Element:
     words = ORACLE_WORDS.get(name, "nothing: as it is")
     return h.tr(
-        h.th(term(name) if name else None, scope="row"),
+        h.th(term(name) if name else "none", scope="row"),
         h.td(words),
         h.td("✓ right" if right else "✗ wrong", cls="right" if right else "wrong"),
         h.td(f"{margin:+.2f}" if np.isfinite(margin) else "–", cls="n"),

@@ -207,7 +207,7 @@ def heads_html(query: str, second: bool) -> Element:
     plain = [word for word in words if not word.startswith("sort:")]
     now = next((word for word in words if word.startswith("sort:")), "")
     cells = [
-        h.div(role="columnheader", aria_label=label, cls=f"c-{name}")
+        h.div(h.span(label, cls="unseen"), role="columnheader", cls=f"c-{name}")
         for name, label in (("tick", "selected"), ("shot", "picture"))
     ]
     for name, (title, said) in COLUMNS.items():
