@@ -231,7 +231,7 @@ def row_html(row: Mapping[str, Any], view: str) -> Element:
     second, change = _second(row), row.get("change", "same")
     changed = None if change in (None, "same") else h.i(CHANGES[change], cls=f"change {change}")
     if view == "grid":
-        facts = (row["frame"], f"margin {margin}" if margin else None)
+        facts = (row["frame"], f"margin {margin}" if margin and changed is None else None)
         return h.div(
             h.div(image, h.span(cls="tick"), h.span(marks, cls="marks"), cls="snap"),
             h.div(verdict, second, cls="says"),
