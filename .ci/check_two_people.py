@@ -27,7 +27,7 @@ from pipeline.labels.reading import open_labels
 LABELS = Path(__file__).parents[1] / "assets" / "demo_run" / "labels"
 WIDTH = "#edit label.field[title^='width'] input"
 ITEM = f"{CLAIM} && {CLAIM} + location.search"
-"""Frames of a scene have objects of the same names: a claim may follow one of the same words. The address comes last."""
+"""A claim may follow one of the same words, of another frame of the scene. The address comes last."""
 EDITED = "document.querySelector('#edit h2 b, #edit .name b')?.textContent"
 Done = tuple[str, str, float]
 """What is done, to what, and with a box its width in metres."""
