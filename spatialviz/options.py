@@ -170,7 +170,7 @@ class CameraOptions:
     """What a person knows of the camera of a recording, and of where up is."""
 
     intrinsics: str | None = None
-    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
+    """fx,fy,cx,cy in pixels, for recordings without a camera file; a fifth number stands for --depth-scale."""
     depth_scale: float | None = None
     """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
     up: str | None = None
@@ -193,15 +193,19 @@ class CameraOptions:
         """The same as arguments of `open_dataset`; `frame` is the one that a bare --level-at is of."""
         from pipeline.datasets.settings import parse_level_at
 
-        level_at, found, warp = self.level_at, None, None
+        level_at, found, scale, warp = self.level_at, None, self.depth_scale, None
         if level_at is not None and frame not in (None, ALL_FRAMES) and parse_level_at(level_at)[0] is None:
             level_at = f"{frame}:{level_at}"
         if self.intrinsics is not None:
-            found = numbers(self.intrinsics, "fx,fy,cx,cy", float, "--intrinsics must be four numbers")
+            five = self.intrinsics.count(",") == 4
+            require(not five or scale is None, "--depth-scale and the fifth number of --intrinsics say the same")
+            form, problem = "fx,fy,cx,cy" + ",UNITS_PER_METRE" * five, "--intrinsics must be four numbers"
+            *found, last = numbers(self.intrinsics, form, float, problem)
+            found, scale = (tuple(found), last) if five else ((*found, last), scale)
         if self.registration is not None:
             form = "fx,fy,cx,cy,tx,ty,tz"
             warp = numbers(self.registration, form, float, "--registration must be seven numbers")
-        told = {"depth_scale": self.depth_scale, "up": self.up, "level_at": level_at, "depth_model": self.depth_model}
+        told = {"depth_scale": scale, "up": self.up, "level_at": level_at, "depth_model": self.depth_model}
         return {"intrinsics": found, **told, "poses": self.poses, "registration": warp}
 
 

@@ -56,6 +56,7 @@ OWN = {
     "system/file_memory.py": "the cache",
     "system/model_files.py": "the cache, and a table that comes with the program",
     "system/peak_memory.py": "/proc",
+    "system/remote.py": "the cache",
     "system/whole_files.py": "writes",
 }
 """What opens what was written here."""

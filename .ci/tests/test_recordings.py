@@ -61,6 +61,15 @@ def test_what_lacks_a_camera_is_not_measured(
     assert not (tmp_path / "out").exists()
 
 
+def test_one_option_tells_camera_and_unit(pairs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ask", str(pairs), "0", "mug left of book"]) == 2
+    assert "in one --intrinsics fx,fy,cx,cy,UNITS_PER_METRE" in capsys.readouterr().err
+    assert main(["frames", str(pairs), "--intrinsics", "60,61,31.5,23.5,1000"]) == 0
+    assert "nothing can be measured" not in capsys.readouterr().out
+    assert main(["frames", str(pairs), "--intrinsics", "60,61,31.5,23.5,1000", "--depth-scale", "1000"]) == 2
+    assert "say the same" in capsys.readouterr().err
+
+
 def test_frames_tells_each_note_once_and_takes_folders_of_datasets(
     pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,6 +25,7 @@ from pipeline.proposals.registry import SegmenterFiles, open_detector
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
 from pipeline.system.detector_setup import DetectorSetup, Fusion, named_model
 from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat, require
+from pipeline.system.remote import local_path
 
 ALL_FRAMES = "all"
 Skipped = Callable[[str, str], None]
@@ -302,7 +303,7 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline],
     try:
         return {Path(path).name or str(path): open_pipeline(path, **options)}, {}
     except UnknownFormat:
-        folder = Path(path)
+        folder = local_path(path)
         if not folder.is_dir():
             raise
         sources: dict[str, Pipeline] = {}

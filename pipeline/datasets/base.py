@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, overload
 
+import numpy as np
+
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError, require
@@ -245,6 +247,18 @@ def dataset_notes(dataset: Dataset) -> tuple[str, ...]:
     """What holds for every frame and no file states: a unit or a camera that the format is known for, each with the
     option that tells another; empty for a dataset whose files say all."""
     return getattr(dataset, "notes", ())
+
+
+def load_pose(dataset: Dataset, frame_id: str) -> np.ndarray | None:
+    """T_world_camera (4, 4) of a frame, or None; without decoding it where the dataset can.
+
+    Raises
+    ------
+    InputError
+        As `Dataset.load`.
+    """
+    method: Any = getattr(dataset, "load_pose", None)
+    return load_picture(dataset, frame_id).camera.T_world_camera if method is None else method(frame_id)
 
 
 def load_picture(dataset: Dataset, frame_id: str) -> Frame:

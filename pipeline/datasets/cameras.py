@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
+from pipeline.datasets.base import ChangedFrames, Dataset, load_picture, load_pose, scene_of
 from pipeline.datasets.files import Blob, read_matrix
 from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import INTRINSICS, Settings
@@ -242,6 +244,39 @@ def or_note(notes: list[str], what: str, read: Callable[..., Value], *given: Any
     except InputError as error:
         notes.append(f"{what}{error.what}")
         return None
+
+
+class ShiftedPoses(ChangedFrames):
+    """A dataset whose poses stand with other frames of their scene, `shift` places later; see `Settings.pose_shift`."""
+
+    def __init__(self, inner: Dataset, shift: int) -> None:
+        super().__init__(inner)
+        self.shift = shift
+        scenes: dict[str, list[str]] = {}
+        for frame_id in inner.frame_ids:
+            scenes.setdefault(scene_of(inner, frame_id), []).append(frame_id)
+        self._others = {
+            frame_id: ids[k + shift] if 0 <= k + shift < len(ids) else None
+            for ids in scenes.values() for k, frame_id in enumerate(ids)
+        }  # fmt: skip
+
+    def load_pose(self, frame_id: str) -> np.ndarray | None:
+        """See `base.load_pose`."""
+        other = self._others[frame_id]
+        return None if other is None else load_pose(self.inner, other)
+
+    def changed(self, frame: Frame) -> Frame:
+        """A frame with the pose of the other one, and the up that is declared with it."""
+        own, other = frame.camera, self._others[frame.id]
+        notes, pose, up, source = frame.notes, None, None, None
+        if other is None:
+            notes = (*notes, f"no camera pose: there is no frame {self.shift:+d} places on, where it would be")
+        else:
+            that = load_picture(self.inner, other).camera
+            pose, up, source = that.T_world_camera, that.up, that.up_source
+        if "declared" not in (own.up_source, source):
+            up, source = own.up, own.up_source
+        return replace(frame, camera=replace(own, T_world_camera=pose, up=up, up_source=source), notes=notes)
 
 
 def read_pose(path: Path, notes: list[str]) -> np.ndarray | None:

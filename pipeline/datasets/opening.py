@@ -26,6 +26,7 @@ from pipeline.datasets import (
     ycb_video,
 )
 from pipeline.datasets.base import Dataset, DatasetFormat
+from pipeline.datasets.cameras import ShiftedPoses
 from pipeline.datasets.depth.estimated import EstimatedDepth
 from pipeline.datasets.depth.estimator import open_depth_model
 from pipeline.datasets.files import listed_once
@@ -35,6 +36,7 @@ from pipeline.datasets.up import with_given_up
 from pipeline.system.door import enter
 from pipeline.system.errors import require
 from pipeline.system.plugins import load_plugins
+from pipeline.system.remote import local_path
 
 FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,
@@ -48,6 +50,7 @@ FORMATS: tuple[DatasetFormat, ...] = (
     sunrgbd.FORMAT,
     ycb_video.FORMAT,
     phones.ARKITSCENES,
+    phones.RECORD3D,
     reconstructions.NERFSTUDIO,
     reconstructions.COLMAP,
     redwood.FORMAT,
@@ -89,7 +92,7 @@ def open_dataset(
     Parameters
     ----------
     path : str or Path
-        The dataset's folder.
+        The dataset's folder, or its URL (see `remote.local_path`).
     intrinsics : (fx, fy, cx, cy), optional
         Pixels.
     depth_scale : float, optional
@@ -117,7 +120,7 @@ def open_dataset(
         No such folder, an unknown format (with what was looked for), or facts
         missing that only a person can give.
     """
-    root = Path(path).expanduser()
+    root = local_path(path)
     require(root.exists(), "there is no such dataset", expected="a folder", path=root)
     require(up is None or level_at is None, "--up and --level-at say the same", expected="one of them")
     told = None if up is None else GivenUp.parse(up)
@@ -136,6 +139,8 @@ def open_dataset(
         for candidate in formats:
             if candidate.recognises(root):
                 dataset = candidate.open(root, settings)
+                if settings.pose_shift:
+                    dataset = ShiftedPoses(dataset, settings.pose_shift)
                 if model is not None:
                     dataset = EstimatedDepth(dataset, model, browse)
                 return with_given_up(dataset, settings, level_at)

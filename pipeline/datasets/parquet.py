@@ -1,12 +1,14 @@
-"""Tables with pictures in their columns, as the Hugging Face `datasets` library writes them: one row a frame.
+"""Tables with pictures in their columns, as the Hugging Face libraries `datasets` and `lerobot` write them: one row a
+frame.
 
-https://huggingface.co/docs/datasets/image_dataset
+https://huggingface.co/docs/datasets/image_dataset, https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,16 +17,18 @@ import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import NOTHING, Stated, flat_numbers, stated_in
-from pipeline.datasets.files import readable
+from pipeline.datasets.files import read_json, readable
 from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import DEPTH_SCALE, Settings
 from pipeline.system.door import open_parquet
-from pipeline.system.errors import as_input_error, needed, require
+from pipeline.system.errors import InputError, as_input_error, needed, require
 
 SUFFIX = ".parquet"
 ROWS_KEPT = 8
 """So many decoded rows stay in memory."""
+LEROBOT = "meta/info.json"
+LEROBOT_UNITS = {"m": 1.0, "mm": 1000.0}
 NAME_COLUMNS = ("id", "frame_id", "image_id", "frame", "name")
 
 
@@ -101,8 +105,8 @@ class ParquetDataset(Recording):
         super().__init__(root, settings)
         tables = tables_in(root)
         columns = _file(tables[0]).schema_arrow
-        roles = {field.name: role_of(field.name)[0] for field in columns if _is_picture(field)}
-        self._columns = {role: next((c for c, r in roles.items() if r == role), None) for role in ("color", "depth")}
+        features = lerobot_features(root)
+        self._columns = _picture_columns(columns, features)
         missing = [what for role, what in (("color", "colour"), ("depth", "depth")) if self._columns[role] is None]
         require(
             not missing,
@@ -114,12 +118,14 @@ class ParquetDataset(Recording):
         self._rows: dict[str, tuple[Path, int]] = {}
         for table in tables:
             for row, name in enumerate(_ids(table, columns.names)):
-                self._rows[name if len(tables) == 1 else f"{table.stem}/{name}"] = table, row
+                self._rows[name if len(tables) == 1 else f"{_above(table, root)}/{name}"] = table, row
         self.frame_ids = tuple(self._rows)
         require(self.frame_ids, "a table without a row", path=root)
+        unit = str(_info(features, str(self._columns["depth"])).get("depth_unit"))
+        self._units = LEROBOT_UNITS.get(unit)
         first = self._stated(next(iter(self._rows.values())))
         arrays = _is_array(columns.field(str(self._columns["depth"])))
-        told = settings.depth_scale or first.units_per_metre
+        told = settings.depth_scale or first.units_per_metre or self._units
         seen = f"{len(self._rows)} rows with {self._columns['color']} and {self._columns['depth']}"
         self._ask_for(seen, settings.intrinsics is None and first.K is None, told is None and not arrays)
         if told is None and arrays:
@@ -133,11 +139,46 @@ class ParquetDataset(Recording):
             for name in map(str, self._columns.values())
         )
         stated = NOTHING if self._settings.intrinsics is not None else self._stated((table, row))
-        return Listed(color, depth, stated)
+        return Listed(color, depth, replace(stated, units_per_metre=stated.units_per_metre or self._units))
 
     def _stated(self, at: tuple[Path, int]) -> Stated:
         row = _row(*at)
         return stated_in(dict(flat_numbers({name: row[name] for name in self._numbers})), at[0])
+
+
+def lerobot_features(root: Path) -> dict[str, Any]:
+    """The features of a dataset of LeRobot, by name, as its `meta/info.json` describes them; else nothing."""
+    if root.is_file() or not (root / LEROBOT).is_file():
+        return {}
+    with suppress(InputError):
+        features = read_json(root / LEROBOT).get("features")
+        return {str(k): v for k, v in features.items() if isinstance(v, dict)} if isinstance(features, dict) else {}
+    return {}
+
+
+def _info(features: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    info = features.get(name, {}).get("info")
+    return info if isinstance(info, dict) else {}
+
+
+def is_lerobot_depth(features: Mapping[str, Any], name: str) -> bool:
+    """Whether a feature holds depth, by its mark or its name."""
+    info = _info(features, name)
+    return bool(info.get("is_depth_map") or info.get("video.is_depth_map")) or role_of(name)[0] == "depth"
+
+
+def _picture_columns(columns: Any, features: Mapping[str, Any]) -> dict[str, str | None]:
+    """The columns of colour and depth: of several the first depth, and the colour of the same camera."""
+    names = [field.name for field in columns if _is_picture(field)]
+    depth = next((name for name in names if is_lerobot_depth(features, name)), None)
+    colors = [name for name in names if role_of(name)[0] == "color" and name != depth]
+    same = [name for name in colors if depth is not None and role_of(name)[1] == role_of(depth)[1]]
+    return {"color": next(iter((*same, *colors)), None), "depth": depth}
+
+
+def _above(table: Path, root: Path) -> str:
+    """A table's name in ids: with its chunk, if it is in one."""
+    return table.stem if table.parent in (root, root / "data") else f"{table.parent.name}/{table.stem}"
 
 
 def _is_array(column: Any) -> bool:
@@ -160,11 +201,12 @@ def _ids(table: Path, columns: list[str]) -> list[str]:
 
 
 def tables_in(root: Path) -> list[Path]:
-    """The tables of a folder, or of its `data/`; a table alone where it is one."""
+    """The tables of a folder, or of its `data/`, or of LeRobot's `data/chunk-NNN/`; a table alone where it is one."""
     if root.suffix.lower() == SUFFIX:
         return [root]
     folder = root / "data" if (root / "data").is_dir() and not any(_named(root)) else root
-    return [folder / name for name in _named(folder)]
+    chunks = [folder / name for name in readable(folder)[0] if name.startswith("chunk-")]
+    return [part / name for part in (folder, *chunks) for name in _named(part)]
 
 
 def _named(folder: Path) -> list[str]:
@@ -176,11 +218,11 @@ def _recognises(root: Path) -> bool:
     if not tables:
         return False
     try:
-        roles = {role_of(field.name)[0] for field in _file(tables[0]).schema_arrow if _is_picture(field)}
+        columns = _picture_columns(_file(tables[0]).schema_arrow, lerobot_features(root))
     except ValueError:
         # What is wrong with the file is told when it is opened by name.
         return root.is_file()
-    return {"color", "depth"} <= roles or root.is_file()
+    return None not in columns.values() or root.is_file()
 
 
 FORMAT = DatasetFormat(

@@ -6,6 +6,7 @@ https://github.com/apple/ARKitScenes/blob/main/DATA.md, https://record3d.app
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -18,17 +19,18 @@ import numpy as np
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import Stated, flat_numbers, stated_in
 from pipeline.datasets.cameras import inverse, or_note, pose_from_quaternion, rigid
-from pipeline.datasets.files import as_floats, natural, numbered_lines, readable
+from pipeline.datasets.files import Blob, as_floats, natural, numbered_lines, read_json, readable
 from pipeline.datasets.folder import FolderDataset, Scene
-from pipeline.datasets.pairing import Files, Pair, numbers
+from pipeline.datasets.pairing import Files, Pair, numbers, stem_of
 from pipeline.datasets.reconstructions import OPENCV_OF_OPENGL
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.system.door import open_zip, parse_json
-from pipeline.system.errors import as_input_error, extra_module, needed, require
+from pipeline.system.errors import InputError, as_input_error, extra_module, needed, require
 
 WITHIN_S = 0.005
 """How far the makers' own loader takes a pose from a frame's time."""
+METADATA = "metadata.json"
 COLOR, DEPTH, CAMERA, TRAJECTORY = "lowres_wide", "lowres_depth", "lowres_wide_intrinsics", "lowres_wide.traj"
 
 
@@ -152,37 +154,48 @@ class LzfseDepth(Member):
 
 
 class Record3dDataset(Recording):
-    """A `.r3d` capture: `rgbd/N.jpg` with `rgbd/N.depth`, and `metadata` with K, sizes and poses.
+    """A capture of Record3D: `.r3d`, or its export to EXR and JPEG, with K, sizes and poses in its metadata.
 
-    The poses are camera-to-world of OpenGL cameras in ARKit's world, whose y is up.
+    `rgbd/N.jpg` stands with `rgbd/N.depth` in the archive, `rgb/N.jpg` with `depth/N.exr` (metres) in the export. The
+    poses are camera-to-world of OpenGL cameras in ARKit's world, whose y is up.
     """
 
     format = "record3d"
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
+        colors, depths = self._in_archive(root) if root.is_file() else self._exported(root)
+        stems = sorted(colors, key=natural)
+        self._files = {stem: (k, colors[stem], depths[stem]) for k, stem in enumerate(stems) if stem in depths}
+        require(self._files, "a capture without a frame of colour and depth", path=root)
+        self.frame_ids = tuple(self._files)
+
+    def _in_archive(self, root: Path) -> tuple[Mapping[str, Blob], Mapping[str, Blob]]:
         with as_input_error("not a Record3D capture", BadZipFile, KeyError, OSError, ValueError, got=str, path=root):
-            names = set(_archive(root).namelist())
+            names = _archive(root).namelist()
             table = parse_json(_archive(root).read("metadata"), root)
         self._table: Mapping[str, Any] = needed(table if isinstance(table, dict) else None, "no metadata", path=root)
-        stems = (name[5:-4] for name in names if name.startswith("rgbd/") and name.endswith(".jpg"))
-        self._ids = {stem: k for k, stem in enumerate(sorted(stems, key=natural)) if f"rgbd/{stem}.depth" in names}
-        require(self._ids, "a capture without a frame of colour and depth", path=root)
-        self.frame_ids = tuple(self._ids)
-        self._size = self._whole("dw"), self._whole("dh")
+        size = self._whole("dw"), self._whole("dh")
+        inside = [name for name in names if name.startswith("rgbd/")]
+        colors = {stem_of(name): Member(root, name) for name in inside if name.endswith(".jpg")}
+        return colors, {stem_of(name): LzfseDepth(root, name, size) for name in inside if name.endswith(".depth")}
+
+    def _exported(self, root: Path) -> tuple[Mapping[str, Blob], Mapping[str, Blob]]:
+        self._table = read_json(root / METADATA)
+        colors, depths = ({stem_of(n): root / part / n for n in readable(root / part)[1]} for part in ("rgb", "depth"))
+        return colors, depths
 
     def _whole(self, key: str) -> int:
         return round(float(as_floats(self._table.get(key), 1, self.root, key)[0]))
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
-        index = self._found(self._ids, frame_id)
-        color, depth = Member(self.root, f"rgbd/{frame_id}.jpg"), f"rgbd/{frame_id}.depth"
+        index, color, depth = self._found(self._files, frame_id)
         poses = self._table.get("poses")
         pose = None
         if isinstance(poses, list) and index < len(poses):
             pose = or_note(notes, "no camera pose: ", self._pose, poses[index])
         up = None if pose is None else pose[1, :3]
-        return Listed(color, LzfseDepth(self.root, depth, self._size), self._camera(index), pose, up=up)
+        return Listed(color, depth, self._camera(index), pose, up=up)
 
     def _camera(self, index: int) -> Stated:
         size = self._whole("w"), self._whole("h")
@@ -198,9 +211,17 @@ class Record3dDataset(Recording):
         return pose_from_quaternion(np.array([*t, qx, qy, qz, qw])) @ OPENCV_OF_OPENGL
 
 
+def _is_record3d(root: Path) -> bool:
+    if root.suffix.lower() == ".r3d" and root.is_file():
+        return True
+    folders, files = readable(root)
+    if METADATA not in files or not {"rgb", "depth"} <= set(folders):
+        return False
+    with suppress(InputError):
+        return {"K", "poses", "w", "h"} <= read_json(root / METADATA).keys()
+    return False
+
+
 RECORD3D = DatasetFormat(
-    "record3d",
-    "record3d: a .r3d capture",
-    lambda root: root.suffix.lower() == ".r3d" and root.is_file(),
-    Record3dDataset,
+    "record3d", f"record3d: a .r3d capture, or rgb/, depth/ and {METADATA}", _is_record3d, Record3dDataset
 )

@@ -10,7 +10,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from pipeline.datasets.base import unknown_id
+from pipeline.datasets.base import load_picture, unknown_id
 from pipeline.datasets.camera_files import NOTHING, Stated
 from pipeline.datasets.cameras import differ_in_size, known_intrinsics, make_camera, make_frame, one_file
 from pipeline.datasets.files import Blob
@@ -19,6 +19,7 @@ from pipeline.datasets.pairing import Pair
 from pipeline.datasets.settings import DEPTH_SCALE, FILE_NAME, INTRINSICS, Settings, unit_notes
 from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.pose_convention import standard_poses
 from pipeline.geometry.registration import Registration, registered
 from pipeline.system.errors import InputError
 
@@ -110,6 +111,15 @@ class Recording:
         """Decode one frame; see `Dataset.load`."""
         return self._decoded(frame_id)
 
+    def load_pose(self, frame_id: str) -> np.ndarray | None:
+        """T_world_camera (4, 4) of a frame as it is loaded, without decoding it."""
+        told = self._settings
+        if told.registration is not None or type(self)._listed is Recording._listed:
+            # A warp moves the pose; some formats read a frame in a way of their own.
+            return load_picture(self, frame_id).camera.T_world_camera
+        pose = self._listed(frame_id, []).pose
+        return pose if pose is None or told.poses is None else standard_poses(pose, told.poses)
+
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         """Each format's own: the files of a frame and what is known of them; `notes` takes what is to be said."""
         raise NotImplementedError
@@ -170,7 +180,7 @@ class Recording:
             return
         raise InputError(
             f"{seen}; {what} {are} missing",
-            expected=" and ".join(missing),
+            expected=" and ".join(missing) + (f", in one {INTRINSICS},UNITS_PER_METRE" if len(missing) > 1 else ""),
             cause=f"{'1000 for millimetres; ' if unit else ''}or kept in {FILE_NAME} beside the data",
             path=self.root,
         )

@@ -18,7 +18,7 @@ from pipeline.system.reading import parse_toml
 from pipeline.system.whole_files import write_whole
 
 FILE_NAME = "spatialviz.toml"
-KEYS = ("name", "intrinsics", "depth_scale", "poses", "registration", "world_up", "up", "frame_up")
+KEYS = ("name", "intrinsics", "depth_scale", "poses", "pose_shift", "registration", "world_up", "up", "frame_up")
 INTRINSICS = "--intrinsics fx,fy,cx,cy"
 DEPTH_SCALE = "--depth-scale UNITS_PER_METRE"
 OR_ESTIMATED = "or --depth-model NAME, which estimates it"
@@ -41,6 +41,8 @@ class Settings:
         Depth units in one metre: 1000 for millimetres.
     poses : str or None
         What the pose files mean, one of `pose_convention.CONVENTIONS`; by default "camera-to-world opencv".
+    pose_shift : int or None
+        The pose of a frame stands with the frame so many places later in its scene, if negative earlier.
     registration : (fx, fy, cx, cy, tx, ty, tz) or None
         The colour camera as the depth camera sees it, pixels and metres: `geometry.registration.Registration`. By
         default both are one.
@@ -70,6 +72,7 @@ class Settings:
     limits: Mapping[str, Any] = field(default_factory=dict)
     estimated: bool = False
     poses: str | None = None
+    pose_shift: int | None = None
     registration: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -87,6 +90,8 @@ class Settings:
             object.__setattr__(self, "depth_scale", scale)
         if self.poses is not None:
             check_convention(self.poses)
+        whole = self.pose_shift is None or (isinstance(self.pose_shift, int) and not isinstance(self.pose_shift, bool))
+        require(whole, "pose_shift must be a whole number of frames", got=str(self.pose_shift)[:40])
         if self.registration is not None:
             numbers = _numbers("registration", self.registration, 7)
             Registration(*numbers)
@@ -183,8 +188,8 @@ def write_settings(
     """Keep the camera and the up vector of a recording beside it, for the next time.
 
     What the file already holds and is not given here (None) stays, frames of `frame_up` that are not among them, too;
-    but `up` is told of all frames. `more` may give `poses` and `registration`. The file is replaced whole, so that a
-    killed process leaves the old one.
+    but `up` is told of all frames. `more` may give `poses`, `pose_shift` and `registration`. The file is replaced
+    whole, so that a killed process leaves the old one.
 
     Returns
     -------
@@ -206,7 +211,7 @@ def write_settings(
             lines.append(f"{key} = {_quoted(str(value))}")
         elif isinstance(value, tuple):
             lines.append(f"{key} = [{', '.join(repr(float(v)) for v in value)}]")
-        elif isinstance(value, float):
+        elif isinstance(value, float | int):
             lines.append(f"{key} = {value!r}")
     path = settings_file(root)
     lines += _tables(path)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pipeline.datasets.files import readable
 from pipeline.datasets.pairing import COLOR_SUFFIXES, role_of
+from pipeline.datasets.parquet import is_lerobot_depth, lerobot_features
 from pipeline.datasets.settings import OR_ESTIMATED
 from pipeline.language.counted import counted
 from pipeline.system.errors import UnknownFormat
@@ -77,6 +78,13 @@ def _folder(root: Path, recognised: Callable[[Path], bool]) -> tuple[str, str]:
     if kinds["capture"]:
         captures = [name for name in files if kind_of(name) == "capture"]
         return f"a folder with {captures[0]}", f"the capture itself: {root / captures[0]}"
+    features = lerobot_features(root)
+    videos = [name for name, feature in features.items() if feature.get("dtype") == "video"]
+    if features:
+        depth = any(is_lerobot_depth(features, name) for name in features)
+        what = f"pictures in videos ({', '.join(videos[:2])}{' ...' if len(videos) > 2 else ''})" if videos else ""
+        seen = " and ".join(text for text in (what, "" if depth else "no depth") if text)
+        return f"a dataset of LeRobot with {seen or 'no colour'}", "one recorded with depth and --dataset.video=false"
     if inside:
         return f"a folder of {counted(len(inside), 'dataset')}", f"one of them, such as {root / inside[0]}"
     if pictures and not depths:

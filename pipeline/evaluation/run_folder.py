@@ -37,6 +37,7 @@ from pipeline.system.door import enter, read_json, read_text
 from pipeline.system.errors import InputError, require
 from pipeline.system.in_notebook import InNotebook
 from pipeline.system.model_files import parse_hub_id
+from pipeline.system.remote import is_url, local_path, named_before
 
 if TYPE_CHECKING:
     import duckdb
@@ -138,7 +139,7 @@ class Run(InNotebook):
     @cached_property
     def source(self) -> Pipeline:
         """The dataset with the run's models, or with the predictions that were imported; raises as `open_source`."""
-        return open_source(self.spec.dataset, **self.spec.options)
+        return open_source(named_before(self.spec.dataset), **self.spec.options)
 
     @cached_property
     def shares(self) -> tuple[Share, ...]:
@@ -206,7 +207,9 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
 
 
 def written_path(path: str | Path, folder: Path) -> str:
-    """A path as the manifest of a run in `folder` has it."""
+    """A path as the manifest of a run in `folder` has it; a URL as it is."""
+    if is_url(path):
+        return str(path)
     absolute = os.path.abspath(path)
     try:
         nearby = os.path.relpath(absolute, os.path.abspath(folder))
@@ -217,7 +220,7 @@ def written_path(path: str | Path, folder: Path) -> str:
 
 def resolved_path(written: str, folder: Path) -> str:
     """What `written_path` wrote into the manifest of a run in `folder`."""
-    return os.path.normpath(folder / written)
+    return written if is_url(written) else os.path.normpath(folder / written)
 
 
 def _written_model(path: str | Path, folder: Path) -> str:
@@ -281,6 +284,8 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
         reason = str(error).split("\n")[0]
         raise InputError("the run's manifest cannot be read", got=reason, path=path) from error
     if dataset is not None:
+        if is_url(dataset):
+            local_path(dataset)  # So that it was named by a person.
         spec = replace(spec, dataset=dataset)
     if labels is not None:
         spec = replace(spec, labels=labels)

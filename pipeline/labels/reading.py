@@ -26,6 +26,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pc, pq
 from pipeline.system.door import enter, open_parquet, read_json, read_parquet
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
+from pipeline.system.remote import named_before
 from pipeline.system.whole_files import temporary_sibling
 
 VERSION_KEY = b"spatialviz.schema_version"
@@ -403,7 +404,7 @@ def labelled_dataset(
         The labels do not name it, or it cannot be opened.
     """
     record = manifest.dataset
-    where = path or needed(record.get("path") or None, "the labels do not say which dataset they are of")
+    where = path or named_before(needed(record.get("path") or None, "the labels do not say which dataset they are of"))
     if where == DEMO_NAME and not Path(where).exists():
         where = demo_path()
     options = dict(record.get("options") or {})

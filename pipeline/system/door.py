@@ -39,6 +39,7 @@ _ROOTS: dict[str, _Root] = {}
 _FLAGS = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _OPENED = Path("/proc/self/fd")
 _HAS_OPENED = _OPENED.is_dir()
+_POINTER, _POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 200
 _KINDS = {stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 
 
@@ -105,23 +106,34 @@ def opened(path: Path, limit: str = "bytes") -> Iterator[IO[bytes]]:
     Raises
     ------
     InputError
-        No regular file, a link out of the folder that was opened, or too large.
+        No regular file, a link out of the folder that was opened, too large, or a pointer of Git LFS.
     OSError
         What the system says: missing, not to be read.
     """
-    _check(path, os.stat(path), limit)
+    state = os.stat(path)
+    _check(path, state, limit)
+    # Where nobody may write a file, it may be one of a URL that is not here yet.
+    if not state.st_mode & stat.S_IWUSR:
+        from pipeline.system.remote import fetch
+
+        fetch(path, state, limit, limits_of(path))
     # What was a file a moment ago may be a FIFO now: opening must not wait.
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | _FLAGS)) as file:
         _check(path, os.fstat(file.fileno()), limit)
         _check_place(path, file.fileno())
+        if os.fstat(file.fileno()).st_size < _POINTER_BYTES:
+            require(
+                file.read(len(_POINTER)) != _POINTER,
+                "a pointer of Git LFS stands in place of the file", expected="the file: git lfs pull", path=path,
+            )  # fmt: skip
+            file.seek(0)
         yield file
 
 
 def checked_path(path: Path, limit: str = "bytes") -> Path:
     """The path, for a library that opens it itself; raises as `opened`."""
-    _check(path, os.stat(path), limit)
-    _check_place(path)
-    return path
+    with opened(path, limit):
+        return path
 
 
 def _check(path: Path, state: os.stat_result, limit: str) -> None:
@@ -134,13 +146,12 @@ def _check(path: Path, state: os.stat_result, limit: str) -> None:
         within(state.st_size, limit, "a file", path, limits_of(path))
 
 
-def _check_place(path: Path, descriptor: int | None = None) -> None:
+def _check_place(path: Path, descriptor: int) -> None:
     """Raise InputError where a file lies outside of every folder that was opened and is above it as it is written."""
     above = tuple(_roots(path))
     if not above:
         return
-    seen = descriptor is not None and _HAS_OPENED
-    real = os.readlink(f"{_OPENED}/{descriptor}") if seen else os.path.realpath(path)
+    real = os.readlink(f"{_OPENED}/{descriptor}") if _HAS_OPENED else os.path.realpath(path)
     if not any(real == root.real or real.startswith(root.real.rstrip(os.sep) + os.sep) for root in above):
         require(
             current_limits().links,

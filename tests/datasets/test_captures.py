@@ -130,6 +130,31 @@ def test_record3d(tmp_path: Path) -> None:
     refused(lambda: open_dataset(tmp_path / "other.r3d"), "not a Record3D capture")
 
 
+def test_record3d_exported_to_files(tmp_path: Path) -> None:
+    """`rgb/N.jpg`, `depth/N.exr` and `metadata.json`, as the application exports them; the third depth is missing."""
+    openexr = pytest.importorskip("OpenEXR")
+    made, poses = truths(3), []
+    (tmp_path / "depth").mkdir()
+    for number, truth in enumerate(made):
+        write_png(tmp_path / f"rgb/{number}.jpg", cv2.resize(truth.rgb, (2 * WIDTH, 2 * HEIGHT)))
+        header = {"compression": openexr.ZIP_COMPRESSION, "type": openexr.scanlineimage}
+        with openexr.File(header, {"R": truth.depth}) as file:
+            file.write(str(tmp_path / f"depth/{number}.exr"))
+        T = np.asarray(truth.T_world_camera) @ OPENGL
+        poses.append([*Rotation.from_matrix(T[:3, :3]).as_quat(), *T[:3, 3]])
+    (tmp_path / "depth/1.exr").unlink()
+    table = {"w": 2 * WIDTH, "h": 2 * HEIGHT, "K": [120.0, 0, 0, 0, 122.0, 0, 63.5, 47.5, 1], "poses": poses}
+    (tmp_path / "metadata.json").write_text(json.dumps({**table, "fps": 60}))
+    dataset = open_dataset(tmp_path)
+    assert (dataset.format, dataset.frame_ids) == ("record3d", ("0", "2"))
+    for frame_id in dataset.frame_ids:
+        check_frame(dataset.load(frame_id), made[int(frame_id)], posed=True)
+        assert dataset.load(frame_id).camera.up_source == "declared"
+    # Folders of these names beside other metadata are a plain recording.
+    (tmp_path / "metadata.json").write_text(json.dumps({"K": K.ravel().tolist()}))
+    assert open_dataset(tmp_path).format == "folder"
+
+
 # Tables
 
 
@@ -161,3 +186,39 @@ def test_parquet_with_picture_columns(tmp_path: Path) -> None:
     check_frame(open_dataset(tmp_path / "x.parquet", intrinsics=tuple(BARE)).load("2"), made[2])  # type: ignore[arg-type]
     pq.write_table(pa.table({"image": columns["image"]}), tmp_path / "x.parquet")
     refused(lambda: open_dataset(tmp_path / "x.parquet"), "without a depth column", "image")
+
+
+def test_lerobot_with_pictures_in_its_tables(tmp_path: Path) -> None:
+    """LeRobot v3 recorded without videos: chunks of tables, several cameras, the depth's unit in `meta/info.json`."""
+    made = truths(4)
+    other = [encoded(np.zeros((HEIGHT, WIDTH, 3), np.uint8))] * 2
+    for number in (0, 1):
+        part = made[2 * number : 2 * number + 2]
+        tiffs = [{"bytes": cv2.imencode(".tiff", t.millimetres)[1].tobytes(), "path": None} for t in part]
+        columns = {
+            "observation.images.top": other,
+            "observation.images.front": [encoded(truth.rgb) for truth in part],
+            "observation.images.front_depth": tiffs,
+            "timestamp": [0.0, 0.1],
+        }
+        (tmp_path / f"data/chunk-00{number}").mkdir(parents=True)
+        pq.write_table(pa.table(columns), tmp_path / f"data/chunk-00{number}/file-000.parquet")
+    (tmp_path / "meta").mkdir()
+    depth = {"dtype": "image", "info": {"is_depth_map": True, "depth_unit": "mm"}}
+    features = {"observation.images.front": {"dtype": "image"}, "observation.images.front_depth": depth}
+    (tmp_path / "meta/info.json").write_text(json.dumps({"codebase_version": "v3.0", "features": features}))
+    refused(lambda: open_dataset(tmp_path), "observation.images.front_depth; a camera is missing", "--intrinsics")
+    dataset = open_dataset(tmp_path, intrinsics=tuple(BARE))  # type: ignore[arg-type]
+    assert dataset.frame_ids[1:3] == ("chunk-000/file-000/1", "chunk-001/file-000/0")
+    for frame_id, truth in zip(dataset.frame_ids, made, strict=True):
+        check_frame(dataset.load(frame_id), truth)
+
+
+@pytest.mark.parametrize(("depth", "words"), [(False, "and no depth"), (True, "front_depth)")])
+def test_lerobot_with_videos_is_told(tmp_path: Path, depth: bool, words: str) -> None:
+    (tmp_path / "meta").mkdir()
+    video = {"dtype": "video", "info": {"video.codec": "av1"}}
+    features = {"action": {"dtype": "float32"}, "observation.images.front": video}
+    features |= {"observation.images.front_depth": video} if depth else {}
+    (tmp_path / "meta/info.json").write_text(json.dumps({"codebase_version": "v3.0", "features": features}))
+    refused(lambda: open_dataset(tmp_path), "dataset of LeRobot with pictures in videos", words, "video=false")

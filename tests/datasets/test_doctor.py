@@ -7,10 +7,12 @@ import shutil
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from dataset_writers import write_png
 
 from pipeline.answering.opening import open_pipeline, relate_frames
 from pipeline.datasets import open_dataset, read_settings
@@ -142,11 +144,27 @@ def test_poses_of_neighbours(tmp_path: Path) -> None:
     frames = [dataset.load(frame_id) for frame_id in dataset.frame_ids]
     late = [replace(f, camera=replace(f.camera, T_world_camera=n.camera.T_world_camera)) for f, n in pairwise(frames)]
     assert looked_at(frames).of("time").state == "fine"
-    found = looked_at(late)
+    for number, frame in enumerate(late):
+        write_png(tmp_path / f"late/color/{number}.png", frame.rgb)
+        write_png(tmp_path / f"late/depth/{number}.png", np.rint(frame.depth * 1000).astype(np.uint16))
+        (tmp_path / "late/pose").mkdir(exist_ok=True)
+        np.savetxt(tmp_path / f"late/pose/{number}.txt", np.asarray(frame.camera.T_world_camera))
+    K = frames[0].camera.K
+    told: dict[str, Any] = {"intrinsics": (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), "depth_scale": 1000}
+    found = examine(tmp_path / "late", **told)
     assert not wrong(found)
     assert found.of("time").state == "wrong"
     assert found.of("time").evidence["shift"] == -1
     assert "1 place earlier" in found.of("time").text
+    assert found.of("time").option == "pose_shift = -1 in spatialviz.toml"
+    apply(found)
+    mended = open_dataset(tmp_path / "late", **told)
+    assert mended.load("0").camera.T_world_camera is None
+    assert "-1 places on" in mended.load("0").notes[-1]
+    for number in range(1, len(late)):
+        pose = np.asarray(mended.load(str(number)).camera.T_world_camera)
+        np.testing.assert_allclose(pose, np.asarray(frames[number].camera.T_world_camera), atol=1e-6)
+    assert examine(tmp_path / "late", **told).of("time").state == "fine"
 
 
 # Files

@@ -105,6 +105,13 @@ def test_each_strange_frame_is_refused_by_itself(recording: Path, tmp_path: Path
     assert time.monotonic() - began < 5
 
 
+def test_a_pointer_of_git_lfs_is_told_for_what_it_is(recording: Path) -> None:
+    pointer = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'a' * 64}\nsize 1234567\n"
+    (recording / "color/1.png").write_text(pointer)
+    refused(lambda: open_dataset(recording).load("1"), "a pointer of Git LFS", "git lfs pull", "color/1.png")
+    refused(lambda: door.checked_path(recording / "color/1.png"), "a pointer of Git LFS")
+
+
 def test_links_are_followed_where_they_stay_inside_or_are_allowed(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

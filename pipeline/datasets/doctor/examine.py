@@ -194,7 +194,8 @@ def examine_frames(
     mends = {key: value for o in opinions for key, value in o.mend.items()}
     mended = _mended(frames, mends, units)
     opinions += [registration_opinion(mended, settings), up_opinion(dataset, mended)]
-    opinions.append(time_opinion(dataset, mended, mends.get("poses", STANDARD)))
+    shifted = (settings and settings.pose_shift) or 0
+    opinions.append(time_opinion(dataset, mended, mends.get("poses", STANDARD), shifted))
     opinions.sort(key=lambda opinion: SUBJECTS.index(opinion.about))
     return Examination(
         dataset.root, tuple(f.id for f in frames), len(search.fine.pairs), tuple(opinions), ranked(search)

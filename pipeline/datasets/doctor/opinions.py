@@ -51,7 +51,7 @@ class Opinion:
     text : str
         One sentence with its evidence.
     mend : dict
-        What `write_settings` is to keep: intrinsics, depth_scale, poses, registration, up.
+        What `write_settings` is to keep: intrinsics, depth_scale, poses, pose_shift, registration, up.
     option : str or None
         The same as a person tells it.
     evidence : dict of str to float
