@@ -26,6 +26,8 @@ from pipeline.labels.reading import open_labels
 
 LABELS = Path(__file__).parents[1] / "assets" / "demo_run" / "labels"
 WIDTH = "#edit label.field[title^='width'] input"
+ITEM = f"{CLAIM} && {CLAIM} + location.search"
+"""A claim may follow one of the same words, of another frame of the scene. The address comes last."""
 EDITED = "document.querySelector('#edit h2 b, #edit .name b')?.textContent"
 Done = tuple[str, str, float]
 """What is done, to what, and with a box its width in metres."""
@@ -81,11 +83,14 @@ class Person:
         self.tab.poll("!document.getElementById('working').textContent")
 
     def accept(self) -> Iterator[None]:
-        was, frame = self.tab.poll(CLAIM), self.tab.frame
-        item = sorted(map(int, re.findall(r"·(\d+)", was)))
+        was = ""
+        while (now := self.tab.poll(ITEM)) != was:
+            was = now
+            self.tab.page.wait_for_timeout(300)
+        frame, item = self.tab.frame, sorted(map(int, re.findall(r"·(\d+)", self.tab.poll(CLAIM))))
         self.tab.press("y")
         yield
-        self.tab.poll(f"was => {CLAIM} !== was", was)
+        self.tab.poll(f"was => {ITEM} !== was", was)
         self.keep(("accept", f"{frame} {item}", 0.0))
 
     def resize(self, row: int) -> Iterator[None]:

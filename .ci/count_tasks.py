@@ -62,7 +62,7 @@ class Counted:
 
 def next_failure(c: Counted) -> None:
     was = c.tab.question
-    c.press("t")
+    c.press(".")
     c.tab.poll("was => document.getElementById('ask-text').value !== was", was)
     assert "CORRECT" not in c.tab.see("#answer .verdict").inner_text()
 

@@ -294,8 +294,9 @@ class Failures(Output):
     limit: int = 20
     """Expressions shown at most."""
     slices: str | None = None
-    """By what the run is cut, with commas: relation, class, reference, distance, size, occlusion, same_class,
-    label_margin, scene, frame. Default: relation; beside a search, tables of the run are shown where this is given."""
+    """By what the run is cut, with commas: relation, kind, class, reference, distance, size, occlusion,
+    same_class, label_margin, scene, frame. Default: relation; beside a search, tables of the run are shown where this
+    is given."""
     compare: Path | None = None
     """A second run on the same labels: what it fixed and broke is counted, and can be searched for by change:broken,
     change:fixed, change:other_reason, change:verdict, second_verdict:LIFT."""

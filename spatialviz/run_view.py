@@ -132,7 +132,8 @@ def _journal(command: View, labels: Labels) -> JournalLocation:
     if where is None and labels.root.resolve().is_relative_to(demo_run().parent.resolve()):
         where = user_data_path("spatialviz", ensure_exists=True) / "demo-journal.sqlite"
     location = JournalLocation(labels, where, command.journal.project)
-    location.check()
+    if problem := location.check():
+        warn(f"corrections wait until their journal can be reached: {problem}")
     return location
 
 

@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from datetime import datetime, timezone
 
 import numpy as np
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
-from pipeline.answering.pair_table import ScoredPair
-from pipeline.corrections.journal.edits import Edits, add_object, add_sentence, new_numbers
+from pipeline.answering.pair_table import Link, ScoredPair
+from pipeline.corrections.journal.edits import Edits, add_object, add_sentence, new_numbers, set_relation
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import new_ulid
+from pipeline.corrections.journal.field_refs import relation_ref
 from pipeline.corrections.label_editor import NOT_IN_THE_JOURNAL, LabelEditor
 from pipeline.corrections.scene import labelled_objects
 from pipeline.corrections.unsaved import Waiting
 from pipeline.labels.cases import HIT
 from pipeline.language.naming import same_class
-from pipeline.language.tree import Query
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.tree import Attachment, Node, Query
+from pipeline.relations.relations import T
 from pipeline.system.errors import needed, require
+
+REASON = "this pair is right"
 
 
 def right_pair(editor: LabelEditor, trace: Trace, pair: ScoredPair) -> Edits:
-    """The edits by which a pair of an answer is right: its objects, where the labels lack them, and the sentence.
+    """The edits by which a pair of an answer is right: its objects, where the labels lack them, and what they are said
+    to be.
+
+    Of one relation between two names the sentence is kept. Of several, or one that holds the other way round, the
+    relations of the answer's objects are: the truth of such a sentence follows from the labels.
 
     Parameters
     ----------
@@ -36,47 +46,78 @@ def right_pair(editor: LabelEditor, trace: Trace, pair: ScoredPair) -> Edits:
     Raises
     ------
     InputError
-        The question says more than a relation between two names, or the labels say so already.
+        The question cannot be kept, see `why_not_kept`, or the labels say so already.
     """
-    words = words_of(trace.query)
+    why, text = why_not_kept(trace.root), trace.query.text
+    require(not why, "the answer cannot be kept as true", got=text, cause=why)
     reference = needed(pair.reference, "the answer is no pair")
+    links = pair.links or (Link(trace.relation, pair.target, reference, 1.0, inverse=trace.inverse),)
+    attached = tuple(_attachments(trace.root))
+    require(len(links) == len(attached), "the answer does not say which objects its other relations mean", got=text)
+    nodes = {pair.target: trace.root} | {link.b: a.nodes[0] for a, link in zip(attached, links, strict=True)}
     frame = editor.frame(trace.frame.id)
-    ends = (words[0], trace.objects[pair.target]), (words[2], trace.objects[reference])
-    numbers: list[int] = []
+    numbers: dict[int, int] = {}
     new: Edits = ()
-    for (name, entry), free in zip(ends, new_numbers(frame, 2), strict=True):
+    for (at, node), free in zip(nodes.items(), new_numbers(frame, len(nodes)), strict=True):
+        entry = trace.objects[at]
+        name = entry.label if node.anything else node.name
         number = _labelled(name, entry, frame)
         if number is None:
             made = add_object(frame, name, mask=entry.mask, number=free)
             number, new = free, (*new, *made)
-        numbers.append(number)
+        numbers[at] = number
     if new:
-        # The relation and the sentence are made on the frame with these objects in it.
+        # The relations and the sentence are made on the frame with these objects in it.
         waiting = Waiting(new, editor.author, new_ulid(), datetime.now(timezone.utc), "")
         events = [*editor.events(frame.frame), *waiting.events(NOT_IN_THE_JOURNAL, "")]
         frame = editor.corrector.frame(frame.frame, events)
-    return (*new, *add_sentence(frame, trace.query.text, words, numbers[0], numbers[1], "this pair is right"))
+    words = words_of(trace.query)
+    if words is not None:
+        return (*new, *add_sentence(frame, text, words, numbers[pair.target], numbers[reference], REASON))
+    for link in links:
+        a, b = (numbers[at] for at in ((link.b, link.a) if link.inverse else (link.a, link.b)))
+        if frame.value(relation_ref(frame.frame, a, b, link.relation)) != T:
+            said = {edit.ref for edit in new}
+            new = (*new, *(e for e in set_relation(frame, a, b, link.relation, T, REASON) if e.ref not in said))
+    require(new, "the labels say so already", got=text)
+    return new
 
 
 def right_objects(frame: EffectiveFrame, query: Query, a: int, b: int) -> Edits:
     """The edits by which a question means two labelled objects, whatever was answered; raises as `right_pair`."""
-    return add_sentence(frame, query.text, words_of(query), a, b, "this pair is right")
+    words = needed(words_of(query), "only a relation between two names can mean two objects", got=query.text)
+    return add_sentence(frame, query.text, words, a, b, REASON)
 
 
-def words_of(query: Query) -> tuple[str, str, str]:
-    """Target, relation and reference of a question.
-
-    Raises
-    ------
-    InputError
-        It says more, or less, than one relation between two names.
-    """
+def words_of(query: Query) -> tuple[str, str, str] | None:
+    """Target, relation and reference of a question; None where it says more, or less, than that."""
     e, top = query.expression, query.default.root.triple
     plain = e is not None and top is not None and len(query.readings) == 1 and not e.inverse
-    if not plain or e is None or e.second_reference is not None:
-        require(False, "only a relation between two names can be kept as true", got=query.text)
-        raise AssertionError
-    return e.target, e.relation, e.reference
+    return (e.target, e.relation, e.reference) if plain and e is not None and e.second_reference is None else None
+
+
+def why_not_kept(root: Node) -> str:
+    """Why what a noun phrase means cannot be kept as true by saying which objects answer it; "" where it can.
+
+    It can be where all that it says are relations that have labels.
+    """
+    nodes, attached = tuple(root.walk()), tuple(_attachments(root))
+    unlabelled = next((a.relation for a in attached if a.relation not in PAIRWISE), "")
+    if not attached:
+        return "it names no relation"
+    if any(n.attributes for n in nodes):
+        return "how things look is judged by the pixels of the labelled things"
+    if any(n.choices or n.excluded or n.viewer for n in nodes) or any(a.negated for a in attached):
+        return "which of several things it means follows from all that are labelled"
+    return f"“{unlabelled}” is judged by geometry, no label says it" if unlabelled else ""
+
+
+def _attachments(node: Node) -> Iterator[Attachment]:
+    """All relations of a noun phrase, in the order of the links of an answer."""
+    for attachment in node.attachments:
+        yield attachment
+        for end in attachment.nodes:
+            yield from _attachments(end)
 
 
 def _labelled(name: str, entry: SceneObject, frame: EffectiveFrame) -> int | None:

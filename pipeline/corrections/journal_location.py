@@ -111,8 +111,8 @@ class JournalLocation:
         except NotYet:
             raise InputError("the journal cannot be opened", got="it does not answer yet", path=str(self)) from None
 
-    def check(self) -> None:
-        """Open the journal where there is one; one that cannot be reached now may be later.
+    def check(self) -> str:
+        """Open the journal where there is one; why it cannot be reached now, as it may be later, "" where it can.
 
         Raises
         ------
@@ -124,6 +124,8 @@ class JournalLocation:
         except InputError as error:
             if isinstance(error, DamagedJournal):
                 raise
+            return str(error)
+        return ""
 
     def _open(self) -> Future[Journal]:
         """Open it on a thread of its own, so that a database that says nothing holds nobody up for long."""

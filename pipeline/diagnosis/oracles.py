@@ -223,7 +223,7 @@ def role_of(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateS
         scores=np.concatenate([candidates.scores, np.full(len(missing), evidence.confidence)]),
         object=np.concatenate([objects, missing]).astype(np.int64),
         shape_of=np.concatenate([shapes, missing]).astype(np.int64),
-        overlap=np.concatenate([overlap, iou_2d(truth[missing], truth).reshape(-1, evidence.labelled)]),
+        overlap=np.concatenate([overlap, iou_2d(truth[missing], truth).reshape(len(missing), evidence.labelled)]),
     )
     return evidence.roles[key]
 

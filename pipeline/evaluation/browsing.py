@@ -84,6 +84,15 @@ class RunRows:
     def _index(self) -> dict[Key, int]:
         return {key: k for k, key in enumerate(self.keys)}
 
+    @cached_property
+    def _words(self) -> dict[Key, int]:
+        columns = (self._bare.column(name).to_pylist() for name in ("frame", "text"))
+        return {key: k for k, key in reversed(list(enumerate(zip(*columns, strict=True))))}
+
+    def asked(self, frame: str, text: str) -> int | None:
+        """The first row of a frame whose expression has these words."""
+        return self._words.get((frame, text))
+
     def number(self, frame: str, expression: str) -> int | None:
         """The row of an expression."""
         return self._index.get((frame, expression))

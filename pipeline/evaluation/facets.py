@@ -17,7 +17,9 @@ from pipeline.evaluation.run_notes import MARKS
 from pipeline.evaluation.search import find_rows, terms_of
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.slices import DIMENSIONS, Dimension, part_of
+from pipeline.language.expression import UNREAD
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.tree import QUERY_KINDS
 from pipeline.system.arrow import pa
 
 _YES_NO = ("yes", "no")
@@ -26,7 +28,8 @@ _VERDICT, _CHANGE, _SECOND, _MARKS = (Dimension(name, title, name) for name, tit
     (MARKS, "marks"),
 ))  # fmt: skip
 FACETS = (
-    _CHANGE, _VERDICT, _SECOND, DIMENSIONS["relation"], DIMENSIONS["class"], DIMENSIONS["reference"], _MARKS,
+    _CHANGE, _VERDICT, _SECOND, DIMENSIONS["relation"], DIMENSIONS["kind"], DIMENSIONS["class"],
+    DIMENSIONS["reference"], _MARKS,
     Dimension("detail", "detail of the verdict", "detail"),
     Dimension("mends", "one oracle that alone mends it", "mends"), Dimension("lucky", "correct by luck", "lucky"),
     Dimension("parse_ok", "read as it was meant", "parse_ok"),
@@ -35,7 +38,8 @@ FACETS = (
 )  # fmt: skip
 """What a run is looked at by, in this order; what it has no column for is left out."""
 _ORDERS = {"verdict": VERDICTS, f"{SECOND}verdict": VERDICTS, CHANGE: tuple(CHANGES), "relation": PAIRWISE,
-           "mends": ALL_ORACLES, "lucky": _YES_NO, "parse_ok": _YES_NO, "ambiguous": _YES_NO}  # fmt: skip
+           "kind": (*QUERY_KINDS, UNREAD), "mends": ALL_ORACLES,
+           "lucky": _YES_NO, "parse_ok": _YES_NO, "ambiguous": _YES_NO}  # fmt: skip
 
 
 @dataclass(frozen=True)

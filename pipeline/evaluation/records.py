@@ -16,6 +16,7 @@ from pipeline.diagnosis.frame_evidence import matched
 from pipeline.diagnosis.oracles import CONF, LIFT, SRM
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
+from pipeline.language.expression import sentence_kind
 from pipeline.language.tree import Query
 from pipeline.system.arrow import pa
 from pipeline.system.door import read_parquet
@@ -46,6 +47,7 @@ DETECTIONS = {"scores": "numbers", "calibrated": "numbers", "hits": "flags"}
 
 COLUMNS: dict[str, str] = {
     "id": "string", "frame": "string", "frame_index": "int32", "scene": "string", "text": "string",
+    "kind": "string",
     "target": "string", "relation": "string", "reference": "string",
     "target_object": "int32", "reference_object": "int32",
     "answers_strict": "int32", "answers": "int32", "same_class": "int32", "ambiguous": "bool",
@@ -85,10 +87,12 @@ def records_schema() -> pa.Schema:
     return pa.schema([pa.field(name, kinds[kind]) for name, kind in COLUMNS.items()])
 
 
-def asked_columns(case: Case, truth: FrameCases) -> dict[str, Any]:
-    """The row of an expression that nobody has answered: what was asked, and what is true."""
+def asked_columns(case: Case, truth: FrameCases, query: Query | None = None) -> dict[str, Any]:
+    """The row of an expression that nobody has answered: what was asked, and what is true; `query` spares reading."""
+    read = None if query is None or query.text != case.text else query.kind
     return dict.fromkeys(COLUMNS) | {
         "id": case.id, "frame": truth.frame, "frame_index": truth.frame_index, "scene": truth.scene, "text": case.text,
+        "kind": read or sentence_kind(case.text, (case.target, case.reference)),
         "target": case.target, "relation": case.relation, "reference": case.reference,
         "target_object": case.target_object, "reference_object": case.reference_object,
         "answers_strict": len(case.strict), "answers": len(case.acceptable),
@@ -107,7 +111,7 @@ def record(
     """The row of one expression; `overlap` is (D, N) float64, the IoU of each detection with each labelled object."""
     query, problem = parsed
     gold = query is not None and is_gold(query, case)
-    row = asked_columns(case, truth)
+    row = asked_columns(case, truth, query)
     row["parse_ok"] = gold
     unread = None if problem is None else str(problem)
     row["problem"] = unread or answers.unknown.get(case.target) or answers.unknown.get(case.reference)

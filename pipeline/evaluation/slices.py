@@ -53,6 +53,7 @@ DIMENSIONS: dict[str, Dimension] = {
     d.name: d
     for d in (
         Dimension("relation", "relation", "relation", order="relation"),
+        Dimension("kind", "kind of sentence", "kind"),
         Dimension("class", "target class", "target"),
         Dimension("reference", "reference class", "reference"),
         Dimension("distance", "distance of the target", "object_distance", (0, 1, 2, 3, 5), "m"),

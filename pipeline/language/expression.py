@@ -25,6 +25,9 @@ Reader = Callable[..., Query]
 (`pipeline.language.llm_reader`)."""
 
 
+UNREAD = "unread"
+
+
 def parse(
     text: str,
     *,
@@ -77,6 +80,14 @@ def parse(
             if not any(r.description == words for r in readings) and len(readings) < MOST_READINGS:
                 readings.append(Reading(root, is_default=not readings, description=words))
     return Query(text, tuple(readings), tuple(sorted(chain.spans, key=lambda s: s.start)))
+
+
+def sentence_kind(text: str, class_names: Sequence[str] = ()) -> str:
+    """`Query.kind` of a text by the grammar; "unread" where it cannot be read."""
+    try:
+        return parse(text, class_names=class_names).kind
+    except InputError:
+        return UNREAD
 
 
 def offered(clause: Clause, relations: Collection[str] | None) -> Attachment:

@@ -19,6 +19,12 @@ Order = Literal[
 ]  # fmt: skip
 
 
+QUERY_KINDS = (
+    "negation", "between", "two-relations", "ordinal", "extreme", "side", "attribute", "question", "relation", "name",
+)  # fmt: skip
+"""Kinds of sentences, see `Query.kind`; those that `labels.plan.SENTENCE_KINDS` makes have the same names."""
+
+
 @dataclass(frozen=True)
 class Span:
     """A stretch of the expression and what it is there for.
@@ -324,6 +330,23 @@ class Query:
             for start, end, meant in mended(self.text)
             if not any(s.start <= start and end <= s.end for s in names)
         )
+
+    @property
+    def kind(self) -> str:
+        """What kind of sentence it is, in one word: the first of QUERY_KINDS that it is by its tree, and of one
+        relation between bare names, or a bare name, `question` where it asks."""
+        nodes = tuple(self.default.root.walk())
+        attachments = [a for n in nodes for a in n.attachments]
+        ranks = {c.rank for n in nodes for c in n.choices}
+        viewed = {"closest", "farthest"} & {a.relation for a in attachments}
+        asks = self.text.rstrip().endswith("?") or self.text.split()[0].lower() in ("which", "what", "where")
+        found = (
+            any(a.negated for a in attachments) or any(n.excluded for n in nodes),
+            any(len(a.nodes) > 1 for a in attachments), len(attachments) > 1,
+            any(rank is not None and rank > 1 for rank in ranks), 1 in ranks or bool(viewed), None in ranks,
+            any(n.attributes for n in nodes), asks, bool(attachments), True,
+        )  # fmt: skip
+        return QUERY_KINDS[found.index(True)]
 
     @property
     def unused(self) -> tuple[Span, ...]:

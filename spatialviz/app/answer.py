@@ -85,6 +85,7 @@ def verdict_html(state: State) -> Element | None:
     return h.div(
         h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why"),
         None if state.task == "explain" and judged.verdict in MODULE_OF else h.p(judged.text, cls="sentence"),
+        None if state.other is None or state.trace is None else _second(state.other, _moved(state, state.trace)),
         cls="verdict",
     )
 
@@ -189,13 +190,31 @@ def _oracles(d: Diagnosis) -> list[Child]:
 def _oracle(d: Diagnosis, name: str, right: bool, margin: float) -> Element:
     words = ORACLE_WORDS.get(name, "nothing: as it is")
     return h.tr(
-        h.th(term(name) if name else None, scope="row"),
+        h.th(term(name) if name else "none", scope="row"),
         h.td(words),
         h.td("✓ right" if right else "✗ wrong", cls="right" if right else "wrong"),
         h.td(f"{margin:+.2f}" if np.isfinite(margin) else "–", cls="n"),
         cls="on" if name in (d.mends or d.repair) else "",
         title=glossary()[name].text if name else "the pipeline's own answer",
     )
+
+
+def _second(other: OtherAnswer, moved: str) -> Element:
+    """The second run's verdict in a line, and what moved; it opens the two answers."""
+    chip = verdict_chip_of(other.judged) if isinstance(other.judged, Diagnosis) else None
+    what = (h.span("second run ", cls="dim"), chip, f" {moved or 'no answer'}")
+    return h.button(what, cls="plain", do="stage:LABEL", title=f"{other.name}: both answers")
+
+
+def _moved(state: State, trace: Trace) -> str:
+    """What of the pair is another one in the other run's answer; empty where one of the two has none."""
+    mine, other = state.ranked[0] if state.ranked else None, state.other
+    if mine is None or other is None or other.best is None or other.trace is None:
+        return ""
+    ends = ((mine.target, other.best.target), (mine.reference, other.best.reference))
+    same = [a is not None and b is not None and same_thing(trace, a, other.trace.objects[b]) for a, b in ends]
+    found = {(True, True): "the same pair", (True, False): "the same target, another reference"}
+    return found.get((same[0], same[1]), "another target")
 
 
 def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
@@ -211,13 +230,7 @@ def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
             factors = (pair.p_target, pair.p_reference, pair.p_relation)
             cells = [h.td(names, cls="w", title=names), *(h.td(f"{p:.2f}", cls="n") for p in factors)]
         rows.append(h.tr(h.th(name, scope="row"), cells))
-    moved = ""
-    if mine is not None and other.best is not None and other.trace is not None:
-        ends = ((mine.target, other.best.target), (mine.reference, other.best.reference))
-        same = [a is not None and b is not None and same_thing(trace, a, other.trace.objects[b]) for a, b in ends]
-        moved = {(True, True): "the same pair", (True, False): "the same target, another reference"}.get(
-            (same[0], same[1]), "another target"
-        )
+    moved = _moved(state, trace)
     head = h.tr(
         h.td(), h.td(), (h.th(term(f"P({name})", name[:3]), cls="n") for name in ("target", "reference", "relation"))
     )

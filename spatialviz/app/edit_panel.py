@@ -137,7 +137,7 @@ def _mask_row(state: State, mask: np.ndarray) -> Child:
         if swaps
         else None,
     )
-    hint = "Shift and drag over the picture in the Image tab to put a rectangle in place of its pixels."
+    hint = "Shift and drag over the picture to put a rectangle in place of its pixels."
     size = f"{int(mask.sum()):,} pixels · Shift-drag in the picture: a rectangle"
     return row("Mask", h.div(buttons, cls="chips"), title=hint), h.div(size, cls="dim under-row", id="edit-pixels")
 
@@ -253,7 +253,7 @@ SOURCES = {"auto": ("auto", "#8a919c", False), "human": ("", GOOD, True),
 _FITS = h.div(
     button("fit to points", "box-fit", "the box that its cleaned points make (Shift+J)"),
     button("extend", "box-snap:extend", "its bottom to what the object stands on, its top stays (Shift+B)"),
-    button("set down", "box-snap:move", "all of it to what the object stands on (Shift+Z)"),
+    button("place on support", "box-snap:move", "all of it to what the object stands on (Shift+Z)"),
     cls="chips beside",
 )
 
@@ -307,7 +307,7 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str)
         status=_status_row(card, author),
         concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
         handles=row("Handles", segments("edit-mode", MODES, mode, "Handles"), title="Shift+E"),
-        box=h.div(_box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS), cls="tight"),
+        box=h.div(_box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS)),
         sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
     )
 
@@ -342,7 +342,7 @@ def _status_row(card: ObjectCard, author: str) -> Child:
 
 
 def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child) -> Child:
-    """Fields for the numbers of a box; names are short where something more stands beside."""
+    """Fields for the numbers of a box, and what more stands beside."""
     if numbers is None:
         return h.div("No 3D box: there is no depth in its pixels.", cls="dim")
     rows = []
@@ -350,14 +350,14 @@ def _box_rows(numbers: BoxNumbers | None, sends: str, digits: int, *more: Child)
         cells = (
             field(
                 f"{sends}:{kind}:{axis}", getattr(numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01",
-                name=word[0] if more else word, digits=digits,
+                name=word, digits=digits,
             )
             for axis, (word, unit) in enumerate(AXES[kind])
         )  # fmt: skip
         rows.append(row(label, h.div(cells, cls="fields")))
     turn = field(
         f"{sends}:yaw", numbers.yaw, hint="degrees, from right towards forward", step="1",
-        name="°" if more else "yaw °", digits=TURN_DIGITS,
+        name="yaw °", digits=TURN_DIGITS,
     )  # fmt: skip
     return rows, row("Turn", h.div(turn, more, cls="fields"))
 

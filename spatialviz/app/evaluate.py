@@ -56,6 +56,7 @@ class Evaluate(Part):
         self._view, self._cut = "grid", next(iter(CUTS))
         self._version, self._span = 0, (0, 0)
         self._stale = self._figured = False
+        self._told: int | None = None
 
     @property
     def _figures(self) -> RunFigures | None:
@@ -78,6 +79,19 @@ class Evaluate(Part):
             self.state = replace(self.state, listing=replace(listing, at=None, place=None))
         if self.state.evaluating and self._stale:
             self._draw()
+        if self._asked != self._told:
+            self._told = self._asked
+            self.ctx.page.call("place", self._told)
+
+    @property
+    def _asked(self) -> int | None:
+        """Where the expression that is asked now is in the list; None where it is no row of it."""
+        state, now = self.state, self._now
+        if now is None or state.expression_id(state.text) is not None:
+            return None if now is None else now[0].place
+        rows = now[1].rows
+        number = rows.asked(state.frame_id, state.text)
+        return None if number is None else self._place_of(rows.keys[number])
 
     def _begin(self) -> None:
         figures = self._figures
@@ -133,7 +147,7 @@ class Evaluate(Part):
             self.state = replace(self.state, listing=replace(fresh, place=self._place_of(listing.at)))
         self._stale = True
 
-    def _place_of(self, at: tuple[str, str, str] | None) -> int | None:
+    def _place_of(self, at: tuple[str, ...] | None) -> int | None:
         """Where an expression is in the list."""
         figures = self._figures
         number = None if at is None or figures is None else figures.rows.number(at[0], at[1])
@@ -256,7 +270,6 @@ class Evaluate(Part):
         (row,) = now[1].rows.read(self._found[place : place + 1])
         at = row["frame"], row["id"], row["text"]
         self.state = replace(self.state, evaluating=False, listing=replace(now[0], at=at, place=place))
-        self.ctx.page.call("place", place)
         self.ctx.go(Place(self.state.source, at[0], at[2]))
         self.ctx.draw()
 
@@ -265,7 +278,7 @@ class Evaluate(Part):
         """Explain the next or the previous one of the list."""
         listing = self.state.listing
         if listing is not None and listing.count:
-            at = listing.place
+            at = self._asked if listing.place is None else listing.place
             self.open((0 if step > 0 else listing.count - 1) if at is None else (at + step) % listing.count)
 
     def reveal(self, frame: str, expression: str) -> None:
@@ -355,8 +368,9 @@ class Evaluate(Part):
             facets = () if listing.error else rows.facets(listing.query)
             page.show("facet-list", facets_html(facets, self._opened, listing.error))
             self._show_bar()
+        self._told = self._asked
         page.call("found", {
-            "version": self._version, "total": listing.count, "view": self._view, "place": listing.place,
+            "version": self._version, "total": listing.count, "view": self._view, "place": self._told,
             "head": heads_html(listing.query, second is not None).html if self._view == "table" else "",
             "label": f"{listing.count} expressions", "noted": rows.stamp,
         })  # fmt: skip

@@ -207,7 +207,7 @@ def heads_html(query: str, second: bool) -> Element:
     plain = [word for word in words if not word.startswith("sort:")]
     now = next((word for word in words if word.startswith("sort:")), "")
     cells = [
-        h.div(role="columnheader", aria_label=label, cls=f"c-{name}")
+        h.div(h.span(label, cls="unseen"), role="columnheader", cls=f"c-{name}")
         for name, label in (("tick", "selected"), ("shot", "picture"))
     ]
     for name, (title, said) in COLUMNS.items():
@@ -231,7 +231,7 @@ def row_html(row: Mapping[str, Any], view: str) -> Element:
     second, change = _second(row), row.get("change", "same")
     changed = None if change in (None, "same") else h.i(CHANGES[change], cls=f"change {change}")
     if view == "grid":
-        facts = (row["frame"], f"margin {margin}" if margin else None)
+        facts = (row["frame"], f"margin {margin}" if margin and changed is None else None)
         return h.div(
             h.div(image, h.span(cls="tick"), h.span(marks, cls="marks"), cls="snap"),
             h.div(verdict, second, cls="says"),

@@ -109,7 +109,7 @@ def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
         single = alone.get(name)
         mark = None if single is None else h.u(css={"left": f"{(base + single.value - low) / span:.2%}"})
         bar = h.i(css=scaled(at, at + e.value), cls="less" if e.value < 0 else "")
-        reached = h.span("" if single is None else f"alone {100 * (base + single.value):.1f}", cls="n dim")
+        reached = h.span("" if single is None else f"{100 * (base + single.value):.1f}", cls="n dim")
         said = f"{name}: {hint(name)}\nFair share {e.formatted(signed=True)} points."
         if single is not None:
             said += f" With it alone {100 * (base + single.value):.1f} in place of {100 * base:.1f}."

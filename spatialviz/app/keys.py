@@ -24,8 +24,8 @@ KEYS: Mapping[str, Rows] = {
         ("N", "Next frame", "next-frame:1"),
         ("P", "Previous frame", "next-frame:-1"),
         ("Shift+W", "All frames as pictures", "frame-grid"),
-        ("T", "Next failure of the list", "next-failure:1"),
-        ("I", "Previous failure of the list", "next-failure:-1"),
+        (".", "Next failure of the list", "next-failure:1"),
+        (",", "Previous failure of the list", "next-failure:-1"),
     ),
     "Looking": (
         ("Shift+A", "Camera: the pair", "camera:pair"),
@@ -91,7 +91,7 @@ LABEL_KEYS: Mapping[str, Rows] = {
         ("Shift+O", "Name the class of the object", "class-focus"),
         ("Shift+J", "Fit the box to its points", "box-fit"),
         ("Shift+B", "Extend the box to what the object stands on", "box-snap:extend"),
-        ("Shift+Z", "Set the box down on what the object stands on", "box-snap:move"),
+        ("Shift+Z", "Place the box on what the object stands on", "box-snap:move"),
     ),
     "Pixels": (
         ("Shift+I", "Edit the pixels of the selected object", "px-tool:brush"),

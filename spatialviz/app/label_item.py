@@ -54,7 +54,7 @@ def idle_card(queued: bool) -> Element:
     """What to do while no item is open and nothing is selected."""
     start = answer("Begin", "J", "next-item:1", "open the first item of the queue", "yes")
     return h.div(
-        h.div("One label after the other" if queued else "The queue is being made", cls="claim"),
+        h.div("One label after the other" if queued else "The queue is being built", cls="claim"),
         h.div("Each is asked with its reason; one key settles it and opens the next.", cls="dim"),
         h.div(start, cls="answers") if queued else None,
         cls="task-item",

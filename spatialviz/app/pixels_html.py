@@ -19,7 +19,7 @@ from pipeline.geometry.palette import ON_DARK, RGB, instance_colors, palette
 from spatialviz.app.context import Context
 from spatialviz.app.frames import png_url
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.markup import BAD, IDLE, Element, h, note
+from spatialviz.app.markup import Element, h
 from spatialviz.app.state import State
 
 TOOLS = {
@@ -51,7 +51,6 @@ def pixel_row_html(state: State, view: LabelView) -> Element:
             _tool("merge", "px-merge", hint, state.pair is not None, cls="w2"),
             cls="pxrow",
         ),
-        h.div(note(view.said, BAD if view.bad else IDLE), cls="pxsaid", title=view.said) if view.said else None,
     )
 
 

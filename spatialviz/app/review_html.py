@@ -180,7 +180,7 @@ def queue_html(
     bulk: Element | None = None,
 ) -> Element:
     """What the queue is made of, how far that is, what filters it, and the list from the current item on."""
-    again = "make again" if work is not None else "make"
+    again = "build again" if work is not None else "build"
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
     make = button(again, "make-queue", "ranks the labels by what is switched on here")
     head = heading("Queue", stop if making.running else make).with_(id="queue-head")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+import shlex
 
-from pipeline.corrections.confirming import right_objects, right_pair, words_of
+from pipeline.corrections.confirming import right_objects, right_pair, why_not_kept, words_of
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.wording import outcome_text
 from pipeline.language.tree import Query
-from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, command
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import Element, button, h
@@ -61,27 +60,30 @@ class RightPair(LabelPart):
 
     def _offer(self) -> Element | None:
         state = self.state
-        if state.source not in self.ctx.shared.journals:
-            return None
         if state.labels is not None:
-            if state.pair is None or self._query is None or not self._plain:
+            if state.pair is None or self._query is None or words_of(self._query) is None:
                 return None
             hint = "the two chosen objects become the true answer to the question"
             return h.div(button(f"“{self._query.text}” means this pair", "right-objects", hint), cls="rightpair panel")
         pair = state.chosen or next(iter(state.ranked), None)
-        if state.trace is None or pair is None or pair.reference is None or not self._plain:
+        if state.trace is None or pair is None:
             return None
+        if state.source not in self.ctx.shared.journals:
+            return self._how_to_correct() if self.ctx.run is None and state.trace.frame.annotations else None
         if self._kept == (state.frame_id, state.text):
             back = button("Undo", "right-undo", "this pair is not right after all")
             return h.div(h.span("This pair is kept as true.", cls="dim"), back, cls="rightpair panel")
-        known = state.judged is not None
+        known, why = state.judged is not None, why_not_kept(state.trace.root)
+        if why or pair.reference is None:
+            told = f"No truth is known here yet, and none is kept of this answer: {why}. Outline things under Label."
+            return None if known or not why else h.div(told, cls="rightpair panel dim")
         hint = "it is kept as true, with its objects, and the answer is judged by it at once"
         made = button("This pair is right", "right-pair", hint, cls="try" if known else "try go")
         return h.div(made, None if known else h.span("No truth is known here yet.", cls="dim"), cls="rightpair panel")
 
-    @property
-    def _plain(self) -> bool:
-        """Whether the question is one that can be kept."""
-        with suppress(InputError):
-            return self._query is not None and bool(words_of(self._query))
-        return False
+    def _how_to_correct(self) -> Element:
+        """What corrects the truth of a dataset that is opened without labels."""
+        path = shlex.quote(str(self.ctx.source.dataset.root))
+        commands = (f"spatialviz label {path} --out LABELS", f"spatialviz view {path} --labels LABELS")
+        told = h.p("It is what the dataset's annotations say. Labels made of them can be corrected here:", cls="dim")
+        return h.details(h.summary("Is the truth wrong?"), told, map(h.code, commands), cls="panel rightpair")

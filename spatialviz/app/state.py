@@ -326,10 +326,14 @@ class State:
 
     @property
     def about(self) -> np.ndarray | None:
-        """(N, 3) corners of the chosen pair's boxes, and of those of the labels in their place; shown frame."""
+        """(N, 3) corners of the chosen pair's boxes, and of those of the labels in their place, or of the object whose
+        label is asked about; shown frame."""
         if self.loaded is None:
             return None
-        boxes = [self.shown.objects[i].lifted.box for i in self.roles] + [ghost.box for ghost in self.ghosts]
+        seen = list(self.roles)
+        if not seen and self.selected is not None and self.labels is not None and self.labels.item is not None:
+            seen = [self.selected]
+        boxes = [self.shown.objects[i].lifted.box for i in seen] + [ghost.box for ghost in self.ghosts]
         viewer = self.loaded.context.viewer
         to_show = np.stack([viewer.right, viewer.forward, viewer.up])
         corners = [box.corners @ to_show.T for box in boxes if box is not None]

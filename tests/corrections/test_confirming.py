@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import permutations
 from pathlib import Path
 
 import pytest
 
+from pipeline.answering.ask import Trace
 from pipeline.answering.objects import all_objects
 from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.corrections.confirming import right_objects, right_pair
+from pipeline.corrections.confirming import right_objects, right_pair, why_not_kept
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor
@@ -17,6 +19,7 @@ from pipeline.datasets.demo import demo_path
 from pipeline.diagnosis.asking import judge_trace
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.by_hand import begun_labels
+from pipeline.language.expression import parse
 from pipeline.relations.relations import T
 from pipeline.system.errors import InputError
 
@@ -37,6 +40,64 @@ def asked(source: Pipeline) -> tuple[str, str]:
                 if trace is not None and trace.ranking is not None and len(trace.ranking.pairs) > 1:
                     return name, trace.query.text
     raise AssertionError("no such question")
+
+
+def of_two_relations(source: Pipeline) -> Trace:
+    """A question with two relations that the detector's objects answer with three things."""
+    for name in source.dataset.frame_ids[:6]:
+        context = source.prepare(name)
+        labels = sorted({o.label for o in all_objects(context, source.needed_detector())})
+        for one, other, third in permutations(labels, 3):
+            trace = source.ask(context, f"{one} near the {other} and right of the {third}")
+            if trace.ranking is not None and not trace.ranking.degenerate:
+                pair = trace.ranking.pairs[0]
+                if len({pair.target, *(link.b for link in pair.links)}) == 3:
+                    return trace
+    raise AssertionError("no such question")
+
+
+def test_a_pair_of_several_relations_that_is_right_is_judged_by_them(source: Pipeline, tmp_path: Path) -> None:
+    trace = of_two_relations(source)
+    name, context = trace.frame.id, source.prepare(trace.frame.id)
+    assert trace.ranking is not None
+    best = trace.ranking.pairs[0]
+    location = JournalLocation(begun_labels(source.dataset, tmp_path / "mine"))
+    ann = LabelEditor(location.labels, location, "ann", source.dataset)
+    ann.take_in(name)
+    assert isinstance(ann.save(right_pair(ann, trace, best)), Saved)
+    frame = ann.frame(name)
+    assert len(frame.objects) == 3
+    # The truth of such a sentence follows from the labels: no sentence is kept.
+    assert not frame.expressions
+    numbers = {row["label"]: n for n, row in frame.objects.items()}
+    target = trace.root.name
+    for a in trace.root.attachments:
+        assert frame.pairs.state(numbers[target], numbers[a.nodes[0].name], a.relation) == T
+    verdict = judge_trace(trace, source, context, effective_truth(frame))
+    assert isinstance(verdict, Diagnosis), verdict
+    assert verdict.verdict == "CORRECT"
+    with pytest.raises(InputError, match="say so already"):
+        right_pair(ann, trace, best)
+    ann.undo()
+    # Nothing is labelled any more.
+    assert "true of nothing" in str(judge_trace(trace, source, context, effective_truth(ann.frame(name))))
+    location.close()
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("{0} between the {1} and the {2}", "judged by geometry"), ("{0} closest to the {1}", "judged by geometry"),
+        ("leftmost {0} near the {1}", "that are labelled"), ("{0} near the {1}, not the {2}", "that are labelled"),
+        ("{0} that is not on the {1}", "that are labelled"), ("{0} closest to me", "that are labelled"),
+        ("{0} near the red {1}", "the pixels"), ("the {0}", "no relation"),
+        ("{0} near the {1} on the {2}", ""), ("{1} holding a {0}", ""), ("{0} left of the {1}", ""),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_kept_says_why(text: str, why: str) -> None:
+    found = why_not_kept(parse(text.format("mug", "table", "lamp")).default.root)
+    assert why in found
+    assert bool(why) == bool(found)
 
 
 def test_a_pair_that_is_right_is_judged_by_itself(source: Pipeline, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pyarrow as pa
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.records import COLUMNS, records_schema
+from pipeline.language.tree import QUERY_KINDS
 
 CLASSES = ("chair", "Chair", "trash can", "none", 'a "b" c', "ta*ble", "100%_x", "it's")
 RELATIONS = ("left", "behind", "on")
@@ -31,7 +32,8 @@ def random_records(seed: int, rows: int = 60, scenes: int = 4) -> pa.Table:
         row |= {
             "id": f"{k:04x}", "frame": f"{scene:06d}/{k % 3:06d}", "frame_index": scene * 3 + k % 3,
             "scene": f"{scene:06d}", "text": str(rng.choice(["the red Chair", "a trash can?", "50% left_of", "chair"])),
-            "target": str(rng.choice(CLASSES)), "relation": str(rng.choice(RELATIONS)), "reference": "table",
+            "kind": QUERY_KINDS[k % 7], "target": str(rng.choice(CLASSES)), "relation": str(rng.choice(RELATIONS)),
+            "reference": "table",
             "same_class": int(rng.integers(1, 8)), "label_margin": maybe(abs(number)), "verdict": verdict,
             "detail": maybe(str(rng.choice(["RANK", "ABSENT"]))), "lucky": verdict == "CORRECT" and rng.random() < 0.3,
             "said": "why", "repair": maybe(list(names_of(int(rng.integers(16))))),

@@ -89,6 +89,7 @@ def test_every_sentence_is_read_as_the_tree_it_was_made_from(seen: tuple[Seen, .
         query = parse(sentence.text, class_names=names)
         assert [r.root for r in query.readings] == [sentence.tree], sentence.text
         assert not query.unused, sentence.text
+        assert query.kind == sentence.kind, sentence.text
 
 
 NOUNS = st.sampled_from(["mug", "coffee table", "book", "armchair", "potted plant", "scissors"])

@@ -12,7 +12,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.language import grammar, lexicon
-from pipeline.language.expression import parse
+from pipeline.language.expression import parse, sentence_kind
 from pipeline.language.lexicon import FAR, SAYS, SAYS_SWAPPED, wording
 from pipeline.language.relation_names import MIRRORED, RELATIONS
 from pipeline.language.tree import Node, Query
@@ -414,3 +414,18 @@ def test_another_thing_of_the_same_name(other: str) -> None:
 def test_more_ways_to_ask(lead: str) -> None:
     assert triple(f"{lead} mug left of the laptop") == ("mug", "left", "laptop")
     assert triple("spot left of the laptop") == ("spot", "left", "laptop")
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("the mug left of the laptop", "relation"), ("Where is the mug that is on the table?", "question"),
+        ("which mug is on the table", "question"), ("the lamp", "name"), ("the box, not the brick", "negation"),
+        ("the mug that is not on the red table", "negation"), ("the box between the bed and the lamp", "between"),
+        ("the red mug left of the box on the table?", "two-relations"), ("third mug from the left", "ordinal"),
+        ("the leftmost red mug", "extreme"), ("the chair closest to the bookcase", "extreme"),
+        ("the box on the left", "side"), ("the mug on the red table", "attribute"), ("left of", "unread"),
+    ],
+)  # fmt: skip
+def test_the_kind_of_a_sentence_is_one_word(text: str, kind: str) -> None:
+    assert sentence_kind(text) == kind

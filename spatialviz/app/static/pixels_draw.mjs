@@ -64,27 +64,34 @@ export function draw(canvas, S, over) {
   c.globalAlpha = 1;
 
   // The mask's edge: the mask moved by a little to four sides, less the mask.
+  // A dark one below it parts it from a picture of its own colour.
   const o = sized(outline, canvas.width, canvas.height);
   o.setTransform(ratio, 0, 0, ratio, 0, 0);
-  o.clearRect(0, 0, W, H);
   o.imageSmoothingEnabled = false;
-  for (const [a, b] of [[1.2, 0], [-1.2, 0], [0, 1.2], [0, -1.2]]) {
-    o.drawImage(draft, S.x + a, S.y + b, w * zoom, h * zoom);
+  for (const [by, below] of [[3.2, true], [1.6, false]]) {
+    o.clearRect(0, 0, W, H);
+    for (const [a, b] of [[by, 0], [-by, 0], [0, by], [0, -by]]) {
+      o.drawImage(draft, S.x + a, S.y + b, w * zoom, h * zoom);
+    }
+    o.globalCompositeOperation = 'destination-out';
+    o.drawImage(draft, S.x, S.y, w * zoom, h * zoom);
+    o.globalCompositeOperation = 'source-in';
+    o.fillStyle = 'rgba(0,0,0,.75)';
+    if (below) o.fillRect(0, 0, W, H);
+    o.globalCompositeOperation = 'source-over';
+    c.setTransform(1, 0, 0, 1, 0, 0);
+    c.drawImage(outline, 0, 0);
+    c.setTransform(ratio, 0, 0, ratio, 0, 0);
   }
-  o.globalCompositeOperation = 'destination-out';
-  o.drawImage(draft, S.x, S.y, w * zoom, h * zoom);
-  o.globalCompositeOperation = 'source-over';
-  c.setTransform(1, 0, 0, 1, 0, 0);
-  c.drawImage(outline, 0, 0);
-  c.setTransform(ratio, 0, 0, ratio, 0, 0);
 
   const named = others(c, S, over, ratio, X, Y);
-  c.strokeStyle = d.color;
-  c.lineWidth = 1.6;
+  c.beginPath();
   for (const [x0, y0, x1, y1] of d.edges || []) {
-    c.beginPath();
     c.moveTo(X(x0), Y(y0));
     c.lineTo(X(x1), Y(y1));
+  }
+  for (const [color, width] of [['rgba(0,0,0,.75)', 3.4], [d.color, 1.6]]) {
+    Object.assign(c, {strokeStyle: color, lineWidth: width});
     c.stroke();
   }
   line(c, S, over, X, Y);

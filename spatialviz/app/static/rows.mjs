@@ -131,7 +131,9 @@ calls.found = ({version: now, total: count, view: kind, head: heads, place, labe
   list.setAttribute('aria-multiselectable', 'true');
   list.setAttribute('aria-label', label);
   for (const name of ['aria-rowcount', 'aria-colcount']) list.removeAttribute(name);
+  const marked = again ? place !== null : list.classList.contains('marked');
   list.className = kind;
+  list.classList.toggle('marked', marked);
   space.setAttribute('role', table() ? 'rowgroup' : 'presentation');
   list.querySelector('.columns')?.remove();
   if (table()) {
@@ -167,9 +169,11 @@ calls.pictures = ({version: now, urls}) => {
     if (shown.has(+k)) dress(shown.get(+k), +k);
   }
 };
+/* The row whose expression is asked, or null: then none is marked until keys walk. */
 calls.place = k => {
-  moved = !height;
-  reveal(k);
+  moved = k !== null && !height;
+  if (k === null) list.classList.remove('marked');
+  else reveal(k);
 };
 /* A picture that the server keeps no more is made again. */
 list.addEventListener('error', e => {
@@ -188,6 +192,7 @@ const numberOf = element => +element.id.slice('row-'.length);
 function reveal(k, inTheMiddle = false) {
   at = Math.min(total - 1, Math.max(0, k));
   from = -1;
+  list.classList.add('marked');
   const y = head() + Math.floor(at / columns()) * line(), low = table() ? HEAD : 0;
   if (height) {
     if (inTheMiddle) list.scrollTop = y - height / 2;
