@@ -30,6 +30,7 @@ from spatialviz.app.state import State
 
 LOG_LENGTH = 200
 Method = TypeVar("Method", bound=Callable[..., Any])
+Thing = TypeVar("Thing")
 
 
 @dataclass(frozen=True)
@@ -199,6 +200,17 @@ class Part:
     @state.setter
     def state(self, state: State) -> None:
         self.ctx.state = state
+
+
+class Idle(Exception):
+    """A command came for what is not there now: nothing happens."""
+
+
+def there(value: Thing | None) -> Thing:
+    """What a command is for; `Idle` where it is not there."""
+    if value is None:
+        raise Idle
+    return value
 
 
 def choice(options: Sequence[str], now: str, wanted: str) -> str | None:

@@ -23,7 +23,7 @@ from pipeline.answering.agreement.frames import SecondDetections, second_detecti
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
-from pipeline.datasets.plausible import plausibility
+from pipeline.datasets.plausible import depth_doubt
 from pipeline.datasets.settings import Vector
 from pipeline.datasets.up import with_frame_up
 from pipeline.geometry.camera import lift_pixels
@@ -105,11 +105,9 @@ class LoadedFrame:
         return found
 
 
-def depth_doubt(frame: Frame, root: Path) -> str:
+def _doubt(frame: Frame, root: Path) -> str:
     """What speaks against the depth of a frame of the dataset in `root`, with the command that looks into it."""
-    # Of a camera that is made up nothing can be said, and what a network estimates has no unit that could be wrong.
-    found = None if frame.camera.untold or frame.depth_source else plausibility(frame)
-    command = "`spatialviz doctor"
+    found, command = depth_doubt(frame), "`spatialviz doctor"
     return "" if found is None else found.text.replace(command, f"{command} {shlex.quote(str(root))}")
 
 
@@ -236,7 +234,7 @@ class FrameStore:
                 second = second_detections(opened, context, objects)
             except InputError as error:
                 problem = str(error)
-        doubt = depth_doubt(context.frame, opened.dataset.root)
+        doubt = _doubt(context.frame, opened.dataset.root)
         return LoadedFrame(context, objects, problem, second, self.told.get(key[0]), doubt)
 
     def _give_way(self, making: _Making | None = None) -> None:

@@ -1,6 +1,6 @@
 """The labels of one client: they are shown and put together here, pairs are looked at, what was done is taken back.
 
-What others save meanwhile is looked for.
+What others save meanwhile is looked for. *This pair is right*, under any answer, becomes the truth of it at once.
 """
 
 from __future__ import annotations
@@ -9,21 +9,23 @@ import threading
 from contextlib import suppress
 from dataclasses import replace
 
-from pipeline.corrections.journal.events import Event
+from pipeline.corrections.confirming import right_objects, right_pair, words_of
+from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.object_card import expression_cards
 from pipeline.corrections.scene import pair_card
 from pipeline.corrections.unsaved import Waiting
-from pipeline.corrections.wording import events_text
+from pipeline.corrections.wording import events_text, outcome_text
+from pipeline.language.tree import Query
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command
 from spatialviz.app.label_object import LabelObject
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import LabelView, Target
+from spatialviz.app.markup import Element, button, h
 from spatialviz.app.pixels import Pixels
 from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.review_queue import ReviewQueue
-from spatialviz.app.right_pair import RightPair
 from spatialviz.app.sentences import Conflicts, Sentences
 from spatialviz.app.side_panel import SidePanel
 
@@ -193,3 +195,76 @@ def _watch(ctx: Context, labels: Labelling) -> None:
             found = editor.news(frame) if state.labels is not None else ()
             if found or (state.labels is not None and editor.replaced(frame)):
                 ctx.post(lambda frame=frame, found=found: labels.took(frame, found))
+
+
+class RightPair(LabelPart):
+    """Says what is true of the question of one client."""
+
+    def __init__(self, ctx: Context) -> None:
+        super().__init__(ctx)
+        self._kept = ("", "")
+        self._query: Query | None = None
+
+    @command("right-pair")
+    def confirm(self) -> None:
+        """The chosen pair, or the first one, is right."""
+        state, editor = self.state, self.editor
+        pair = state.chosen or next(iter(state.ranked), None)
+        if state.trace is None or pair is None or state.labels is not None:
+            return
+        outcome = editor.save(right_pair(editor, state.trace, pair))
+        said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
+        self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
+        self.ctx.toast("Not saved" if bad else "This pair is right", said, bad)
+        self.ctx.ask(state.text)
+
+    @command("right-undo")
+    def take_back(self) -> None:
+        """It is not, after all."""
+        if self._kept != (self.state.frame_id, self.state.text):
+            return
+        outcome, self._kept = self.editor.undo(), ("", "")
+        self.ctx.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
+        self.ctx.ask(self.state.text)
+
+    @command("right-objects")
+    def means(self) -> None:
+        """The question that was asked last means the two objects that are chosen among the labels."""
+        pair, query = self.state.pair, self._query
+        if pair is None or query is None:
+            return
+        a, b = (self.view.numbers[k] for k in pair[:2])
+        self.save(lambda frame: right_objects(frame, query, a, b))
+
+    def follow(self) -> None:
+        """Offer it under an answer that has a pair."""
+        if self.state.trace is not None:
+            self._query = self.state.trace.query
+        self.ctx.page.show("right-pair", self._offer())
+
+    def _offer(self) -> Element | None:
+        state = self.state
+        if state.source not in self.ctx.shared.journals:
+            return None
+        if state.labels is not None:
+            if state.pair is None or self._query is None or not self._plain:
+                return None
+            hint = "the two chosen objects become the true answer to the question"
+            return h.div(button(f"“{self._query.text}” means this pair", "right-objects", hint), cls="rightpair panel")
+        pair = state.chosen or next(iter(state.ranked), None)
+        if state.trace is None or pair is None or pair.reference is None or not self._plain:
+            return None
+        if self._kept == (state.frame_id, state.text):
+            back = button("Undo", "right-undo", "this pair is not right after all")
+            return h.div(h.span("This pair is kept as true.", cls="dim"), back, cls="rightpair panel")
+        known = state.judged is not None
+        hint = "it is kept as true, with its objects, and the answer is judged by it at once"
+        made = button("This pair is right", "right-pair", hint, cls="try" if known else "try go")
+        return h.div(made, None if known else h.span("No truth is known here yet.", cls="dim"), cls="rightpair panel")
+
+    @property
+    def _plain(self) -> bool:
+        """Whether the question is one that can be kept."""
+        with suppress(InputError):
+            return self._query is not None and bool(words_of(self._query))
+        return False

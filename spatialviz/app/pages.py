@@ -25,11 +25,10 @@ from viser._messages import (
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from spatialviz.app import memory
-from spatialviz.app.access import Access
 from spatialviz.app.channel import Hello, read
 from spatialviz.app.context import Shared
 from spatialviz.app.session import Session
-from spatialviz.app.site import PAGE_ID
+from spatialviz.app.site import PAGE_ID, Access
 
 MAX_CLIENTS = 24
 """Pages that may be open at once."""

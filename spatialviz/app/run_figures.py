@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
@@ -33,29 +33,39 @@ FRAMES, PICTURES = 8, 3000
 Found = TypeVar("Found")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Listing:
     """The expressions of a run that match a search.
 
     Attributes
     ----------
+    figures : RunFigures
+        Of the run.
     query : str
     error : str
         Why the search cannot be carried out; what was found before stays.
-    count, total : int
-        Expressions that match, and those of the run.
+    found : (N,) int64
+        Numbers of the rows that match, in the order of the list.
     at : (str, str, str) or None
         Frame, id and text of the one that is open.
-    place : int or None
-        Where it is among those that match.
     """
 
-    total: int
+    figures: RunFigures
     query: str = ""
     error: str = ""
-    count: int = 0
+    found: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     at: tuple[str, str, str] | None = None
-    place: int | None = None
+
+    @property
+    def count(self) -> int:
+        """How many match."""
+        return len(self.found)
+
+    @property
+    def place(self) -> int | None:
+        """Where the one that is open is among those that match."""
+        number = None if self.at is None else self.figures.rows.number(*self.at[:2])
+        return None if number is None else next(iter(np.flatnonzero(self.found == number).tolist()), None)
 
 
 class RunFigures:

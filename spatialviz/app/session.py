@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 from dataclasses import asdict, replace
 
 import viser
@@ -23,7 +24,6 @@ from spatialviz.app import (
     filling,
     frame_cloud,
     keys,
-    row_cases,
     selection,
     view_strings,
     what_if,
@@ -31,7 +31,7 @@ from spatialviz.app import (
 from spatialviz.app.answer import answer_in_words
 from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
-from spatialviz.app.context import Context, Shared, command, commands_of
+from spatialviz.app.context import Context, Idle, Shared, command, commands_of
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
 from spatialviz.app.label_view import ANYTHING, Target
@@ -84,7 +84,7 @@ class Session(Context):
             selection.ViewSettings(self),
             keys.Keys(self),
             view_strings.Keeping(self, self._judge, self._strings.now),
-            row_cases.RowCases(self, self._judge, self._runs.selected),
+            view_strings.RowCases(self, self._judge, self._runs.selected),
             *self._labels.parts,
         )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
@@ -147,8 +147,8 @@ class Session(Context):
         """Carry out a command such as "pair:3"; unknown ones are ignored."""
         kind, _, argument = keys.meant(message, self.state.labels is not None).partition(":")
         try:
-            if kind in self._commands:
-                self._commands[kind](argument)
+            with suppress(Idle):
+                self._commands.get(kind, str)(argument)
         except InputError as error:
             self.fail(error)
 
