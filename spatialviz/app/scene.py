@@ -18,9 +18,9 @@ import viser.transforms as vtf
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import EDGES, Box3D, ray_entry
 from pipeline.geometry.camera import Camera
+from pipeline.geometry.cloud import Cloud
 from pipeline.geometry.palette import RGB, Role, hex_color, palette
 from pipeline.system.errors import needed
-from spatialviz.app.frames import Cloud
 from spatialviz.app.markup import detector_score
 from spatialviz.app.scene_client import SceneClient, triple
 from spatialviz.app.state import NOTHING, Ghost, Shown, State
