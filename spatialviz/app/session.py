@@ -11,7 +11,7 @@ import viser
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import unused_words
 from pipeline.answering.json_records import holds
-from pipeline.answering.suggestions import suggest_expressions
+from pipeline.answering.suggestions import completions, suggest_expressions
 from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.language.counted import counted
@@ -40,7 +40,6 @@ from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
 from spatialviz.app.stages import opened
 from spatialviz.app.state import NOTHING, shown_objects
-from spatialviz.app.toolbar import offers
 
 RECENT = 12
 """Questions that Ask offers again."""
@@ -267,7 +266,8 @@ class Session(Context):
     @command("ask-typed")
     def _complete(self, typed: str) -> None:
         """Offer what could be asked of this frame: its names, relations, and what was asked lately."""
-        self.page.call("asking", {"typed": typed, "offers": offers(typed, self.state, self._suggestions, self._asked)})
+        names = [o.label for o in self.state.shown.objects]
+        self.page.call("asking", {"typed": typed, "offers": completions(typed, names, self._suggestions, self._asked)})
 
     # ---- frames ---------------------------------------------------------------------
 
