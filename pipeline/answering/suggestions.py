@@ -114,7 +114,10 @@ def completions(
         for kind, detail, words in (("name", "in this frame", names), ("relation", "relation", PHRASE.values())):
             fitting = (w for w in words if _begins(text, w.lower()) or (text.endswith(" ") and kind == due))
             found += [{"text": word, "kind": kind, "detail": detail} for word in fitting]
-    return list({o["text"].strip().lower(): o for o in reversed(found)}.values())[::-1][:OFFERED]
+    once: dict[str, dict[str, str]] = {}
+    for offer in found:
+        once.setdefault(offer["text"].strip().lower(), offer)
+    return list(once.values())[:OFFERED]
 
 
 def _begins(text: str, word: str) -> bool:
