@@ -19,8 +19,7 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
 from spatialviz.app.channel import Channel, Incoming
-from spatialviz.app.frame_pictures import FramePictures
-from spatialviz.app.frames import FrameStore
+from spatialviz.app.frames import FramePictures, FrameStore
 from spatialviz.app.label_editors import LabelEditors
 from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.place import Place

@@ -400,16 +400,15 @@ def _from(line: FieldLine, card: ObjectCard) -> Element:
 
 
 def _short(line: FieldLine, card: ObjectCard) -> str:
-    value: Any = line.value
-    if line.field == "mask":
-        return "the whole 2D box" if value is None else f"{card.mask_pixels:,} pixels"
-    if line.field == "bbox":
-        x0, y0, x1, y1 = value
-        return f"{x0:.0f}, {y0:.0f}, {x1 - x0:.0f} × {y1 - y0:.0f} px"
-    if line.field == "box":
-        return "none" if card.numbers is None else " × ".join(f"{100 * s:.0f}" for s in card.numbers.size) + " cm"
-    if line.field == "status" and value is None and card.statuses:
-        return ", ".join(f"{status} ({name})" for name, status in card.statuses.items())
+    match line.field, line.value:
+        case "mask", value:
+            return "the whole 2D box" if value is None else f"{card.mask_pixels:,} pixels"
+        case "bbox", [x0, y0, x1, y1]:
+            return f"{x0:.0f}, {y0:.0f}, {x1 - x0:.0f} × {y1 - y0:.0f} px"
+        case "box", _:
+            return "none" if card.numbers is None else " × ".join(f"{100 * s:.0f}" for s in card.numbers.size) + " cm"
+        case "status", None if card.statuses:
+            return ", ".join(f"{status} ({name})" for name, status in card.statuses.items())
     return line.text
 
 

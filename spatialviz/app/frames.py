@@ -1,14 +1,16 @@
-"""Frames that several clients may look at: loaded once, a few kept, with clouds and pictures."""
+"""Frames that several clients may look at: loaded once, a few kept, with clouds; pictures of any frame and thing."""
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
+import re
 import shlex
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable
-from concurrent.futures import Future
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,12 +25,15 @@ from pipeline.answering.agreement.frames import SecondDetections, second_detecti
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
+from pipeline.datasets.base import load_picture, scene_of
+from pipeline.datasets.camera_plan import CameraPlan, camera_plan
 from pipeline.datasets.plausible import depth_doubt
 from pipeline.datasets.settings import Vector
 from pipeline.datasets.up import with_frame_up
 from pipeline.geometry.cloud import Cloud, cloud_of
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
+from pipeline.system.recent import Recent
 from spatialviz.app import memory
 
 KEPT_FRAMES = 8
@@ -322,3 +327,55 @@ def jpeg_url(rgb: np.ndarray, quality: int = 82) -> str:
 def png_url(bgra: np.ndarray) -> str:
     """Where the page finds a picture with transparency ((H, W, 4) uint8, BGRA)."""
     return IMAGES.url(cv2.imencode(".png", bgra, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes(), "png")
+
+
+WIDTHS = (160, 480, 960)
+"""In pixels: of a strip, of a grid, of a frame that is passed by."""
+ADDRESS = re.compile(r"/app/frame/([0-9]{1,3})/([0-9]{1,9})/([0-9]{1,4})\.jpg")
+KEPT_PICTURES, KEPT_PLANS = 600, 16
+
+
+class FramePictures:
+    """Those of all sources of a server; any page may ask for any of them.
+
+    Parameters
+    ----------
+    sources : mapping of str to Pipeline
+    """
+
+    def __init__(self, sources: Mapping[str, Pipeline]) -> None:
+        self._sources = sources
+        self._behind = ThreadPoolExecutor(2, "pictures")
+        self._pictures: Recent[tuple[str, str, int], bytes] = Recent(KEPT_PICTURES)
+        self._plans: Recent[tuple[str, str], tuple[CameraPlan | None]] = Recent(KEPT_PLANS)
+
+    def url(self, source: str, frame_id: str, width: int = WIDTHS[0]) -> str:
+        """Where a page finds the picture of a frame."""
+        number = self._sources[source].dataset.frame_ids.index(frame_id)
+        return f"/app/frame/{list(self._sources).index(source)}/{number}/{width}.jpg"
+
+    async def get(self, path: str) -> bytes | None:
+        """The picture of such an address as JPEG; None for what is no frame or no width of ours, or a broken frame."""
+        found = ADDRESS.fullmatch(path)
+        source, number, width = (0, 0, 0) if found is None else map(int, found.groups())
+        if width not in WIDTHS or source >= len(self._sources):
+            return None
+        name = list(self._sources)[source]
+        ids = self._sources[name].dataset.frame_ids
+        if number >= len(ids):
+            return None
+        key = (name, ids[number], width)
+        made = self._behind.submit(lambda: self._pictures.get(key, lambda: self._draw(*key)))
+        return await asyncio.wrap_future(made) or None
+
+    def _draw(self, source: str, frame_id: str, width: int) -> bytes:
+        with suppress(InputError):
+            rgb = load_picture(self._sources[source].dataset, frame_id).rgb
+            return jpeg(_resized(rgb, width, rgb.shape[0] * width / rgb.shape[1]))
+        return b""
+
+    def plan(self, source: str, frame_id: str, then: Callable[[CameraPlan | None], object]) -> None:
+        """Find where the cameras of a frame's scene stand, and tell."""
+        dataset = self._sources[source].dataset
+        key = (source, scene_of(dataset, frame_id))
+        self._behind.submit(lambda: then(self._plans.get(key, lambda: (camera_plan(dataset, frame_id),))[0]))

@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pipeline.answering.objects import SceneObject
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import depth_colors, depth_ends, hex_color, palette
 from spatialviz.app.beside import name_tag, second_overlay
@@ -17,7 +15,7 @@ from spatialviz.app.frames import LoadedFrame, jpeg_url, png_url
 from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
-from spatialviz.report.picture import box_edges_2d, tinted
+from spatialviz.report.picture import box_edges_2d, edges_path, tinted
 
 IMAGE_WIDTH = 720
 
@@ -84,7 +82,7 @@ def overlay_marks(state: State) -> list[Element]:
     order = sorted((i for i in own if i in roles or i == state.selected), key=lambda i: i == state.selected)
     for i in order:
         entry = state.shown.objects[i]
-        drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
+        drawn = _rectangle(entry.bbox) if entry.lifted.box is None else edges_path(entry.lifted.box, frame.camera)
         marks.append(_path(drawn, hex_color(colors[roles[i]]) if i in roles else "#ffffff", 1.3 * unit))
     marks += () if state.beside is None else second_overlay(state, state.beside, unit)
     for i in order:
@@ -105,17 +103,13 @@ def _ghost_marks(state: State, frame: Frame) -> Iterator[Element]:
     """Boxes beside the answer's, which stay while other objects are chosen."""
     unit, colors = frame.width / 360, palette(True)
     for ghost in state.ghosts if state.flags.ghosts else ():
-        drawn, dashes = _edges(ghost.box, frame.camera), f"{3 * unit:.1f} {2 * unit:.1f}"
+        drawn, dashes = edges_path(ghost.box, frame.camera), f"{3 * unit:.1f} {2 * unit:.1f}"
         yield _path(drawn, hex_color(colors[ghost.role]), 1.1 * unit, stroke_dasharray=dashes)
 
 
 def _rectangle(bbox: np.ndarray) -> str:
     x0, y0, x1, y1 = (float(v) for v in bbox)
     return f"M{x0:.1f} {y0:.1f}H{x1:.1f}V{y1:.1f}H{x0:.1f}Z"
-
-
-def _edges(box: Box3D, camera: Camera) -> str:
-    return "".join(f"M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}" for (ax, ay), (bx, by) in box_edges_2d(box, camera))
 
 
 def _name_place(state: State, i: int) -> tuple[float, float]:

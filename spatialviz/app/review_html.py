@@ -280,10 +280,11 @@ def said(row: Mapping[str, Any], names: Names) -> str:
     def named(number: int) -> str:
         return f"{names.get((frame, number), 'object')}·{number}"
 
-    if kind == "relation":
-        return f"{named(row['a'])} {PHRASE[row['relation']]} {named(row['b'])}: {row['label']}"
-    if kind == "object":
-        return f"no {row['label']} labelled here" if row["a"] < 0 else named(row["a"])
+    match kind:
+        case "relation":
+            return f"{named(row['a'])} {PHRASE[row['relation']]} {named(row['b'])}: {row['label']}"
+        case "object":
+            return f"no {row['label']} labelled here" if row["a"] < 0 else named(row["a"])
     return f"“{row['label']}”"
 
 

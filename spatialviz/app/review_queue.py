@@ -24,22 +24,20 @@ from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_ca
 from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, needed
-from spatialviz.app.context import Context, command
+from spatialviz.app.context import Context, command, there
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_item import (
-    Upcoming,
     begin_card,
     bulk_html,
     idle_card,
     item_card,
     pace_html,
-    plain_reason,
-    upcoming_html,
+    upcoming,
 )
 from spatialviz.app.label_part import NO_LABELS, LabelPart
 from spatialviz.app.label_view import Target
-from spatialviz.app.markup import Element, h, panel
+from spatialviz.app.markup import Element, h, heading, panel
 from spatialviz.app.review_html import KINDS, Asked, doubt_html, queue_html, said
 
 SHOWN_NEXT = 5
@@ -187,16 +185,13 @@ class ReviewQueue(LabelPart):
     @command("next-item")
     def step(self, step: int) -> None:
         """Look at the next item that is open, or at the one above."""
-        work, found = self._caught_up(), self._item
-        if work is None:
-            return
+        work, found = there(self._caught_up()), self._item
         if step < 0:
             while (found := work.previous(found)) is not None and self._kind not in ("all", found.kind):
                 pass
         else:
             found = self._next(work, found)
-        if found is not None:
-            self.open(found)
+        self.open(there(found))
 
     def _next(self, work: Worklist, after: ItemKey | None) -> ItemKey | None:
         if not self._find:
@@ -218,19 +213,16 @@ class ReviewQueue(LabelPart):
     @command("accept-found")
     def accept_found(self) -> None:
         """Accept all that the filter finds, as one step."""
-        work = self._caught_up()
-        places = [] if work is None or not self._find else self._found(work)
-        if work is None or not places:
-            return
-        items = [work.keys[k] for k in places[:MOST]]
-        if isinstance(self.save(lambda _: accept_all(items, self.editor.frame, self.editor.author)), Saved):
+        work = there(self._caught_up())
+        items = [work.keys[k] for k in self._found(work)[:MOST] if self._find]
+        if items and isinstance(self.save(lambda _: accept_all(items, self.editor.frame, self.editor.author)), Saved):
             self.ctx.toast("Accepted", f"{counted(len(items), 'item')}: one undo takes all of them back")
 
     @command("item")
     def open_row(self, place: int) -> None:
         """Look at the item of a row."""
-        work = self._queue.work
-        if work is not None and 0 <= place < len(work):
+        work = there(self._queue.work)
+        if 0 <= place < len(work):
             self.open(work.keys[place])
 
     def open(self, key: ItemKey) -> None:
@@ -410,20 +402,18 @@ class ReviewQueue(LabelPart):
         pace = pace_html(self._paced(), counts.get("settled", 0), counts.get("items", 0))
         # Another card is another element: the page scrolls to it.
         card = card.with_(id=f"card-{place}-{self.number}", data_shown=True)
-        return h.div(panel(card), panel(pace), upcoming_html(self._upcoming(queue, item)))
+        after = [] if work is None else self._upcoming(queue, work, item)
+        return h.div(panel(card), panel(pace), panel(heading("Next"), h.div(after, cls="upcoming")) if after else None)
 
-    def _upcoming(self, queue: SourceQueue, item: ItemKey | None) -> list[Upcoming]:
-        work, found, after = queue.work, list[Upcoming](), item
-        for _ in range(SHOWN_NEXT if work is not None else 0):
-            assert work is not None
-            after = self._next(work, after)
-            place = None if after is None else work.indices[after.plain]
-            if after is None or place is None or after == item or any(u.place == place for u in found):
+    def _upcoming(self, queue: SourceQueue, work: Worklist, item: ItemKey | None) -> list[Element]:
+        found, after = dict[int, Element](), self._next(work, item)
+        while after is not None and after != item and len(found) < SHOWN_NEXT:
+            place, row = work.indices[after.plain], work.row(after)
+            if place in found:
                 break
-            row = work.row(after)
-            reason = plain_reason(row["reasons"][0]) if row["reasons"] else ""
-            found.append(Upcoming(place, said(row, queue.names), reason, after.frame, self._shot(after)))
-        return found
+            found[place] = upcoming(place, said(row, queue.names), row, self._shot(after))
+            after = self._next(work, after)
+        return list(found.values())
 
     def _shot(self, key: ItemKey) -> str:
         """A small picture of an item's object; of its frame, while that is not loaded or the object is none."""

@@ -15,7 +15,6 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame, Row
 from pipeline.corrections.scene import labelled_box
 from pipeline.corrections.side_views import SideViews, drag_box, dragged, face_to_points, side_views
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.palette import RGB, hex_color, palette
@@ -27,7 +26,7 @@ from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.markup import Element, h
-from spatialviz.report.picture import box_edges_2d
+from spatialviz.report.picture import edges_path
 
 LONGEST = 4000
 """Characters of a message."""
@@ -178,7 +177,7 @@ def _crop(
     picture = jpeg_url(np.ascontiguousarray(frame.rgb[y0:y1, x0:x1]), 90)
     marks: list[Element] = []
     for mask, box, color in things:
-        line = _outline(mask[y0:y1, x0:x1]) + ("" if box is None else _edges(box, frame.camera, x0, y0))
+        line = _outline(mask[y0:y1, x0:x1]) + ("" if box is None else edges_path(box, frame.camera, (x0, y0)))
         # A dark line under the coloured one: it is seen on any ground.
         marks += [h.path(d=line, cls="mask under"), h.path(d=line, cls="mask", stroke=hex_color(color))]
     return h.figure(
@@ -196,9 +195,3 @@ def _outline(mask: np.ndarray) -> str:
     lines, _ = cv2.findContours(np.ascontiguousarray(mask).view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
     kept = (line.reshape(-1, 2) + 0.5 for line in lines if len(line) > 2)
     return "".join("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line.tolist()) + "Z" for line in kept)
-
-
-def _edges(box: Box3D, camera: Camera, x0: int, y0: int) -> str:
-    return "".join(
-        f"M{ax - x0:.1f} {ay - y0:.1f}L{bx - x0:.1f} {by - y0:.1f}" for (ax, ay), (bx, by) in box_edges_2d(box, camera)
-    )

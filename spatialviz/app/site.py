@@ -31,7 +31,7 @@ from spatialviz.app.channel import LONGEST_COMMAND, LONGEST_DRAWING
 from spatialviz.app.frames import IMAGES
 
 if TYPE_CHECKING:
-    from spatialviz.app.frame_pictures import FramePictures
+    from spatialviz.app.frames import FramePictures
     from spatialviz.app.pages import Pages
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
@@ -125,26 +125,24 @@ class Site:
         return response(http.HTTPStatus.TOO_MANY_REQUESTS, b"too many sockets, or not the messages of a page\n")
 
     def _file(self, path: str, query: dict[str, list[str]]) -> Response:
-        if path == "/":
-            return response(
-                http.HTTPStatus.OK, self._files["index.html"], ".html", {"Content-Security-Policy": PAGE_POLICY}
-            )
         folder, _, name = path.rpartition("/")
-        if folder == "/app" and name in self._files:
-            return response(http.HTTPStatus.OK, self._files[name], Path(name).suffix)
-        if folder == "/app/image" and (data := IMAGES.get(name)) is not None:
-            return response(
-                http.HTTPStatus.OK, data, Path(name).suffix, {"Cache-Control": "private, max-age=86400, immutable"}
-            )
-        if folder == "/app/file":
-            found = self._pages.download(query.get("id", [""])[0], name)
-            if found is not None:
-                given = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(found[0])}"}
-                return response(http.HTTPStatus.OK, found[1], "", given)
-        if folder.startswith("/scene/") and not name and ID.fullmatch(folder.removeprefix("/scene/")):
-            more = {"Content-Security-Policy": SCENE_POLICY, "Content-Encoding": "gzip"}
-            return response(http.HTTPStatus.OK, self._scene, ".html", more)
-        return response(http.HTTPStatus.NOT_FOUND, b"not found\n")
+        data, kind, more = None, Path(name).suffix, dict[str, str]()
+        match folder:
+            case "" if not name:
+                data, kind, more = self._files["index.html"], ".html", {"Content-Security-Policy": PAGE_POLICY}
+            case "/app":
+                data = self._files.get(name)
+            case "/app/image":
+                data, more = IMAGES.get(name), {"Cache-Control": "private, max-age=86400, immutable"}
+            case "/app/file":
+                given, data = self._pages.download(query.get("id", [""])[0], name) or ("", None)
+                kind, more = "", {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(given)}"}
+            case _ if folder.startswith("/scene/") and not name and ID.fullmatch(_scene_of(folder)):
+                data, kind = self._scene, ".html"
+                more = {"Content-Security-Policy": SCENE_POLICY, "Content-Encoding": "gzip"}
+        if data is None:
+            return response(http.HTTPStatus.NOT_FOUND, b"not found\n")
+        return response(http.HTTPStatus.OK, data, kind, more)
 
     async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
         """Serve an open socket: the page's own, or viser's of its scene."""
