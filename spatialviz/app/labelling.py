@@ -17,7 +17,7 @@ from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import events_text, outcome_text
 from pipeline.language.tree import Query
 from pipeline.system.errors import InputError, needed, require
-from spatialviz.app.context import Context, command
+from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_object import LabelObject
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import LabelView, Target
@@ -64,9 +64,9 @@ class Labelling(LabelPart):
         if self.state.labels is not None:
             self.state = replace(self.state, labels=None)
             self.ctx.reopen()
-            return
-        self.show()
-        self.ctx.draw()
+        else:
+            self.show()
+            self.ctx.draw()
 
     def detail(self) -> None:
         """The chosen pair, or what is selected, may be another: its card, its expressions and its history follow."""
@@ -210,29 +210,25 @@ class RightPair(LabelPart):
         """The chosen pair, or the first one, is right."""
         state, editor = self.state, self.editor
         pair = state.chosen or next(iter(state.ranked), None)
-        if state.trace is None or pair is None or state.labels is not None:
-            return
-        outcome = editor.save(right_pair(editor, state.trace, pair))
-        said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
-        self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
-        self.ctx.toast("Not saved" if bad else "This pair is right", said, bad)
-        self.ctx.ask(state.text)
+        if state.labels is None:
+            outcome = editor.save(right_pair(editor, there(state.trace), there(pair)))
+            said, bad = outcome_text(outcome, "kept as true", editor.frame(state.frame_id))
+            self._kept = (state.frame_id, state.text) if isinstance(outcome, Saved) else ("", "")
+            self.ctx.toast("Not saved" if bad else "This pair is right", said, bad)
+            self.ctx.ask(state.text)
 
     @command("right-undo")
     def take_back(self) -> None:
         """It is not, after all."""
-        if self._kept != (self.state.frame_id, self.state.text):
-            return
-        outcome, self._kept = self.editor.undo(), ("", "")
-        self.ctx.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
-        self.ctx.ask(self.state.text)
+        if self._kept == (self.state.frame_id, self.state.text):
+            outcome, self._kept = self.editor.undo(), ("", "")
+            self.ctx.toast("Taken back", outcome_text(outcome, "taken back", None)[0])
+            self.ctx.ask(self.state.text)
 
     @command("right-objects")
     def means(self) -> None:
         """The question that was asked last means the two objects that are chosen among the labels."""
-        pair, query = self.state.pair, self._query
-        if pair is None or query is None:
-            return
+        pair, query = there(self.state.pair), there(self._query)
         a, b = (self.view.numbers[k] for k in pair[:2])
         self.save(lambda frame: right_objects(frame, query, a, b))
 

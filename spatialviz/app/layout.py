@@ -11,17 +11,9 @@ from typing import Any
 from spatialviz.app.channel import Address, Call, Outgoing, Patch
 from spatialviz.app.markup import BAD, Child, Element, button, changed, h, note
 
-LISTED_FRAMES = 1000
-"""A list of more frames would be slow to open; around the current one are enough to pick from."""
 KEPT_CALLS = ("strip", "plan", "tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure",
               "found", "chosen")  # fmt: skip
 """Calls that a page which comes back must hear again."""
-
-
-def window(count: int, current: int, most: int = LISTED_FRAMES) -> range:
-    """The places of at most so many frames around the current one."""
-    start = max(0, min(current - most // 2, count - most))
-    return range(start, min(start + most, count))
 
 
 class Page:

@@ -15,7 +15,7 @@ from pipeline.corrections.review.label_jobs import CANCELLED, RetrainingJob, Tra
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, command
+from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel, progress
 from spatialviz.app.place import Place
@@ -72,10 +72,9 @@ class RetrainPanel(LabelPart):
     def install(self, name: str) -> None:
         """Install the trained network under a name, and answer the question that is asked with it."""
         training = self.location.jobs.training
-        if training.seen.record is None:
-            return
+        network = there(training.seen.record)["network"]
         try:
-            done = install_network(Path(training.seen.record["network"]), name.strip())
+            done = install_network(Path(network), name.strip())
         except InputError as error:
             self.ctx.toast("Not installed", str(error), bad=True)
             return

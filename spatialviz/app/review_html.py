@@ -193,7 +193,7 @@ def queue_html(
     return panel(
         parts,
         _known(making.made),
-        h.div(_settled(counts), tally, id="queue-settled", cls="dim"),
+        h.div(f"{counts['settled']:,} of {counts['items']:,} settled", tally, id="queue-settled", cls="dim"),
         segments("queue-kind", KINDS, kind, "Items of one kind"),
         bulk,
         h.div(rows or "nothing of this kind", id="queue-rows", cls="queue"),
@@ -288,5 +288,3 @@ def said(row: Mapping[str, Any], names: Names) -> str:
     return f"“{row['label']}”"
 
 
-def _settled(counts: Mapping[str, int]) -> str:
-    return f"{counts['settled']:,} of {counts['items']:,} settled"

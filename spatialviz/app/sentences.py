@@ -16,7 +16,7 @@ from pipeline.corrections.wording import ref_text, value_text
 from pipeline.diagnosis.marks import MARKS
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.system.errors import InputError, needed
-from spatialviz.app.context import command
+from spatialviz.app.context import command, there
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import paired
 from spatialviz.app.markup import Element, h
@@ -33,13 +33,12 @@ class Sentences(LabelPart):
     def select(self, name: str) -> None:
         """Look at an expression: its labelled pair is chosen, and its target selected."""
         view = self.view
-        card = next((c for c in view.expressions if c.id == name), None)
-        if card is not None:
-            pair = view.places(card.target_object, card.reference_object)
-            relation = view.relation if pair is None else card.relation
-            selected = view.place(card.target_object)
-            view = replace(view, expression=name, relation=relation)
-            self.ctx.show(labels=view, pair=pair or self.state.pair, selected=selected)
+        card = there(next((c for c in view.expressions if c.id == name), None))
+        pair = view.places(card.target_object, card.reference_object)
+        relation = view.relation if pair is None else card.relation
+        selected = view.place(card.target_object)
+        view = replace(view, expression=name, relation=relation)
+        self.ctx.show(labels=view, pair=pair or self.state.pair, selected=selected)
 
     @command("next-expression")
     def step(self, step: int) -> None:
@@ -93,13 +92,11 @@ class Sentences(LabelPart):
         What is said already is taken off.
         """
         certainty, _, number = said.partition(":")
-        if self.view.sentence is None or certainty not in ("sure", "likely", "no"):
-            return
-        which = needed(
-            int(number) if number else self.number, "select an object that the expression is true of"
-        )  # fmt: skip
-        now = "no" if self.view.sentence.certainty(which) == certainty else certainty
-        self._save(lambda frame, card: set_answer(frame, card.id, which, now))
+        sentence = there(self.view.sentence)
+        if certainty in ("sure", "likely", "no"):
+            which = needed(int(number) if number else self.number, "select an object that the expression is true of")
+            now = "no" if sentence.certainty(which) == certainty else certainty
+            self._save(lambda frame, card: set_answer(frame, card.id, which, now))
 
     @command("mark")
     def mark(self, mark: str) -> None:

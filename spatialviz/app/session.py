@@ -6,8 +6,6 @@ import asyncio
 from contextlib import suppress
 from dataclasses import asdict, replace
 
-import viser
-
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import unused_words
 from pipeline.answering.json_records import holds
@@ -31,7 +29,7 @@ from spatialviz.app import (
 from spatialviz.app.answer import answer_in_words
 from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
-from spatialviz.app.context import Context, Idle, Shared, command, commands_of
+from spatialviz.app.context import Context, Idle, Shared, command, commands_of, there
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
 from spatialviz.app.label_view import ANYTHING, Target
@@ -55,7 +53,7 @@ class Session(Context):
 
     def __init__(self, page_id: str, shared: Shared) -> None:
         super().__init__(page_id, shared)
-        self._path = f"/scene/{page_id}/"
+        self._scene = Scene(f"/scene/{page_id}/")
         self._suggestions = self._asked = tuple[str, ...]()
         self._begun = self._correcting = False
         self._pushed: Place | None = None
@@ -104,7 +102,7 @@ class Session(Context):
 
     def receive(self, message: Incoming) -> None:
         if isinstance(message, Hello):
-            self.channel.send(Scene(self._path))
+            self.channel.send(self._scene)
             self.page.again()
             if self._begun:
                 return
@@ -120,18 +118,6 @@ class Session(Context):
             self.go(Place.read(message.address, self.shared.store.sources), restoring=True)
         else:
             self.handle(message.text)
-
-    def signed_as(self, name: str) -> None:
-        """Labels are corrected under the name of the token that the browser has, and under no other."""
-        self.post(lambda: self.editors.sign_for_token(name))
-
-    def attach(self, client: viser.ClientHandle) -> None:
-        """The browser's frame is there: show the scene in it."""
-        self.post(lambda: self.client.attach(client))
-
-    def detach(self, client: viser.ClientHandle) -> None:
-        """The browser's frame has gone."""
-        self.post(lambda: self.client.detach(client))
 
     async def _turned(self, _: object) -> None:
         """The camera moves: where it comes to rest is said by the address."""
@@ -387,13 +373,11 @@ class Session(Context):
     @command("relation")
     def _ask_relation(self, number: int) -> None:
         """Ask the same two names with another relation."""
-        trace = self.state.trace
-        if trace is None or trace.asked is None or not 0 <= number < len(trace.scores.relations):
-            return
-        first, second = trace.query.target, trace.asked.nodes[0].label
-        if trace.inverse:
-            first, second = second, first
-        self.ask(f"{first} {PHRASE[trace.scores.relations[number]]} the {second}")
+        trace = there(self.state.trace)
+        ends = trace.query.target, there(trace.asked).nodes[0].label
+        if 0 <= number < len(trace.scores.relations):
+            first, second = ends[::-1] if trace.inverse else ends
+            self.ask(f"{first} {PHRASE[trace.scores.relations[number]]} the {second}")
 
     @command("again")
     def _ask_again(self) -> None:
@@ -406,11 +390,10 @@ class Session(Context):
 
     @command("clear")
     def _clear(self) -> None:
-        loaded = self.state.loaded
-        if loaded is not None:
-            self.state = replace(self.state.unasked, text="", shown=shown_objects(loaded, None, self._exact))
-            self.page.call("question", "")
-            self.draw()
+        shown = shown_objects(there(self.state.loaded), None, self._exact)
+        self.state = replace(self.state.unasked, text="", shown=shown)
+        self.page.call("question", "")
+        self.draw()
 
     # ---- drawing --------------------------------------------------------------------
 

@@ -10,7 +10,6 @@ from pipeline.geometry.camera import UpSource
 from pipeline.geometry.palette import DROPPED
 from spatialviz.app.beside import layers_html
 from spatialviz.app.keys import KEYS, MOVE_KEYS
-from spatialviz.app.layout import window
 from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, hint_of, note, panel, segments, term, words
 from spatialviz.app.state import State
 
@@ -97,23 +96,9 @@ def _point_size(state: State) -> Element:
     )  # fmt: skip
 
 
-def frame_nav_html(place: int, count: int) -> Element:
-    """Which frame of how many, with steps to its neighbours."""
-    return h.div(
-        _step(-1, "‹", "previous frame (P)", place > 0),
-        h.span(f"{place + 1} of {count}", cls="dim"),
-        _step(1, "›", "next frame (N)", place + 1 < count),
-        cls="nav",
-    )
-
-
 def moves_html(leads: Mapping[str, str] | None) -> Element | None:
     """Where a robot can go from here, of a dataset that has moves."""
     return None if leads is None else h.div((_move(leads, *key) for key in MOVE_KEYS), cls="moves")
-
-
-def _step(by: int, label: str, hint: str, possible: bool) -> Element:
-    return button(label, f"next-frame:{by}", hint, aria_label=hint, id=f"step{by}", disabled=not possible)
 
 
 def _move(leads: Mapping[str, str], key: str, label: str, message: str) -> Element:
@@ -144,6 +129,9 @@ TOOLS = (
     ("help", "Keys", "all keys (?)", {"do": "help"}),
 )
 
+LISTED_FRAMES = 1000
+"""A list of more frames would be slow to open; around the current one are enough to pick from."""
+
 
 def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list[Element]:
     """Which dataset and which frame of it, with steps to its neighbours."""
@@ -155,9 +143,14 @@ def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list
         type="text", value=state.frame_id, list="frame-ids", aria_label="Frame", change="open:", cls="frame-id",
         autocomplete="off", spellcheck="false",
     )  # fmt: skip
-    at = ids.index(state.frame_id)
-    offered = h.datalist((h.option(value=ids[i]) for i in window(len(ids), at)), id="frame-ids")
-    return [dataset, field, offered, frame_nav_html(at, len(ids))]
+    at, count = ids.index(state.frame_id), len(ids)
+    start = max(0, min(at - LISTED_FRAMES // 2, count - LISTED_FRAMES))
+    offered = h.datalist((h.option(value=name) for name in ids[start : start + LISTED_FRAMES]), id="frame-ids")
+    back, on = (
+        button(label, f"next-frame:{by}", hint, aria_label=hint, id=f"step{by}", disabled=not 0 <= at + by < count)
+        for by, label, hint in ((-1, "‹", "previous frame (P)"), (1, "›", "next frame (N)"))
+    )
+    return [dataset, field, offered, h.div(back, h.span(f"{at + 1} of {count}", cls="dim"), on, cls="nav")]
 
 
 TASK_HINTS = {

@@ -385,9 +385,7 @@ class RowCases(Part):
     def make(self) -> None:
         """Save each of the selected as a case; one that is there already stays."""
         rows, count = self._selected(), len(self._selected())
-        if count > MOST:
-            self.ctx.fail(InputError("so many cases are not made at once", got=count, expected=f"up to {MOST}"))
-            return
+        require(count <= MOST, "so many cases are not made at once", got=count, expected=f"up to {MOST}")
         saved, refused, there = list[str](), list[str](), list[Path]()
 
         def make() -> None:
