@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pipeline.datasets import has_moves, moves
-from spatialviz.app import answer, beside, picture, sentences_html, stage_objects, stages, toolbar
+from spatialviz.app import answer, beside, picture, sentences, stage_objects, stages, toolbar
 from spatialviz.app.context import Context
 
 
@@ -43,10 +43,10 @@ def fill_answer(ctx: Context) -> None:
     state = ctx.state
     view = state.labels
     regions = {
-        "answer": sentences_html.sentence_html(state, view) if view else answer.answer_html(state, ctx.can_ask),
+        "answer": sentences.sentence_html(state, view) if view else answer.answer_html(state, ctx.can_ask),
         "stages": None if view else stages.stages_html(state, state.stage),
-        "expressions": sentences_html.expressions_html(state, view) if view else None,
-        "history": sentences_html.history_html(view) if view else None,
+        "expressions": sentences.expressions_html(state, view) if view else None,
+        "history": sentences.history_html(view) if view else None,
     }
     for region, content in regions.items():
         ctx.page.show(region, content)

@@ -18,7 +18,7 @@ from pipeline.corrections.wording import events_text, outcome_text
 from pipeline.language.tree import Query
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command, there
-from spatialviz.app.label_object import LabelObject
+from spatialviz.app.label_object import LabelObject, SidePanel
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import LabelView, Target
 from spatialviz.app.markup import Element, button, h
@@ -27,7 +27,6 @@ from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.review_queue import ReviewQueue
 from spatialviz.app.sentences import Conflicts, Sentences
-from spatialviz.app.side_panel import SidePanel
 
 
 class Labelling(LabelPart):

@@ -30,7 +30,7 @@ from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_item import UNNAMED
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import LabelView, paired
-from spatialviz.app.pixels_html import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlines, told_of
+from spatialviz.app.picture import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlines, told_of
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
 
