@@ -303,24 +303,23 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str)
             heading(h.b(dot(color), name), " · ".join(facts)),
             h.div(f"relations {counts} · in {asked}{added}", cls="dim"),
         ),
-        label=row("Class", _class_field(card)),
+        label=row(
+            "Class",
+            h.input(
+                cls="find",
+                aria_label="Class",
+                spellcheck="false",
+                autocomplete="off",
+                value=card.label,
+                title="Enter saves it, Tab completes it (Shift+O)",
+                field="class",
+            ),
+        ),
         status=_status_row(card, author),
         concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
         handles=row("Handles", segments("edit-mode", MODES, mode, "Handles"), title="Shift+E"),
         box=h.div(_box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS), cls="tight"),
         sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
-    )
-
-
-def _class_field(card: ObjectCard) -> Element:
-    return h.input(
-        cls="find",
-        aria_label="Class",
-        spellcheck="false",
-        autocomplete="off",
-        value=card.label,
-        title="Enter saves it, Tab completes it (Shift+O)",
-        field="class",
     )
 
 

@@ -14,7 +14,7 @@ import xxhash
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.journal.edits import Edits, set_box, set_class, set_status
 from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.effective_frame import EffectiveFrame, Row
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.object_card import back_to_automatic, bring_back, judgements, object_card
@@ -363,21 +363,14 @@ def crops(ctx: Context, view: LabelView) -> Element | None:
     colors = palette(True)
     now = [(e.mask, e.lifted.box, colors["target" if k == 0 else "reference"]) for k, e in enumerate(entries)]
     found = [_crop(" and ".join(names), "now", frame, around, now)]
-    before = view.frame.auto.objects.get(view.numbers[state.selected])
-    if before is not None and _differs(before, view.frame.objects[view.numbers[state.selected]]):
-        mask = _mask_of(before, (frame.height, frame.width))
+    number, size = view.numbers[state.selected], (frame.height, frame.width)
+    before, after = view.frame.auto.objects.get(number), view.frame.objects[number]
+    if before is not None and any(before[name] != after[name] for name in ("mask", "bbox", "center", "R", "size")):
+        bbox, line = np.array(before["bbox"], np.float32), before["mask"]
+        mask = box_mask(bbox, *size) if line is None else decode_run_length(size, line)
         was = [(mask, labelled_box(before), colors["other"])]
         found.insert(0, _crop("before", "as labelled", frame, around, was))
     return h.div(found, cls="crops")
-
-
-def _differs(before: Row, now: Row) -> bool:
-    return any(before[name] != now[name] for name in ("mask", "bbox", "center", "R", "size"))
-
-
-def _mask_of(row: Row, size: tuple[int, int]) -> np.ndarray:
-    bbox = np.array(row["bbox"], np.float32)
-    return box_mask(bbox, *size) if row["mask"] is None else decode_run_length(size, row["mask"])
 
 
 def _around(boxes: np.ndarray, frame: Frame) -> tuple[int, int, int, int]:

@@ -99,8 +99,9 @@ class RetrainPanel(LabelPart):
         with suppress(InputError):
             journal = place.to_read()
             corrections = 0 if journal is None else journal.count()
-        section = retrain_html(place.jobs.training.seen, corrections, self.ctx.run is not None)
-        self.ctx.page.show("review-train", section)
+        training = place.jobs.training.seen
+        state = _state(training, corrections, self.ctx.run is not None)
+        self.ctx.page.show("review-train", panel(heading("Retrain", _action(training, corrections)), state))
 
 
 STEPS = {
@@ -112,12 +113,8 @@ STEPS = {
 LISTED = 6
 
 
-def retrain_html(training: TrainingProgress, corrections: int | None, with_run: bool) -> Element:
-    """The section of the Review tab; `corrections` is None where the journal cannot be read."""
-    return panel(heading("Retrain", _action(training, corrections)), _state(training, corrections, with_run))
-
-
 def _state(training: TrainingProgress, corrections: int | None, with_run: bool) -> Child:
+    """How far it is, or what came of it; `corrections` is None where the journal cannot be read."""
     if training.running:
         what, done, of = training.step
         return progress("Training", done, of), h.div(f"{STEPS.get(what, what)} · {training.seconds:.0f} s", cls="dim")

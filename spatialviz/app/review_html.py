@@ -56,22 +56,17 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
     said = note(view.said, BAD if view.bad else GOOD) if view and view.said and not (waiting and view.bad) else None
     kept = f"{counted(len(waiting), 'action')} not saved yet, kept here and tried again every few seconds: "
     decide = "Somebody was faster than you: nothing of yours is saved until you decide."
+    who = None if desk is None else h.label(
+        h.span("reviewer", cls="dim"), h.input(cls="find", value=desk.author, maxlength=200, change="author"),
+        cls="who", title="under whose name corrections are saved",
+    )  # fmt: skip
     title = h.h2("Labelling", h.span("every action is saved at once", cls="dim"), cls="mode-title")
     return panel(
         None if view is None else title,
-        h.div(show, None if desk is None else _reviewer(desk.author), cls="nav"),
+        h.div(show, who, cls="nav"),
         said,
         (note(kept + waiting[-1].problem, BAD), button("try again", "save-again", cls="go")) if waiting else None,
         (note(decide, BAD), button("decide", "conflict", cls="go")) if disputed else None,
-    )
-
-
-def _reviewer(author: str) -> Element:
-    return h.label(
-        h.span("reviewer", cls="dim"),
-        h.input(cls="find", value=author, maxlength=200, change="author"),
-        cls="who",
-        title="under whose name corrections are saved",
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.datasets.base import load_picture
 from pipeline.evaluation.browsing import RunRows, labelled_boxes
 from pipeline.evaluation.comparing import Comparison, compare
-from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
+from pipeline.evaluation.confusion import Confusion, answer_standings, count_standings
 from pipeline.evaluation.loss_plots import MOST_SHOWN
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.search import Field, completions
@@ -116,25 +116,19 @@ class RunFigures:
     def confusion(self) -> Confusion | str:
         """The relation that was asked against the one in which the answer stands; from then on rows can be searched
         by that, too."""
-        found = _or_why(self._standings)
+        run = self.run
+        made_with = (run.manifest.get("labels") or {}).get("content_hash")
+        found = _or_why(lambda: answer_standings(run.records, run.labels, made_with))
         if isinstance(found, str):
             return found
         self.rows.add_column(STANDS_IN, found.column())
         return count_standings(found)
 
-    @property
+    @cached_property
     def fields(self) -> tuple[Field, ...]:
         """What the run can be searched by, with the values that occur."""
         _ = self.confusion
-        return self._fields
-
-    @cached_property
-    def _fields(self) -> tuple[Field, ...]:
         return completions(self.rows.records)
-
-    def _standings(self) -> Standings:
-        made_with = self.run.manifest.get("labels") or {}
-        return answer_standings(self.run.records, self.run.labels, made_with.get("content_hash"))
 
     # ---- pictures -------------------------------------------------------------------
 
