@@ -292,13 +292,13 @@ class Evaluate(Part):
         if listing is None or self._stale:
             return
         rows, second = listing.figures.rows, listing.figures.second is not None
-        with page.together():
-            page.show("search", search_html(listing.query))
-            page.show("offers")
-            page.show("filters", filters_html(listing, rows.notes, self._first, second, self._view))
-            facets = () if listing.error else rows.facets(listing.query)
-            page.show("facet-list", facets_html(facets, self._opened, listing.error))
-            self._show_bar()
+        facets = () if listing.error else rows.facets(listing.query)
+        page.fill({
+            "search": search_html(listing.query), "offers": None,
+            "filters": filters_html(listing, rows.notes, self._first, second, self._view),
+            "facet-list": facets_html(facets, self._opened, listing.error),
+        })  # fmt: skip
+        self._show_bar()
         page.call("found", {
             "version": self._version, "total": listing.count, "view": self._view, "place": listing.place,
             "head": heads_html(listing.query, second).html if self._view == "table" else "",
@@ -326,8 +326,7 @@ class Evaluate(Part):
             ("run-summary", summary_html), ("run-compared", comparison_html),
             ("run-slices", lambda figures: slices_html(figures, self._cut)), ("run-confusion", confusion_html),
         ]  # fmt: skip
-        for region, _ in parts:
-            page.show(region)
+        page.fill({region: None for region, _ in parts})
 
         def draw() -> None:
             # One after the other, so that rows that are asked for need not wait for all.

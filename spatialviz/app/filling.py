@@ -33,20 +33,17 @@ def fill_page(ctx: Context, suggestions: Sequence[str]) -> None:
         "log": picture.log_html(ctx.log),
     }
     with page.together():
-        for region, content in regions.items():
-            page.show(region, content)
+        page.fill(regions)
         fill_answer(ctx)
 
 
 def fill_answer(ctx: Context) -> None:
     """Fill what follows a box that is dragged."""
-    state = ctx.state
-    view = state.labels
+    state, view = ctx.state, ctx.state.labels
     regions = {
         "answer": sentences.sentence_html(state, view) if view else answer.answer_html(state, ctx.can_ask),
         "stages": None if view else stages.stages_html(state, state.stage),
         "expressions": sentences.expressions_html(state, view) if view else None,
         "history": sentences.history_html(view) if view else None,
     }
-    for region, content in regions.items():
-        ctx.page.show(region, content)
+    ctx.page.fill(regions)

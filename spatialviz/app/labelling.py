@@ -91,8 +91,7 @@ class Labelling(LabelPart):
         state, journals = self.state, self.ctx.shared.journals
         if journals:
             head = review_head_html(state, state.source in journals, self.ctx.editors.opened(state.source))
-            self.ctx.page.show("review-head", head)
-            self.ctx.page.show("review-pair", pair_html(state))
+            self.ctx.page.fill({"review-head": head, "review-pair": pair_html(state)})
         for part in self._following:
             part.follow()
 

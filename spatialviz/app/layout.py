@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -43,6 +43,12 @@ class Page:
             parts = [(region, element.html)] if before is None else list(changed(before, element))
             with self.together() as patch:
                 patch += parts
+
+    def fill(self, regions: Mapping[str, Child]) -> None:
+        """Show what belongs into several regions as one."""
+        with self.together():
+            for region, content in regions.items():
+                self.show(region, content)
 
     @contextmanager
     def together(self) -> Iterator[list[tuple[str, str]]]:

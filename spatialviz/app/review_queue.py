@@ -385,10 +385,9 @@ class ReviewQueue(LabelPart):
         if work is not None and self.ctx.reviewed is not work.frame_counts:
             self.ctx.reviewed = work.frame_counts
             self.ctx.post(lambda: self.ctx.handle("strip"))
-        page.show("review-item", None if view is None else self._card(queue, item))
         bulk = None if work is None else bulk_html(self._find, len(self._found(work)), len(work))
         rows = queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names, bulk)
-        page.show("review-list", rows)
+        page.fill({"review-item": None if view is None else self._card(queue, item), "review-list": rows})
 
     def _card(self, queue: SourceQueue, item: ItemKey | None) -> Element:
         """The item with its answers, the pace, and what comes next."""

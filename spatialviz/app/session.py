@@ -175,7 +175,8 @@ class Session(Context):
         if not self._begun:
             # With a run, its first failure; the frames follow.
             self._runs.follow()
-            self._runs.open(0)
+            with suppress(Idle):
+                self._runs.open(0)
         if not self._begun:
             self.open_frame(self.state.frame_id, first=True)
 

@@ -203,8 +203,7 @@ class WhatIf(Part):
             legend = None if self._map is None else map_legend(state, self._map)
             trace, editable = state.trace, candidate or hidden
             panel = None if trace is None else edit_html(state, trace, self.ctx.source, editable, self._map)
-            self.ctx.page.show("map-legend", legend)
-            self.ctx.page.show("edit", panel)
+            self.ctx.page.fill({"map-legend": legend, "edit": panel})
 
 
 def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str | None, keys: tuple[str, ...]) -> State:
