@@ -20,7 +20,7 @@ from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
 from spatialviz.app.channel import Channel, Incoming
 from spatialviz.app.frames import FramePictures, FrameStore
-from spatialviz.app.label_editors import LabelEditors
+from spatialviz.app.label_view import LabelEditors
 from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.place import Place
 from spatialviz.app.scene import SceneView

@@ -248,15 +248,10 @@ class Evaluate(Part):
         first, stop = self._within(span)
         self._choose(self._listing.found[first : stop + 1], True)
 
-    @command("choose-all")
-    def choose_all(self) -> None:
-        """Select all that the search has found."""
-        self._choose(self._listing.found, True)
-
-    @command("choose-none")
-    def choose_none(self) -> None:
-        """Select nothing."""
-        self._choose(np.flatnonzero(self._selected), False)
+    @command("choose-all=all", "choose-none=none")
+    def choose_many(self, which: str) -> None:
+        """Select all that the search has found, or nothing."""
+        self._choose(self._listing.found if which == "all" else np.flatnonzero(self._selected), which == "all")
 
     def _choose(self, numbers: np.ndarray, on: bool) -> None:
         self._selected[numbers] = on

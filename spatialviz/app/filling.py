@@ -21,7 +21,6 @@ def fill_page(ctx: Context, suggestions: Sequence[str]) -> None:
         "moves": toolbar.moves_html(moves(dataset, state.frame_id)) if has_moves(dataset) else None,
         "suggestions": None if asked else toolbar.suggestions_html(state, suggestions),
         "tasks": toolbar.tasks_html(state, bool(shared.runs), bool(shared.journals)),
-        "tools": toolbar.tools_html(),
         "problem": toolbar.problem_html(state),
         "ask-problem": toolbar.refusal_html(state),
         "scene-tools": toolbar.scene_tools_html(state),

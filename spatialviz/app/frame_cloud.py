@@ -14,11 +14,11 @@ from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.cloud import CloudPart
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.measure import surface_point
-from pipeline.geometry.palette import DROPPED, Role, depth_colors, instance_colors, palette
+from pipeline.geometry.palette import DROPPED, Role, depth_colors, hex_color, instance_colors, palette
 from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app.context import Context, Part
 from spatialviz.app.frames import LoadedFrame
-from spatialviz.app.scene import Tag
+from spatialviz.app.scene import Tag, plain_color
 from spatialviz.app.scene_client import triple
 from spatialviz.app.state import State
 
@@ -228,7 +228,6 @@ FLOOR_LOW, FLOOR_HIGH = 0.05, 0.1
 """Points so far below and above the lowest ones are of the floor, metres."""
 GRID_LIFT = 0.008
 GRID_COLORS = {True: ((118, 126, 140), (70, 76, 86)), False: ((150, 158, 170), (200, 205, 212))}
-INK = {True: "#f5f7fa", False: "#181a1e"}
 TAG = "/tags/measured"
 
 
@@ -258,7 +257,7 @@ class SceneAids(Part):
                 self.ctx.client.anchor(TAG, (ends[0] + ends[1]) / 2),
                 f"{found.distance:.3f} m",
                 parts,
-                INK[state.dark],
+                hex_color(plain_color(state.dark)),
                 True,
                 extent=triple(half),
             )

@@ -54,14 +54,15 @@ def small(name: str, key: str, do: str, hint: str) -> Element:
 def item_card(view: LabelView, item: ItemKey | None, row: Row | None, selected: int | None) -> Element | None:
     """The item that is open, else the selected object; None without either."""
     reasons = [] if row is None else list(row["reasons"])
-    if item is not None and item.kind == "relation" and item.b is not None:
-        return _relation(view, item, reasons)
-    if item is not None and item.kind == "expression":
-        text = (view.frame.expression(item.what) or {}).get("text", "")
-        return _card(view, "expression", f"“{text}”", "Is this sentence true of what is marked?", reasons)
-    if item is not None and item.a < 0:
-        label = "" if row is None else row["label"]
-        return _card(view, "object", f"No {label} is labelled here", "Is there none?", reasons)
+    match item:
+        case ItemKey(kind="relation") if item.b is not None:
+            return _relation(view, item, reasons)
+        case ItemKey(kind="expression"):
+            text = (view.frame.expression(item.what) or {}).get("text", "")
+            return _card(view, "expression", f"“{text}”", "Is this sentence true of what is marked?", reasons)
+        case ItemKey() if item.a < 0:
+            label = "" if row is None else row["label"]
+            return _card(view, "object", f"No {label} is labelled here", "Is there none?", reasons)
     if selected is None or (labelled := view.frame.objects.get(selected)) is None:
         return None
     name = labelled["label"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
@@ -148,38 +147,25 @@ KINDS = {"all": "all", "relation": "relations", "object": "objects", "expression
 Names = Mapping[tuple[str, int], str]
 
 
-@dataclass(frozen=True)
-class Asked:
-    """What a queue that is made next is made of, besides the rules and the linter.
-
-    Attributes
-    ----------
-    networks : bool
-    detector : bool
-    named : str
-        The detector that can be asked; empty without one.
-    """
-
-    networks: bool = False
-    detector: bool = True
-    named: str = ""
-
-
 def queue_html(
     work: Worklist | None,
     making: QueueProgress,
-    asked: Asked,
+    asked: Mapping[str, bool],
+    named: str,
     kind: str,
     item: ItemKey | None,
     names: Names,
     bulk: Element | None = None,
 ) -> Element:
-    """What the queue is made of, how far that is, what filters it, and the list from the current item on."""
+    """What the queue is made of, how far that is, what filters it, and the list from the current item on.
+
+    `asked` says what the next one is made of besides the rules and the linter, `named` the detector that can be asked.
+    """
     again = "make again" if work is not None else "make"
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
     make = button(again, "make-queue", "ranks the labels by what is switched on here")
     head = heading("Queue", stop if making.running else make).with_(id="queue-head")
-    parts = [head, _asked(asked), h.div(_busy(making), id="queue-busy")]
+    parts = [head, _asked(asked, named), h.div(_busy(making), id="queue-busy")]
     if work is None:
         return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
     counts = work.counts
@@ -195,13 +181,13 @@ def queue_html(
     )
 
 
-def _asked(asked: Asked) -> Element:
-    """What goes into the next queue: switches."""
-    hint = f"what the detector {asked.named} sees otherwise in the labelled frames"
+def _asked(asked: Mapping[str, bool], named: str) -> Element:
+    """What goes into the next queue besides the rules and the linter: switches; `named` is the detector, if any."""
+    hint = f"what the detector {named} sees otherwise in the labelled frames"
     return h.div(
         h.span("rules and linter", cls="try fixed", title="always in it"),
-        _switch("networks", "networks", asked.networks, "networks that have not learnt from a label"),
-        asked.named and _switch("detector", f"detector {asked.named}", asked.detector, hint),
+        _switch("networks", "networks", asked["networks"], "networks that have not learnt from a label"),
+        named and _switch("detector", f"detector {named}", asked["detector"], hint),
         id="queue-asks",
         cls="asks",
     )

@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ from spatialviz.app.label_item import (
 from spatialviz.app.label_part import NO_LABELS, LabelPart
 from spatialviz.app.label_view import Target
 from spatialviz.app.markup import Element, h, heading, panel
-from spatialviz.app.review_html import KINDS, Asked, doubt_html, queue_html, said
+from spatialviz.app.review_html import KINDS, doubt_html, queue_html, said
 
 SHOWN_NEXT = 5
 NEWEST = 3000
@@ -62,6 +63,8 @@ class SourceQueue:
         Of its making, as it was taken last.
     behind : bool
         It has come since the page was drawn.
+    asked : dict of str to bool
+        What the next one is made of besides the rules and the linter.
     """
 
     source: Pipeline
@@ -70,12 +73,12 @@ class SourceQueue:
     newest: Mark = NOTHING
     seen: QueueProgress = field(default_factory=QueueProgress)
     behind: bool = False
+    asked: dict[str, bool] = field(default_factory=lambda: {"networks": False, "detector": True})
 
     @cached_property
-    def asked(self) -> Asked:
-        """What the next one is made of."""
-        second = second_setup(self.source, self.location.labels)
-        return Asked(named="" if second is None else second[0])
+    def second(self) -> tuple[str, Any] | tuple[None, None]:
+        """The detector that can be asked, as it is called, and its setup."""
+        return second_setup(self.source, self.location.labels) or (None, None)
 
     @cached_property
     def names(self) -> dict[tuple[str, int], str]:
@@ -119,7 +122,7 @@ class ReviewQueue(LabelPart):
         queue, place, asked = self._queue, self.location, self._queue.asked
         if place.jobs.queue.running:
             return
-        called, detector = (asked.detector and second_setup(queue.source, place.labels)) or (None, None)
+        called, detector = queue.second if asked["detector"] else (None, None)
         place.jobs.make(
             lambda out: QueueJob(
                 place.labels.root,
@@ -127,7 +130,7 @@ class ReviewQueue(LabelPart):
                 None if place.where is None else str(place.where),
                 place.project,
                 str(queue.source.dataset.root),
-                networks=asked.networks,
+                networks=asked["networks"],
                 detector=detector,
                 called=called,
             )
@@ -141,9 +144,9 @@ class ReviewQueue(LabelPart):
     @command("queue-from")
     def switch(self, what: str) -> None:
         """Put networks or the detector into the next queue, or leave them out."""
-        if what in ("networks", "detector"):
-            asked = self._queue.asked
-            self._queue.asked = replace(asked, **{what: not getattr(asked, what)})
+        asked = self._queue.asked
+        if what in asked:
+            asked[what] = not asked[what]
             self.follow()
 
     def _made(self, queue: SourceQueue) -> None:
@@ -386,7 +389,7 @@ class ReviewQueue(LabelPart):
             self.ctx.reviewed = work.frame_counts
             self.ctx.post(lambda: self.ctx.handle("strip"))
         bulk = None if work is None else bulk_html(self._find, len(self._found(work)), len(work))
-        rows = queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names, bulk)
+        rows = queue_html(work, queue.seen, queue.asked, queue.second[0] or "", self._kind, item, queue.names, bulk)
         page.fill({"review-item": None if view is None else self._card(queue, item), "review-list": rows})
 
     def _card(self, queue: SourceQueue, item: ItemKey | None) -> Element:

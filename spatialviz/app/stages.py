@@ -95,11 +95,12 @@ def parse_evidence(state: State, trace: Trace) -> list[Child]:
 
 
 def _chip(state: State, text: str, span: Span) -> Element:
-    if span.role == "target" or span.role == "reference":
-        css = {"--c": hex_color(palette(state.dark)[span.role])}
-        return h.button(text, cls="chip", css=css, do=f"chip:{span.role}", title=f"select the {span.role}")
-    if span.role == "unused":
-        return h.span(h.s(text), cls="chip rel unused", title=f"not used: {span.note}")
+    match span.role:
+        case "target" | "reference" as role:
+            css = {"--c": hex_color(palette(state.dark)[role])}
+            return h.button(text, cls="chip", css=css, do=f"chip:{role}", title=f"select the {role}")
+        case "unused":
+            return h.span(h.s(text), cls="chip rel unused", title=f"not used: {span.note}")
     return h.span(text, cls="chip rel", title=span.role)
 
 

@@ -119,16 +119,6 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
     return panel(h.ul(rows, cls="suggestions"))
 
 
-TOOLS = (
-    ("share", "Copy link", "the address of this view, into the clipboard (Ctrl+C)", {"local": "share"}),
-    ("copy-state", "Copy view", "the view with its edits as a string (Shift+C)", {"do": "copy-state"}),
-    ("paste-state", "Open view", "open a view from its string (Shift+V)", {"do": "paste-state"}),
-    ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)", {"do": "keep-case"}),
-    ("report", "Report", "one page of this answer, as a download (Shift+P)", {"do": "report"}),
-    ("theme", "Dark or light", "M", {"do": "theme"}),
-    ("help", "Keys", "all keys (?)", {"do": "help"}),
-)
-
 LISTED_FRAMES = 1000
 """A list of more frames would be slow to open; around the current one are enough to pick from."""
 
@@ -165,12 +155,6 @@ def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | Non
     possible = {"explain": True, "evaluate": with_run, "label": with_labels}
     tasks = {name: name.capitalize() for name, is_so in possible.items() if is_so}
     return segments("task", tasks, state.task, "What the page is for", TASK_HINTS) if len(tasks) > 1 else None
-
-
-def tools_html() -> Element:
-    """What one may want to keep or change, in one menu."""
-    items = (h.button(name, h.small(hint), title=hint, id=f"tool-{key}", **how) for key, name, hint, how in TOOLS)
-    return h.details(h.summary("⋯", aria_label="Tools", title="share, keep, look"), h.div(items), cls="menu")
 
 
 def problem_html(state: State) -> Element | None:
