@@ -80,8 +80,7 @@ class Session(Context):
             pointing,
             selection.ViewSettings(self),
             keys.Keys(self),
-            view_strings.Keeping(self, self._judge, self._strings.now),
-            view_strings.RowCases(self, self._judge, self._runs.selected),
+            view_strings.Keeping(self, self._judge, self._strings.now, self._runs.selected),
             *self._labels.parts,
         )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}

@@ -162,18 +162,6 @@ class Site:
         self._pages.log(problem)
 
 
-class _Told(logging.Handler):
-    """What websockets logs: whoever breaks off would fill the terminal with it."""
-
-    def __init__(self, log: Callable[[str], None]) -> None:
-        super().__init__(logging.WARNING)
-        self._log = log
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Say it shortly."""
-        self._log(f"{record.getMessage()}: {record.exc_info[1] if record.exc_info else ''}")
-
-
 def _scene_of(path: str) -> str:
     return path.removeprefix("/scene/").rstrip("/")
 
@@ -196,8 +184,13 @@ def served_by(site: Site | Nobody) -> Iterator[None]:
                 connection.protocol.available_extensions = [ServerPerMessageDeflateFactory(compress_settings=DEFLATED)]
             return await site.answer(connection, request)
 
-        logger = logging.Logger("spatialviz.sockets")
-        logger.addHandler(_Told(site.log))
+        def told(record: logging.LogRecord) -> bool:
+            site.log(f"{record.getMessage()}: {record.exc_info[1] if record.exc_info else ''}")
+            return False
+
+        # What websockets logs is said shortly: whoever breaks off would fill the terminal with it.
+        logger = logging.Logger("spatialviz.sockets", logging.WARNING)
+        logger.addFilter(told)
         options |= {
             "logger": logger,
             "close_timeout": CLOSE_SECONDS,

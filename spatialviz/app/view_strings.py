@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -274,6 +274,8 @@ def _detections(
 CASES = "cases"
 """The folder, under the one that the program was started in, that cases are saved in."""
 LONGEST_NAME = 80
+MOST, TOLD = 200, 5
+"""Cases that are made at once, and reasons that are told why some are not."""
 
 
 def folder_name(text: str) -> str:
@@ -282,11 +284,17 @@ def folder_name(text: str) -> str:
 
 
 class Keeping(Part):
-    """Saves what one client looks at."""
+    """Saves what one client looks at, and cases of what `selected` gives: rows of a run."""
 
-    def __init__(self, ctx: Context, judge: Judge, view: Callable[[], ViewState]) -> None:
+    def __init__(
+        self,
+        ctx: Context,
+        judge: Judge,
+        view: Callable[[], ViewState],
+        selected: Callable[[], list[dict[str, Any]]],
+    ) -> None:
         super().__init__(ctx)
-        self._judge, self._view = judge, view
+        self._judge, self._view, self._selected = judge, view, selected
 
     @command("keep-case")
     def ask_name(self) -> None:
@@ -318,9 +326,8 @@ class Keeping(Part):
         folder = Path(CASES) / clean
         require(clean, "this is no name for a folder", got=repr(name[:40]), expected="letters and digits")
         require(not folder.exists(), "there is a case of this name already", expected="another name", path=folder)
-        (source, context, state), run = self._answered(), self.ctx.run
-        origin = {} if run is None else {"run": str(run.folder), "expression": self._view().expression_id}
-        save_case(folder, source, context, state.text, run=origin, **self._given(source, context))
+        source, context, state = self._answered()
+        self._save(folder, context, state.text, self._view().expression_id, self._given(source, context))
         replay = shlex.join(["spatialviz", "replay", str(folder)])
         self.ctx.note(f"case saved: {replay}")
         self.ctx.dialog.show(
@@ -332,6 +339,13 @@ class Keeping(Part):
             ),
             h.button("Copy the command", local="copy"),
         )
+
+    def _save(
+        self, folder: Path, context: PreparedFrame, text: str, expression: str | None, given: Mapping[str, Any]
+    ) -> None:
+        run = self.ctx.run
+        origin = {} if run is None else {"run": str(run.folder), "expression": expression}
+        save_case(folder, self.ctx.source, context, text, run=origin, **given)
 
     @command("report")
     def report(self) -> None:
@@ -369,20 +383,8 @@ class Keeping(Part):
         shares = shares_of_answer(self.ctx.source, self._judge.labels) if run is None else run.shares
         return Subject(view.dataset, view.frame, commands, string, facts, shares)
 
-
-MOST, TOLD = 200, 5
-"""Cases that are made at once, and reasons that are told why some are not."""
-
-
-class RowCases(Part):
-    """Makes cases of what `selected` gives: rows of a run."""
-
-    def __init__(self, ctx: Context, judge: Judge, selected: Callable[[], list[dict[str, Any]]]) -> None:
-        super().__init__(ctx)
-        self._judge, self._selected = judge, selected
-
     @command("row-cases")
-    def make(self) -> None:
+    def save_rows(self) -> None:
         """Save each of the selected as a case; one that is there already stays."""
         rows, count = self._selected(), len(self._selected())
         require(count <= MOST, "so many cases are not made at once", got=count, expected=f"up to {MOST}")
@@ -400,7 +402,7 @@ class RowCases(Part):
                 there.append(folder)
             else:
                 try:
-                    self._save(folder, row)
+                    self._save_row(folder, row)
                     saved.append(str(folder))
                 except InputError as error:
                     refused.append(f"{row['text']}: {error}")
@@ -408,8 +410,8 @@ class RowCases(Part):
 
         self.ctx.post(make)
 
-    def _save(self, folder: Path, row: dict[str, Any]) -> None:
-        here, run = self.state, self.ctx.run
+    def _save_row(self, folder: Path, row: dict[str, Any]) -> None:
+        here = self.state
         context = self.ctx.shared.store.load(here.source, row["frame"]).context
         # What is judged is what is looked at.
         self.state = replace(here, frame_id=row["frame"])
@@ -418,8 +420,7 @@ class RowCases(Part):
             known = self._judge.known(truth, row["id"])
         finally:
             self.state = here
-        origin = {} if run is None else {"run": str(run.folder), "expression": row["id"]}
-        save_case(folder, self.ctx.source, context, row["text"], truth=truth, run=origin, **known)
+        self._save(folder, context, row["text"], row["id"], {"truth": truth, **known})
 
     def _tell(self, saved: list[str], refused: list[str], there: int) -> None:
         self.ctx.dialog.show(
