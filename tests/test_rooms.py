@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import ast
+import re
+import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -26,25 +30,48 @@ ROOMS = (
 """From the ground up."""
 
 
+@dataclass(frozen=True)
+class Imports:
+    """What a module imports: in functions too; at its top; and there without conditions, such as for types."""
+
+    everywhere: list[ast.Import | ast.ImportFrom]
+    top: list[ast.Import | ast.ImportFrom]
+    always: list[ast.Import | ast.ImportFrom]
+
+
 @cache
-def modules() -> dict[str, ast.Module]:
+def modules() -> dict[str, Imports]:
     """Every module of the core by its dotted name."""
     found = {}
     for path in sorted((ROOT / "pipeline").rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
-        found[".".join(parts).removesuffix(".__init__")] = ast.parse(path.read_text(encoding="utf-8"))
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        everywhere = [n for n in ast.walk(tree) if isinstance(n, (ast.Import, ast.ImportFrom))]
+        top = {id(n) for n in tree.body for n in ([n] if not isinstance(n, (ast.If, ast.Try)) else ast.walk(n))}
+        found[".".join(parts).removesuffix(".__init__")] = Imports(
+            everywhere, [n for n in everywhere if id(n) in top], [n for n in everywhere if n in tree.body]
+        )
     return found
 
 
-def imported(tree: ast.Module) -> Iterator[tuple[str, int]]:
-    """Modules of the core that one imports, at its top, in a function or for its types, and in which line."""
-    for node in ast.walk(tree):
+def imported(nodes: list[ast.Import | ast.ImportFrom]) -> Iterator[tuple[str, int]]:
+    """Modules of the core that these name, and in which line."""
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from ((a.name, node.lineno) for a in node.names if a.name in modules())
         elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "pipeline":
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
                 yield (whole if whole in modules() else node.module), node.lineno
+
+
+def packages(nodes: list[ast.Import | ast.ImportFrom]) -> Iterator[str]:
+    """Top-level names of what these import."""
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            yield from (a.name.split(".")[0] for a in node.names)
+        elif node.module and not node.level:
+            yield node.module.split(".")[0]
 
 
 def room(module: str) -> str:
@@ -61,16 +88,20 @@ def test_only_the_package_itself_stands_outside_the_rooms() -> None:
 def test_a_room_imports_only_rooms_below_it() -> None:
     upwards = [
         f"{name}:{line} imports {target}"
-        for name, tree in modules().items()
+        for name, found in modules().items()
         if name != "pipeline"
-        for target, line in imported(tree)
+        for target, line in imported(found.everywhere)
         if room(target) and ROOMS.index(room(target)) > ROOMS.index(room(name))
     ]
     assert not upwards
 
 
 def test_no_imports_run_in_a_circle() -> None:
-    arrows = {name: {t for t, _ in imported(tree)} - {name} for name, tree in modules().items() if name != "pipeline"}
+    arrows = {
+        name: {t for t, _ in imported(found.everywhere)} - {name}
+        for name, found in modules().items()
+        if name != "pipeline"
+    }
     # What imports nothing that is left is taken away; what cannot be taken away stands in a circle or above one.
     left = {name: targets & arrows.keys() for name, targets in arrows.items()}
     while free := [name for name, targets in left.items() if not targets & left.keys()]:
@@ -115,11 +146,10 @@ LAZY_PARTS = {"pipeline.proposals.registry"}
 """A pipeline starts 80 ms sooner where only the detector and the segmenter that are asked for are imported."""
 
 
-def hidden(module: str, tree: ast.Module) -> Iterator[tuple[str, int]]:
+def hidden(found: Imports) -> Iterator[tuple[str, int]]:
     """Modules that a module imports within functions, and in which line."""
-    top = {id(n) for n in tree.body for n in ([n] if not isinstance(n, (ast.If, ast.Try)) else ast.walk(n))}
-    for node in ast.walk(tree):
-        if isinstance(node, (ast.Import, ast.ImportFrom)) and id(node) not in top:
+    for node in found.everywhere:
+        if node not in found.top:
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
             if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "pipeline":
                 wholes = {f"{node.module}.{a.name}" for a in node.names}
@@ -130,19 +160,32 @@ def hidden(module: str, tree: ast.Module) -> Iterator[tuple[str, int]]:
 @cache
 def brings_in(module: str) -> frozenset[str]:
     """Heavy packages that are loaded with a module of the core; there are no circles to run in."""
-    tops: list[ast.stmt] = [n for n in modules()[module].body if isinstance(n, (ast.Import, ast.ImportFrom))]
-    found = {a.name.split(".")[0] for n in tops if isinstance(n, ast.Import) for a in n.names}
-    found |= {n.module.split(".")[0] for n in tops if isinstance(n, ast.ImportFrom) and n.module}
-    targets = {target for target, _ in imported(ast.Module(tops, []))} - {module, "pipeline"}
+    tops = modules()[module].always
+    found = set(packages(tops))
+    targets = {target for target, _ in imported(tops)} - {module, "pipeline"}
     return frozenset(found & HEAVY).union(*map(brings_in, targets))
 
 
 def test_imports_within_functions_save_time_or_an_extra() -> None:
     needless = [
         f"{name}:{line} imports {target}"
-        for name, tree in modules().items()
+        for name, found in modules().items()
         if name != "pipeline" and name not in LAZY_PARTS
-        for target, line in hidden(name, tree)
+        for target, line in hidden(found)
         if target.split(".")[0] not in HEAVY and not (target in modules() and brings_in(target) - brings_in(name))
     ]
     assert not needless
+
+
+def test_every_library_that_the_core_imports_is_declared() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    table = text.split("[project.scripts]")[0]
+    declared = {n.lower().replace("_", "-") for n in re.findall(r'^\s*"([A-Za-z0-9_-]+)(?=[<>=;"\[])', table, re.M)}
+    declared |= {n.lower() for n in re.findall(r'"([A-Za-z0-9_-]+)(?:\[[^\]]*\])?[<>=][^"]*"', table)}
+    owners = packages_distributions()
+    missing = {}
+    for module, found in modules().items():
+        for name in set(packages(found.everywhere)) - set(sys.stdlib_module_names) - {"pipeline"}:
+            if not {d.lower().replace("_", "-") for d in owners.get(name, [name])} & declared:
+                missing.setdefault(name, module)
+    assert not missing, f"imported, but not among the dependencies of pyproject.toml: {missing}"

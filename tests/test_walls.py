@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 import subprocess
 import sys
-from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -73,31 +71,6 @@ def test_tests_mirror_the_rooms() -> None:
     rooms = {p.parent.name for p in (ROOT / "pipeline").glob("*/__init__.py")}
     folders = {p.parent.name for p in (ROOT / "tests").glob("*/test_*.py")}
     assert folders == rooms
-
-
-def imports_of(path: Path) -> set[str]:
-    """Top-level names of what a module imports, lazily or not."""
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names |= {a.name.split(".")[0] for a in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names.add(node.module.split(".")[0])
-    return names
-
-
-def test_every_library_that_the_core_imports_is_declared() -> None:
-    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    table = text.split("[project.scripts]")[0]
-    declared = {n.lower().replace("_", "-") for n in re.findall(r'^\s*"([A-Za-z0-9_-]+)(?=[<>=;"\[])', table, re.M)}
-    declared |= {n.lower() for n in re.findall(r'"([A-Za-z0-9_-]+)(?:\[[^\]]*\])?[<>=][^"]*"', table)}
-    owners = packages_distributions()
-    missing = {}
-    for path in SOURCES:
-        for name in imports_of(path) - set(sys.stdlib_module_names) - {"pipeline"}:
-            if not {d.lower().replace("_", "-") for d in owners.get(name, [name])} & declared:
-                missing.setdefault(name, path.relative_to(ROOT).as_posix())
-    assert not missing, f"imported, but not among the dependencies of pyproject.toml: {missing}"
 
 
 def test_no_machine_path_is_written_into_the_core() -> None:

@@ -17,7 +17,8 @@ else:
             self._name = name
 
         def __getattr__(self, attribute: str) -> Any:
-            return getattr(import_module(self._name), attribute)
+            found = self.__dict__[attribute] = getattr(import_module(self._name), attribute)
+            return found
 
     pa, pc, pj, pq = (_Lazy(f"pyarrow{part}") for part in ("", ".compute", ".json", ".parquet"))
 
