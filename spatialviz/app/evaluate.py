@@ -122,16 +122,11 @@ class Evaluate(Part):
         offered = complete(typed, fields, OFFERED) if 0 < len(typed) <= LONGEST_SEARCH else ()
         self.ctx.page.show("offers", offers_html(offered))
 
-    @command("facet")
-    def add(self, term: str, without: bool = False) -> None:
-        """Ask for one more value of a facet, or no more for it."""
-        listing = self._listing
+    @command("facet", "facet-not")
+    def refine(self, term: str, by: str) -> None:
+        """Ask for one more value of a facet, or leave out what has it; where that is so already, no more."""
+        listing, without = self._listing, by == "facet-not"
         self.find(with_value(listing.query, term[:LONGEST_SEARCH], listing.figures.rows.records.schema, without))
-
-    @command("facet-not")
-    def leave_out(self, term: str) -> None:
-        """Leave out what has a value, or no more."""
-        self.add(term, without=True)
 
     @command("facet-more")
     def unfold(self, name: str) -> None:
@@ -139,15 +134,10 @@ class Evaluate(Part):
         self._opened ^= {name}
         self._draw()
 
-    @command("filter-keep")
-    def keep(self, name: str) -> None:
-        """Keep the search under a name."""
-        self._note(lambda listing: listing.figures.rows.keep(name, listing.query))
-
-    @command("filter-drop")
-    def drop(self, name: str) -> None:
-        """Forget a search that was kept."""
-        self._note(lambda listing: listing.figures.rows.keep(name, None))
+    @command("filter-keep", "filter-drop")
+    def keep(self, name: str, by: str) -> None:
+        """Keep the search under a name, or forget one that was kept."""
+        self._note(lambda listing: listing.figures.rows.keep(name, listing.query if by == "filter-keep" else None))
 
     def _note(self, change: Callable[[Listing], None]) -> None:
         try:
@@ -263,17 +253,12 @@ class Evaluate(Part):
         ends = np.flatnonzero(np.diff(self._selected[self._listing.found].astype(np.int8), prepend=0, append=0))
         self.ctx.page.call("chosen", {"version": self._version, "spans": ends.reshape(-1, 2).tolist()})
 
-    @command("mark-rows")
-    def mark(self, name: str, on: bool = True) -> None:
-        """Give the selected a mark."""
+    @command("mark-rows", "unmark-rows")
+    def mark(self, name: str, by: str) -> None:
+        """Give the selected a mark, or take it from them."""
         if name.strip():
             numbers = np.flatnonzero(self._selected).tolist()
-            self._note(lambda listing: listing.figures.rows.mark(numbers, name, on))
-
-    @command("unmark-rows")
-    def unmark(self, name: str) -> None:
-        """Take a mark from the selected."""
-        self.mark(name, False)
+            self._note(lambda listing: listing.figures.rows.mark(numbers, name, by == "mark-rows"))
 
     def selected(self) -> list[dict[str, Any]]:
         """The rows that are selected."""
