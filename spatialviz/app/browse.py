@@ -41,9 +41,9 @@ class Browse(Part):
             self.ctx.open_frame(self._ids[number])
 
     @command("next-frame")
-    def step(self, by: int) -> None:
+    def step(self, step: int) -> None:
         """Show the next frame, or the one before."""
-        self.open_number(self._ids.index(self.state.frame_id) + by)
+        self.open_number(self._ids.index(self.state.frame_id) + step)
 
     @command("move")
     def move(self, move: str) -> None:
