@@ -82,6 +82,8 @@ class Ask(Output):
     save: Path | None = None
     """Write the answer as a picture."""
     labels: Truth = None
+    complete: Flag = False
+    """Ask nothing: print what the words may go on with; without any, examples that fit the frame."""
 
 
 @dataclass(frozen=True)

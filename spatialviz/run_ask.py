@@ -11,10 +11,10 @@ from typing import Any
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import taken_as, unused_words
 from pipeline.answering.json_records import frame_record, probability, relation_records, told, why_no_answer
-from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import FrameRelations, open_pipeline, open_sources, relate_frames
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.answering.suggestions import MissedNames, missed_names
+from pipeline.answering.suggestions import MissedNames, completions, missed_names, suggest_expressions
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.camera_plan import CameraPlan, camera_plan
 from pipeline.datasets.importing import import_recording
@@ -41,6 +41,8 @@ SHOWN_PAIRS = 5
 
 
 def run_ask(command: Ask) -> int:
+    if command.complete:
+        return _complete(command)
     require(command.expressions, "an expression is missing", expected='for example "mug left of the laptop"')
     require(
         command.save is None or (command.frame != ALL_FRAMES and len(command.expressions) <= 1),
@@ -59,6 +61,17 @@ def run_ask(command: Ask) -> int:
         if command.save is not None:
             save_picture(trace, command.save)
     return FINE if answered else NO
+
+
+def _complete(command: Ask) -> int:
+    """Print what may come next of an expression."""
+    source = command.source.open(command.dataset, command.frame)
+    context = source.prepare(one_frame(source.dataset.frame_ids, command.frame, source.dataset.root))
+    objects = all_objects(context, source.needed_detector())
+    examples = suggest_expressions(objects, source.score(context, objects), context.viewer)
+    found = completions(" ".join(command.expressions), [o.label for o in objects], examples)
+    command.write(iter(found), print_rows, ("text", "kind", "detail"), [tuple(offer.values()) for offer in found])
+    return FINE if found else NO
 
 
 def run_relations(command: Relations) -> int:

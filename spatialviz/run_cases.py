@@ -18,13 +18,12 @@ from pipeline.diagnosis.cases.manifest import Expected
 from pipeline.diagnosis.cases.replay import Result, find_cases, replay_all
 from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
+from pipeline.diagnosis.whatif.asked_pair import asked_pair
 from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
-from pipeline.diagnosis.whatif.placement import place_in_region
 from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
-from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.relations import Profile, letter
+from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, require
 from spatialviz.cli_ask import Replay, Report, SaveCase, WhatIf
 from spatialviz.options import BAD, FINE, NO, one_frame
@@ -171,14 +170,11 @@ def whatif_record(
         "timings_ms": {stage: round(seconds * 1000, 3) for stage, seconds in trace.timings.items()},
         "pairs_scored": after.pairs_scored,
     }
-    relation = trace.relation
-    if trace.ranking is not None and trace.ranking.pairs[0].reference is not None and relation in PAIRWISE:
-        pair = trace.ranking.pairs[0]
-        ends = [trace.objects[k].lifted for k in (pair.target, pair.reference) if k is not None]
-        first, second = ends[::-1] if trace.inverse else ends
-        placed = place_in_region(first, second, relation, trace.viewer, Profile(**edits.profile))
+    asked = asked_pair(trace, None if trace.ranking is None else trace.ranking.pairs[0], edits)
+    if asked is not None:
+        placed = asked.placement
         record["placement"] = {
-            "relation": relation,
+            "relation": trace.relation,
             "state": letter(placed.state),
             "why": placed.why,
             "measures": {name: round(value, 6) for name, value in placed.measures.items()},

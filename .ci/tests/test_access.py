@@ -8,7 +8,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from pipeline.system.errors import InputError
-from spatialviz.app.access import Access
+from spatialviz.app.site import Access
 
 TOKEN = "a-token-of-24-characters"
 

@@ -16,8 +16,7 @@ from pipeline.evaluation.run_folder import Run, open_run
 from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Call
 from spatialviz.app.context import Context, Shared
-from spatialviz.app.frame_pictures import FramePictures
-from spatialviz.app.frames import FrameStore
+from spatialviz.app.frames import FramePictures, FrameStore
 from spatialviz.app.layout import Page
 
 

@@ -1,9 +1,10 @@
-"""What to ask of a frame: expressions that are true and clear-cut, and what is seen where a name was not found."""
+"""What to ask of a frame: expressions that are true and clear-cut, words to go on with, what is seen where a name was
+not found."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,48 @@ def _worded(target: str, relation: str, reference: str, class_names: tuple[str, 
         if (normal_form(read.target), normal_form(read.reference or "")) == meant:
             return text
     return None
+
+
+OFFERED = 8
+
+
+def completions(
+    typed: str, labels: Iterable[str], examples: Sequence[str] = (), asked: Sequence[str] = ()
+) -> list[dict[str, str]]:
+    """What may come next of an expression that is typed, the best first, at most `OFFERED`.
+
+    Parameters
+    ----------
+    labels : iterable of str
+        Names of the frame's objects.
+    examples, asked : sequence of str
+        Whole expressions that fit the frame, and that were asked before.
+
+    Returns
+    -------
+    list of dict
+        {"text", "kind", "detail"}: a "question" stands for all that is typed, a "name" or a "relation" ends it.
+    """
+    text, sources = typed.lower(), (("asked before", asked), ("example", examples))
+    found = [{"text": t, "kind": "question", "detail": detail} for detail, whole in sources for t in whole]
+    if text.strip():
+        found = [o for o in found if o["text"].lower().startswith(text) and o["text"].lower() != text]
+        names = sorted(set(labels), key=lambda n: (len(n), n))
+        # A relation follows a name, else a name does.
+        due = "relation" if any(text.rstrip().endswith(name.lower()) for name in names) else "name"
+        for kind, detail, words in (("name", "in this frame", names), ("relation", "relation", PHRASE.values())):
+            fitting = (w for w in words if _begins(text, w.lower()) or (text.endswith(" ") and kind == due))
+            found += [{"text": word, "kind": kind, "detail": detail} for word in fitting]
+    once: dict[str, dict[str, str]] = {}
+    for offer in found:
+        once.setdefault(offer["text"].strip().lower(), offer)
+    return list(once.values())[:OFFERED]
+
+
+def _begins(text: str, word: str) -> bool:
+    """Whether the end of a text, from the beginning of a word of it, begins this word."""
+    starts = (k for k in range(max(0, len(text) - len(word) + 1), len(text)) if k == 0 or text[k - 1] == " ")
+    return any(word.startswith(text[k:]) for k in starts)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,14 @@ class Doubt:
     factor: float | None = None
 
 
+def depth_doubt(frame: Frame) -> Doubt | None:
+    """As `plausibility`, of a measured depth.
+
+    Of a camera that is made up nothing can be said, and what a network estimates has no unit that could be wrong.
+    """
+    return None if frame.camera.untold or frame.depth_source else plausibility(frame)
+
+
 def plausibility(frame: Frame) -> Doubt | None:
     """What speaks against the depth of a frame, None where nothing does.
 

@@ -12,7 +12,9 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import holds, pair_words, present, told, trace_record, why_no_answer
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
+from pipeline.datasets.plausible import depth_doubt
 from pipeline.diagnosis.oracles import RECALL, names_of
+from pipeline.diagnosis.stages import stages_of
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.system.errors import InputError
 from pipeline.system.in_notebook import InNotebook
@@ -122,11 +124,15 @@ class Answer(InNotebook):
         return self.trace
 
     def record(self) -> dict[str, Any]:
-        """All of `ask --json`: `trace_record`, and where truth is known "verdict", or null with "verdict_reason"."""
+        """All of `ask --json`: `trace_record`, "stages" with how each fared in words, and where truth is known
+        "verdict", or null with "verdict_reason"."""
+        record, judged, trace = _answer_record(self), self.diagnosis or self.unjudged, self.trace
+        if trace is not None:
+            odd = depth_doubt(trace.frame) is not None
+            record["stages"] = [stage.record() for stage in stages_of(trace, judged, odd_depth=odd)]
         if self.diagnosis is not None:
-            return {**_answer_record(self), "verdict": diagnosis_record(self.diagnosis)}
-        reason = {} if self.unjudged is None else {"verdict": None, "verdict_reason": self.unjudged}
-        return _answer_record(self) | reason
+            return {**record, "verdict": diagnosis_record(self.diagnosis)}
+        return record | ({} if self.unjudged is None else {"verdict": None, "verdict_reason": self.unjudged})
 
     def what_if(self, edits: Edited) -> Answer:
         """The answer under edits, written as for `whatif --edits`; its verdict is by the same truth.

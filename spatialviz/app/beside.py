@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import get_args
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.answering.agreement.agreement import MIN_IOU
 from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.palette import RGB, hex_color, ink, palette
+from pipeline.geometry.palette import hex_color, ink, palette
 from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.markup import (
     DOUBT,
@@ -84,17 +84,20 @@ class BesideLayer(Part):
         if live or marks == self._drawn:
             return self._tags
         self._drawn = marks
-        color, alike = palette(state.dark)["second"], _alike(state)
+        color, alike = np.array(palette(state.dark)["second"]), _alike(state)
+        faint = (color + (20 if state.dark else 250)) // 2
         boxes = {j: self.ctx.scene.shown_box(o.lifted.box) for j, o in enumerate(objects) if o.lifted.box is not None}
         shown = boxes if state.boxes_shown else {}
         drawn = (
-            ("alike", [j for j in shown if j in alike], _faint(color, state.dark), 1.2),
+            ("alike", [j for j in shown if j in alike], faint, 1.2),
             ("apart", [j for j in shown if j not in alike], color, 2.2),
             ("chosen", [j for j in boxes if j == chosen], color, 4.0),
         )
         with self.ctx.client.atomic():
             for name, which, look, width in drawn:
-                self.ctx.client.lines(f"/beside/{name}", _dashes([boxes[j] for j in which]), look, width)
+                # A little larger, so that they do not lie in the very lines of the own boxes.
+                lines = dashed(edges([boxes[j] for j in which], GHOST_GROWTH), DASH)
+                self.ctx.client.lines(f"/beside/{name}", lines, look, width)
             self._tags = [self._tag(state.beside, j, boxes[j]) for j in boxes if state.beside and j == chosen]
         return self._tags
 
@@ -109,17 +112,6 @@ def _alike(state: State) -> set[int]:
     if state.beside is None or state.layers != "both":
         return set()
     return set(state.beside.found.pairs[state.beside.found.same, 1].tolist())
-
-
-def _dashes(boxes: Sequence[Box3D]) -> np.ndarray:
-    # A little larger, so that they do not lie in the very lines of the own boxes.
-    return dashed(edges(boxes, GHOST_GROWTH), DASH) if boxes else np.zeros((0, 2, 3), np.float32)
-
-
-def _faint(color: RGB, dark: bool) -> RGB:
-    """Half way to the background."""
-    r, g, b = ((c + (20 if dark else 250)) // 2 for c in color)
-    return r, g, b
 
 
 def second_name(beside: SecondDetections, j: int) -> str:
@@ -188,12 +180,9 @@ def agreement_html(state: State) -> Element:
         (sums.only_a, other, "only A", ""),
         (sums.only_b, second, "only B", "second"),
     )
-    figures = (
-        ("agreement", sums.share),
-        ("of places", sums.share_placed),
-        ("mean IoU", sums.mean_iou),
-        ("scores ρ", sums.score_correlation),
-    )
+    shown = {"agreement": sums.share, "of places": sums.share_placed, "mean IoU": sums.mean_iou,
+             "scores ρ": sums.score_correlation}  # fmt: skip
+    figures = ((name, "–" if p is None else f"{p:.2f}".replace("-", "−")) for name, p in shown.items())
     return panel(
         title,
         h.div(
@@ -211,14 +200,10 @@ def agreement_html(state: State) -> Element:
             ),
             cls="legend",
         ),
-        h.div((h.span(h.b(_figure(value)), term(name), cls="dim") for name, value in figures), cls="kappas"),
+        h.div((h.span(h.b(value), term(name), cls="dim") for name, value in figures), cls="kappas"),
         _rows(state, beside),
         _beyond(beside),
     )
-
-
-def _figure(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}".replace("-", "−")
 
 
 def _rows(state: State, beside: SecondDetections) -> Child:

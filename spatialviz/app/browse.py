@@ -35,16 +35,15 @@ class Browse(Part):
         return tuple(self.ctx.source.dataset.frame_ids)
 
     @command("frame")
-    def open_number(self, number: str) -> None:
+    def open_number(self, number: int) -> None:
         """Show the frame of a number."""
-        if number.isdecimal() and int(number) < len(self._ids):
-            self.ctx.open_frame(self._ids[int(number)])
+        if 0 <= number < len(self._ids):
+            self.ctx.open_frame(self._ids[number])
 
     @command("next-frame")
-    def step(self, by: str) -> None:
+    def step(self, step: int) -> None:
         """Show the next frame, or the one before."""
-        if by.lstrip("-").isdecimal():
-            self.open_number(str(self._ids.index(self.state.frame_id) + int(by)))
+        self.open_number(self._ids.index(self.state.frame_id) + step)
 
     @command("move")
     def move(self, move: str) -> None:

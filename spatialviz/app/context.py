@@ -19,9 +19,8 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
 from spatialviz.app.channel import Channel, Incoming
-from spatialviz.app.frame_pictures import FramePictures
-from spatialviz.app.frames import FrameStore
-from spatialviz.app.label_editors import LabelEditors
+from spatialviz.app.frames import FramePictures, FrameStore
+from spatialviz.app.label_view import LabelEditors
 from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.place import Place
 from spatialviz.app.scene import SceneView
@@ -30,6 +29,7 @@ from spatialviz.app.state import State
 
 LOG_LENGTH = 200
 Method = TypeVar("Method", bound=Callable[..., Any])
+Thing = TypeVar("Thing")
 
 
 @dataclass(frozen=True)
@@ -201,6 +201,17 @@ class Part:
         self.ctx.state = state
 
 
+class Idle(Exception):
+    """A command came for what is not there now: nothing happens."""
+
+
+def there(value: Thing | None) -> Thing:
+    """What a command is for; `Idle` where it is not there."""
+    if value is None:
+        raise Idle
+    return value
+
+
 def choice(options: Sequence[str], now: str, wanted: str) -> str | None:
     """One of several by its name, or the "next" after the one that is on; None where there is none such."""
     if wanted == "next":
@@ -211,7 +222,8 @@ def choice(options: Sequence[str], now: str, wanted: str) -> str | None:
 def command(*names: str) -> Callable[[Method], Method]:
     """Have the page's commands of these names call a method, with what stands after the colon where it takes that.
 
-    "name=argument" always calls it with this argument. What should be a whole number and is none does nothing.
+    "name=argument" always calls it with this argument. What should be a whole number and is none does nothing. A
+    parameter `by` gets the command's own name.
     """
 
     def mark(method: Method) -> Method:
@@ -227,21 +239,22 @@ def commands_of(part: object) -> dict[str, Callable[[str], None]]:
     for attribute, method in inspect.getmembers(type(part), lambda member: hasattr(member, "commands")):
         for said in method.commands:
             name, fixed, argument = said.partition("=")
-            found[name] = _taking(getattr(part, attribute), argument if fixed else None)
+            found[name] = _taking(getattr(part, attribute), argument if fixed else None, name)
     return found
 
 
-def _taking(method: Callable[..., Any], fixed: str | None) -> Callable[[str], None]:
-    parameters = list(inspect.signature(method).parameters.values())
-    kind = parameters[0].annotation if parameters else None
+def _taking(method: Callable[..., Any], fixed: str | None, name: str) -> Callable[[str], None]:
+    parameters = inspect.signature(method).parameters
+    kind = next((p.annotation for p in parameters.values()), None)
+    more = {"by": name} if "by" in parameters else {}
 
     def run(said: str) -> None:
         text = said if fixed is None else fixed
         if kind is None:
             method()
         elif kind != "int":
-            method(text)
+            method(text, **more)
         elif text.lstrip("-").isdecimal():
-            method(int(text))
+            method(int(text), **more)
 
     return run

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -39,13 +39,31 @@ def edited_by(said: str, state: State, source: Pipeline, keys: tuple[str, ...]) 
     InputError
         For what cannot be done, and why.
     """
-    what, *rest = said.split(":")
-    if what in ("center", "size", "yaw"):
-        key, entry = _selected(state, keys)
-        box = needed(entry.lifted.box, "the selected object has no 3D box: there is no depth in its pixels")
-        return state.edits.with_box(key, box_with(box, _loaded(state).context.viewer, what, rest))
-    require(what in _EDITS, "there is no such edit", got=said)
-    return _EDITS[what](state, source, keys, rest)
+    edits, (what, *rest) = state.edits, said.split(":")
+    match what, rest:
+        case "center" | "size" | "yaw", _:
+            key, entry = _selected(state, keys)
+            box = needed(entry.lifted.box, "the selected object has no 3D box: there is no depth in its pixels")
+            return edits.with_box(key, box_with(box, _loaded(state).context.viewer, what, rest))
+        case "hide", _:
+            entry = None if state.selected is None else state.shown.objects[state.selected]
+            if entry is not None and entry.id >= 0 and f"#{entry.id}" in edits.hidden:
+                return edits.with_shown(f"#{entry.id}")
+            return edits.with_hidden(_selected(state, keys)[0])
+        case "confidence", [number, p]:
+            name = list(needed(state.trace, "nothing is asked").candidates)[int(number)]
+            return edits.with_confidence(name, _selected(state, keys)[0], number_of([p]))
+        case "relation", [*ends, p]:
+            return _relation(state, keys, ends, number_of([p]))
+        case "mask", [way, *more]:
+            # A new mask is lifted anew: a box that was placed by hand would hide what it does.
+            for key, mask in _masks(state, keys, way, more).items():
+                boxes = {k: box for k, box in edits.boxes.items() if k != key}
+                edits = replace(edits, boxes=boxes).with_mask(key, mask)
+            return edits
+        case "set", [name, value]:
+            return _setting(edits, source, name, value)
+    raise InputError("there is no such edit", got=said)
 
 
 def number_of(words: Sequence[str]) -> float:
@@ -80,26 +98,12 @@ def _selected(state: State, keys: tuple[str, ...]) -> tuple[str, SceneObject]:
     raise InputError("no candidate of the question is selected")
 
 
-def _hide(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
-    entry = None if state.selected is None else state.shown.objects[state.selected]
-    if entry is not None and entry.id >= 0 and f"#{entry.id}" in state.edits.hidden:
-        return state.edits.with_shown(f"#{entry.id}")
-    return state.edits.with_hidden(_selected(state, keys)[0])
-
-
-def _confidence(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
-    """confidence:NUMBER OF THE NAME:P."""
-    name = list(needed(state.trace, "nothing is asked").candidates)[int(rest[0])]
-    return state.edits.with_confidence(name, _selected(state, keys)[0], number_of(rest[1:]))
-
-
-def _relation(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
-    """relation:A:B:P, of the asked relation of two objects that are shown; without A and B of the chosen pair.
+def _relation(state: State, keys: tuple[str, ...], ends: list[str], p: float) -> Edits:
+    """The probability of the asked relation for two objects by their places; without any for the chosen pair.
 
     A slider names its own pair: what is chosen moves on where the answer does, while the hand still holds the slider.
     """
     trace, pair = needed(state.trace, "nothing is asked"), state.chosen
-    *ends, value = rest
     if ends:
         at = {str(shown): keys[t] for t, shown in state.shown.place.items()}
         require(len(ends) == 2 and set(ends) <= set(at), "the pair is no longer among the candidates")
@@ -109,32 +113,26 @@ def _relation(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[
         if pair is None or pair.reference is None or pair.second_reference is not None:
             raise InputError("no pair of two objects is chosen")
         a, b = (keys[i] for i in (pair.target, pair.reference)[:: -1 if trace.inverse else 1])
-    return state.edits.with_relation(trace.relation, a, b, number_of([value]))
+    return state.edits.with_relation(trace.relation, a, b, p)
 
 
-def _mask(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
-    """mask:grow:PIXELS, mask:label, mask:swap, mask:rectangle:x0,y0,x1,y1."""
-    key, entry = _selected(state, keys)
-    frame = _loaded(state).context.frame
-    if rest[0] == "grow":
-        masks = {key: grown(entry.mask, int(number_of(rest[1:])))}
-    elif rest[0] == "rectangle":
-        corners = [number_of([part]) for part in rest[1].split(",")]
-        require(len(corners) == 4, "a rectangle has four numbers", got=rest[1])
-        masks = {key: rectangle(frame.height, frame.width, (corners[0], corners[1], corners[2], corners[3]))}
-    elif rest[0] == "label":
-        truth = state.judged.truth if isinstance(state.judged, Diagnosis) else None
-        found = None if truth is None else labelled_mask(truth, entry.bbox, frame.height, frame.width)
-        masks = {key: needed(found, "no labelled object with a mask is where the selected one is")}
-    else:
-        a, b = partners(state)
-        key_of = {shown: keys[t] for t, shown in state.shown.place.items()}
-        masks = {key_of[a]: state.shown.objects[b].mask, key_of[b]: state.shown.objects[a].mask}
-    # A new mask is lifted anew: a box that was placed by hand would hide what it does.
-    edits = replace(state.edits, boxes={k: box for k, box in state.edits.boxes.items() if k not in masks})
-    for key, mask in masks.items():
-        edits = edits.with_mask(key, mask)
-    return edits
+def _masks(state: State, keys: tuple[str, ...], way: str, more: list[str]) -> dict[str, np.ndarray]:
+    """By key: "grow" PIXELS, the "label"'s, the other's by "swap", or "rectangle" x0,y0,x1,y1."""
+    (key, entry), frame = _selected(state, keys), _loaded(state).context.frame
+    match way:
+        case "grow":
+            return {key: grown(entry.mask, int(number_of(more)))}
+        case "rectangle":
+            corners = [number_of([part]) for part in more[0].split(",")]
+            require(len(corners) == 4, "a rectangle has four numbers", got=more[0])
+            return {key: rectangle(frame.height, frame.width, (corners[0], corners[1], corners[2], corners[3]))}
+        case "label":
+            truth = state.judged.truth if isinstance(state.judged, Diagnosis) else None
+            found = None if truth is None else labelled_mask(truth, entry.bbox, frame.height, frame.width)
+            return {key: needed(found, "no labelled object with a mask is where the selected one is")}
+    a, b = partners(state)
+    key_of = {shown: keys[t] for t, shown in state.shown.place.items()}
+    return {key_of[a]: state.shown.objects[b].mask, key_of[b]: state.shown.objects[a].mask}
 
 
 def partners(state: State) -> tuple[int, int]:
@@ -152,31 +150,20 @@ def partners(state: State) -> tuple[int, int]:
     return state.selected, other
 
 
-def _setting(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
-    """set:NAME:VALUE; a value that is that of the source is no edit."""
-    name, value = rest
-    edits = state.edits
-    if name == "scorer":
-        known = value in ("own", "rule", "trained") or installed_network(value) is not None
-        require(
-            known, "there is no such relation scorer", got=value, expected="rule, trained, or an installed one"
-        )  # fmt: skip
-        return edits.with_scorer(None if value == "own" else value)
-    if name == "aggregate":
-        return edits.with_settings("rank", aggregate=value)
-    number = number_of([value])
-    if name == "k":
-        return edits.with_k(None if int(number) == source.config.k else int(number))
-    if name == "min_score":
-        return edits.with_min_score(number or None)
+def _setting(edits: Edits, source: Pipeline, name: str, value: str) -> Edits:
+    """One setting; a value that is that of the source is no edit."""
+    match name:
+        case "scorer":
+            known = value in ("own", "rule", "trained") or installed_network(value) is not None
+            expected = "rule, trained, or an installed one"
+            require(known, "there is no such relation scorer", got=value, expected=expected)
+            return edits.with_scorer(None if value == "own" else value)
+        case "aggregate":
+            return edits.with_settings("rank", aggregate=value)
+        case "k":
+            k = int(number_of([value]))
+            return edits.with_k(None if k == source.config.k else k)
+        case "min_score":
+            return edits.with_min_score(number_of([value]) or None)
     require(name in WEIGHTS or name in PROFILE_SETTINGS, "there is no such setting", got=name)
-    return edits.with_settings("rank" if name in WEIGHTS else "profile", **{name: number})
-
-
-_EDITS: Mapping[str, Callable[[State, Pipeline, tuple[str, ...], list[str]], Edits]] = {
-    "hide": _hide,
-    "confidence": _confidence,
-    "relation": _relation,
-    "mask": _mask,
-    "set": _setting,
-}
+    return edits.with_settings("rank" if name in WEIGHTS else "profile", **{name: number_of([value])})

@@ -303,24 +303,23 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str)
             heading(h.b(dot(color), name), " · ".join(facts)),
             h.div(f"relations {counts} · in {asked}{added}", cls="dim"),
         ),
-        label=row("Class", _class_field(card)),
+        label=row(
+            "Class",
+            h.input(
+                cls="find",
+                aria_label="Class",
+                spellcheck="false",
+                autocomplete="off",
+                value=card.label,
+                title="Enter saves it, Tab completes it (Shift+O)",
+                field="class",
+            ),
+        ),
         status=_status_row(card, author),
         concern=note(f"Not asked for: {card.concern}", DOUBT) if card.concern else None,
         handles=row("Handles", segments("edit-mode", MODES, mode, "Handles"), title="Shift+E"),
         box=h.div(_box_rows(card.numbers, box_command(card.frame, card.number), LENGTH_DIGITS, _FITS)),
         sources=(heading("Where it comes from"), (_from(line, card) for line in card.fields)),
-    )
-
-
-def _class_field(card: ObjectCard) -> Element:
-    return h.input(
-        cls="find",
-        aria_label="Class",
-        spellcheck="false",
-        autocomplete="off",
-        value=card.label,
-        title="Enter saves it, Tab completes it (Shift+O)",
-        field="class",
     )
 
 
@@ -400,16 +399,15 @@ def _from(line: FieldLine, card: ObjectCard) -> Element:
 
 
 def _short(line: FieldLine, card: ObjectCard) -> str:
-    value: Any = line.value
-    if line.field == "mask":
-        return "the whole 2D box" if value is None else f"{card.mask_pixels:,} pixels"
-    if line.field == "bbox":
-        x0, y0, x1, y1 = value
-        return f"{x0:.0f}, {y0:.0f}, {x1 - x0:.0f} × {y1 - y0:.0f} px"
-    if line.field == "box":
-        return "none" if card.numbers is None else " × ".join(f"{100 * s:.0f}" for s in card.numbers.size) + " cm"
-    if line.field == "status" and value is None and card.statuses:
-        return ", ".join(f"{status} ({name})" for name, status in card.statuses.items())
+    match line.field, line.value:
+        case "mask", value:
+            return "the whole 2D box" if value is None else f"{card.mask_pixels:,} pixels"
+        case "bbox", [x0, y0, x1, y1]:
+            return f"{x0:.0f}, {y0:.0f}, {x1 - x0:.0f} × {y1 - y0:.0f} px"
+        case "box", _:
+            return "none" if card.numbers is None else " × ".join(f"{100 * s:.0f}" for s in card.numbers.size) + " cm"
+        case "status", None if card.statuses:
+            return ", ".join(f"{status} ({name})" for name, status in card.statuses.items())
     return line.text
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import cycle
 from threading import Lock
 from typing import Any
@@ -12,16 +12,14 @@ import numpy as np
 import viser.transforms as vtf
 
 from pipeline.diagnosis.whatif import Outcome
+from pipeline.diagnosis.whatif.asked_pair import REACH, asked_pair
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
-from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, Placement, place_in_region
-from pipeline.diagnosis.whatif.region import Region, region_of
+from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
+from pipeline.diagnosis.whatif.region import Region
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.palette import RGB, Role, palette
-from pipeline.geometry.viewer import ViewerAxes
-from pipeline.language.relation_names import PAIRWISE, RELATIONS
-from pipeline.relations.relations import Profile, letter
-from pipeline.system.errors import InputError
+from pipeline.language.relation_names import RELATIONS
+from pipeline.relations.relations import letter
 from spatialviz.app.context import Context, Part
 from spatialviz.app.frame_cloud import over_floor, unlit_glb
 from spatialviz.app.markup import Element, dot, h
@@ -78,15 +76,16 @@ class EditScene(Part):
         return [self.ctx.scene.shown_box(box) for box in boxes if box is not None]
 
     def _draw_region(self, state: State) -> None:
-        asked = asked_pair(state) if state.flags.region and state.loaded is not None else None
-        marks = None if asked is None else (state.source, state.frame_id, state.dark, *asked.marks)
+        trace = state.trace if state.flags.region else None
+        asked = None if trace is None else asked_pair(trace, state.chosen, state.edits)
+        marks = None if asked is None else (state.source, state.frame_id, state.dark, *asked.region_key)
         client = self.ctx.client
         if client.outdated("/region/", marks) and asked is not None and asked.region is not None:
             self._add_region(asked.region, state.dark)
-        if asked is None or not np.isfinite(asked.target.lo).all():
+        if asked is None or not np.isfinite(asked.middle).all():
             client.change("/region/target", visible=False)
             return
-        middle = self.ctx.scene.to_show @ asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2
+        middle = self.ctx.scene.to_show @ asked.middle
         color = {**REGION_COLORS, "F": FAILS}[letter(asked.placement.state)]
         look = {"radius": 0.014, "cast_shadow": False, "visible": True}
         client.put("icosphere", "/region/target", position=triple(middle), color=color, **look)
@@ -158,69 +157,6 @@ def _rims(winner: np.ndarray, corners: np.ndarray) -> np.ndarray:
     v, h = np.nonzero(along)
     return np.concatenate(
         [np.stack([corners[r, c], corners[r, c + 1]], axis=1), np.stack([corners[v, h], corners[v + 1, h]], axis=1)]
-    )
-
-
-REACH = 1.0
-"""Metres around the reference that are drawn."""
-
-
-@dataclass(frozen=True)
-class AskedPair:
-    """What a region is of: "target RELATION reference", in the order in which it is judged.
-
-    Attributes
-    ----------
-    relation : str
-    target, reference : LiftedObject
-    places : (int, int)
-        In `shown.objects`.
-    viewer : ViewerAxes
-    profile : Profile
-    """
-
-    relation: str
-    target: LiftedObject
-    reference: LiftedObject
-    places: tuple[int, int]
-    viewer: ViewerAxes
-    profile: Profile
-
-    @property
-    def region(self) -> Region | None:
-        """Where the relation holds; None where the reference has no place in space."""
-        try:
-            size = self.target.hi - self.target.lo
-            return region_of(self.reference, self.relation, size, self.viewer, self.profile, REACH)
-        except InputError:
-            return None
-
-    @property
-    def placement(self) -> Placement:
-        """Where the target falls in it, and why."""
-        return place_in_region(self.target, self.reference, self.relation, self.viewer, self.profile)
-
-    @property
-    def marks(self) -> tuple[object, ...]:
-        """What the region depends on, to a tenth of a millimetre: a target that is only moved keeps it."""
-        lengths = (self.reference.lo, self.reference.hi, self.target.hi - self.target.lo)
-        ends = (tuple(np.round(v, 4).tolist()) for v in lengths)
-        return self.relation, *ends, self.viewer.matrix.tobytes(), self.profile
-
-
-def asked_pair(state: State) -> AskedPair | None:
-    """The chosen pair under the asked relation; None where the relation is not of two objects."""
-    trace, pair = state.trace, state.chosen
-    if trace is None or pair is None or pair.reference is None or trace.relation not in PAIRWISE:
-        return None
-    a, b = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
-    return AskedPair(
-        trace.relation,
-        trace.objects[a].lifted,
-        trace.objects[b].lifted,
-        (state.shown.place[a], state.shown.place[b]),
-        trace.viewer,
-        replace(Profile(), **state.edits.profile),
     )
 
 

@@ -155,7 +155,8 @@ def bar_html(
     listing: Listing, view: str, second: bool, selected: int, marks: Mapping[str, int], notes: Notes
 ) -> Element:
     """How many were found, how they are shown, and what can be done with the selected ones."""
-    found = h.h2(h.span(h.b(f"{listing.count:,}"), f" of {listing.total:,} found", role="status"), cls="count")
+    total = listing.figures.rows.records.num_rows
+    found = h.h2(h.span(h.b(f"{listing.count:,}"), f" of {total:,} found", role="status"), cls="count")
     if listing.error:
         return h.div(note(listing.error, BAD), cls="foundbar")
     lines = (*LEGEND, SECOND_LEGEND) if second else LEGEND

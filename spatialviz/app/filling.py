@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pipeline.datasets import has_moves, moves
-from spatialviz.app import answer, beside, picture, sentences_html, stage_objects, stages, toolbar
+from spatialviz.app import answer, beside, picture, sentences, stage_objects, stages, toolbar
 from spatialviz.app.context import Context
 
 
@@ -21,7 +21,6 @@ def fill_page(ctx: Context, suggestions: Sequence[str]) -> None:
         "moves": toolbar.moves_html(moves(dataset, state.frame_id)) if has_moves(dataset) else None,
         "suggestions": None if asked else toolbar.suggestions_html(state, suggestions),
         "tasks": toolbar.tasks_html(state, bool(shared.runs), bool(shared.journals)),
-        "tools": toolbar.tools_html(),
         "problem": toolbar.problem_html(state),
         "ask-problem": toolbar.refusal_html(state),
         "scene-tools": toolbar.scene_tools_html(state),
@@ -33,20 +32,17 @@ def fill_page(ctx: Context, suggestions: Sequence[str]) -> None:
         "log": picture.log_html(ctx.log),
     }
     with page.together():
-        for region, content in regions.items():
-            page.show(region, content)
+        page.fill(regions)
         fill_answer(ctx)
 
 
 def fill_answer(ctx: Context) -> None:
     """Fill what follows a box that is dragged."""
-    state = ctx.state
-    view = state.labels
+    state, view = ctx.state, ctx.state.labels
     regions = {
-        "answer": sentences_html.sentence_html(state, view) if view else answer.answer_html(state, ctx.can_ask),
+        "answer": sentences.sentence_html(state, view) if view else answer.answer_html(state, ctx.can_ask),
         "stages": None if view else stages.stages_html(state, state.stage),
-        "expressions": sentences_html.expressions_html(state, view) if view else None,
-        "history": sentences_html.history_html(view) if view else None,
+        "expressions": sentences.expressions_html(state, view) if view else None,
+        "history": sentences.history_html(view) if view else None,
     }
-    for region, content in regions.items():
-        ctx.page.show(region, content)
+    ctx.page.fill(regions)

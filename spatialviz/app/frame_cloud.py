@@ -11,15 +11,19 @@ import viser.transforms as vtf
 
 from pipeline.datasets.scene_mesh import fuse_context
 from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.cloud import CloudPart
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.measure import surface_point
-from pipeline.geometry.palette import DROPPED, Role, depth_colors, instance_colors, palette
+from pipeline.geometry.palette import DROPPED, Role, depth_colors, hex_color, instance_colors, palette
 from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app.context import Context, Part
-from spatialviz.app.frames import CloudPart, LoadedFrame
-from spatialviz.app.scene import Tag
+from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.scene import Tag, plain_color
 from spatialviz.app.scene_client import triple
 from spatialviz.app.state import State
+
+CLOUD = "/cloud/"
+"""Begins the names of its nodes."""
 
 
 class FrameCloud(Part):
@@ -41,7 +45,7 @@ class FrameCloud(Part):
         other = viewpoint.look_about(state.about)
         if loaded is None:
             scene.cloud = None
-            self.ctx.client.clear("/cloud/")
+            self.ctx.client.clear(CLOUD)
             self.ctx.client.clear("/camera")
         elif self._painted != state.paint_key or loaded is not was:
             self._painted = state.paint_key
@@ -52,7 +56,7 @@ class FrameCloud(Part):
                 if loaded is not was:
                     self._show(loaded)
                 for part in loaded.cloud.parts:
-                    self.ctx.client.change(part.name, colors=self._points[part.at])
+                    self.ctx.client.change(CLOUD + part.name, colors=self._points[part.at])
             if loaded is not was:
                 if anew:
                     viewpoint.place(state.camera)
@@ -67,10 +71,10 @@ class FrameCloud(Part):
         """Show the points and the camera, as large as they are wanted."""
         parts, state, client = () if self._loaded is None else self._loaded.cloud.parts, self.state, self.ctx.client
         # Until the rest is there, one point stands for four.
-        factor = state.point_size * (1 if all(part.name in client.nodes for part in parts) else 2)
+        factor = state.point_size * (1 if all(CLOUD + part.name in client.nodes for part in parts) else 2)
         with client.atomic():
             for part in parts:
-                client.change(part.name, visible=state.flags.cloud, point_size=part.size * factor)
+                client.change(CLOUD + part.name, visible=state.flags.cloud, point_size=part.size * factor)
             client.change("/camera", visible=state.flags.camera)
 
     def _show(self, loaded: LoadedFrame) -> None:
@@ -78,7 +82,7 @@ class FrameCloud(Part):
         frame, viewer, scene = loaded.context.frame, loaded.context.viewer, self.ctx.scene
         scene.to_show, scene.cloud = np.stack([viewer.right, viewer.forward, viewer.up]), loaded.cloud
         scene.viewpoint.set_frame(loaded.cloud.points, scene.to_show, frame.camera)
-        self.ctx.client.clear("/cloud/")
+        self.ctx.client.clear(CLOUD)
         # Names of this frame's things are put anew; those of all frames that were looked at would pile up.
         self.ctx.client.clear("/tags/")
         self._add(part for part in loaded.cloud.parts if part.first)
@@ -106,7 +110,7 @@ class FrameCloud(Part):
         for part in parts:
             self.ctx.client.put(
                 "point_cloud",
-                part.name,
+                CLOUD + part.name,
                 points=part.offsets,
                 colors=self._points[part.at],
                 point_size=part.size * self.state.point_size * (2 if part.first else 1),
@@ -224,7 +228,6 @@ FLOOR_LOW, FLOOR_HIGH = 0.05, 0.1
 """Points so far below and above the lowest ones are of the floor, metres."""
 GRID_LIFT = 0.008
 GRID_COLORS = {True: ((118, 126, 140), (70, 76, 86)), False: ((150, 158, 170), (200, 205, 212))}
-INK = {True: "#f5f7fa", False: "#181a1e"}
 TAG = "/tags/measured"
 
 
@@ -254,7 +257,7 @@ class SceneAids(Part):
                 self.ctx.client.anchor(TAG, (ends[0] + ends[1]) / 2),
                 f"{found.distance:.3f} m",
                 parts,
-                INK[state.dark],
+                hex_color(plain_color(state.dark)),
                 True,
                 extent=triple(half),
             )

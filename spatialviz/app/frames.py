@@ -1,14 +1,16 @@
-"""Frames that several clients may look at: loaded once, a few kept, with clouds and pictures."""
+"""Frames that several clients may look at: loaded once, a few kept, with clouds; pictures of any frame and thing."""
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
+import re
 import shlex
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable
-from concurrent.futures import Future
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,13 +25,15 @@ from pipeline.answering.agreement.frames import SecondDetections, second_detecti
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
-from pipeline.datasets.plausible import plausibility
+from pipeline.datasets.base import load_picture, scene_of
+from pipeline.datasets.camera_plan import CameraPlan, camera_plan
+from pipeline.datasets.plausible import depth_doubt
 from pipeline.datasets.settings import Vector
 from pipeline.datasets.up import with_frame_up
-from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.cloud import Cloud, cloud_of
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import flying_pixels
 from pipeline.system.errors import InputError
+from pipeline.system.recent import Recent
 from spatialviz.app import memory
 
 KEPT_FRAMES = 8
@@ -95,7 +99,7 @@ class LoadedFrame:
     @cached_property
     def cloud(self) -> Cloud:
         """Its points, made when they are first needed."""
-        return cloud_of(self.context)
+        return cloud_of(self.context.frame, self.context.viewer)
 
     def painted(self, key: Hashable, colors: Callable[[], np.ndarray]) -> np.ndarray:
         """(N, 3) uint8 of its points in colours ((H, W, 3)) of a key: one array for all who show them."""
@@ -105,11 +109,9 @@ class LoadedFrame:
         return found
 
 
-def depth_doubt(frame: Frame, root: Path) -> str:
+def _doubt(frame: Frame, root: Path) -> str:
     """What speaks against the depth of a frame of the dataset in `root`, with the command that looks into it."""
-    # Of a camera that is made up nothing can be said, and what a network estimates has no unit that could be wrong.
-    found = None if frame.camera.untold or frame.depth_source else plausibility(frame)
-    command = "`spatialviz doctor"
+    found, command = depth_doubt(frame), "`spatialviz doctor"
     return "" if found is None else found.text.replace(command, f"{command} {shlex.quote(str(root))}")
 
 
@@ -236,7 +238,7 @@ class FrameStore:
                 second = second_detections(opened, context, objects)
             except InputError as error:
                 problem = str(error)
-        doubt = depth_doubt(context.frame, opened.dataset.root)
+        doubt = _doubt(context.frame, opened.dataset.root)
         return LoadedFrame(context, objects, problem, second, self.told.get(key[0]), doubt)
 
     def _give_way(self, making: _Making | None = None) -> None:
@@ -276,100 +278,6 @@ def object_thumb(rgb: np.ndarray, bbox: np.ndarray, pixels: int = 68) -> bytes:
         return b""
     scale = pixels / max(crop.shape[:2])
     return jpeg(_resized(crop, crop.shape[1] * scale, crop.shape[0] * scale), 78)
-
-
-MAX_POINTS = 320_000
-BAND_RATIO = 1.3
-"""Points are drawn in bands of depth, each with its own point size, so that near
-and far surfaces look equally closed from the sensor."""
-FAR = 12.0
-SPAN = 64
-"""More than the bands between a millimetre (-27) and FAR (9)."""
-
-
-@dataclass(frozen=True, eq=False)
-class CloudPart:
-    """Points that are sent as one: of one band of depth, either of the first cloud or of the rest.
-
-    Attributes
-    ----------
-    first : bool
-        Of the first cloud: one point in four, evenly spread.
-    at : slice
-        Its points in the cloud.
-    center : (3,) float32
-        Shown frame, metres.
-    offsets : (M, 3) float16
-        From the centre, metres: to within 1 mm where a part reaches less than 4 m from it.
-    size : float
-        Of a point, metres, once all points are there.
-    """
-
-    first: bool
-    at: slice
-    center: np.ndarray
-    offsets: np.ndarray
-    size: float
-
-    @property
-    def name(self) -> str:
-        """Of its node in the scene."""
-        return f"/cloud/{'first' if self.first else 'rest'}-{self.at.start}"
-
-
-@dataclass(frozen=True, eq=False)
-class Cloud:
-    """The points of a frame.
-
-    Attributes
-    ----------
-    v, u : (N,) int32
-        Pixels.
-    points : (N, 3) float32
-        In the shown frame: x right, y forward, z up, metres.
-    parts : tuple of CloudPart
-        Those of the first cloud come first.
-    """
-
-    v: np.ndarray
-    u: np.ndarray
-    points: np.ndarray
-    parts: tuple[CloudPart, ...]
-
-    def painted(self, colors: np.ndarray) -> np.ndarray:
-        """(N, 3) uint8 of its points in the colours of the frame's pixels, (H, W, 3)."""
-        return colors.reshape(-1, 3).take(self.v * colors.shape[1] + self.u, axis=0)
-
-
-def cloud_of(context: PreparedFrame) -> Cloud:
-    """The cloud of a frame, without pixels that fly between two surfaces."""
-    frame, viewer = context.frame, context.viewer
-    to_show = np.stack([viewer.right, viewer.forward, viewer.up])
-    stride = max(1, int(np.ceil(np.sqrt(frame.width * frame.height / MAX_POINTS))))
-    depth = frame.depth[::stride, ::stride]
-    keep = (depth > 0) & (depth < FAR) & ~flying_pixels(frame.depth)[::stride, ::stride]
-    level = np.floor(np.log(np.maximum(depth, np.float32(1e-3))) * np.float32(1 / np.log(BAND_RATIO))).astype(np.int8)
-    # Bands of the rest lie behind all of the first; eight bits are sorted by counting.
-    level[1::2] += SPAN
-    level[::2, 1::2] += SPAN
-    pixels, group = np.flatnonzero(keep), level[keep]
-    order = np.argsort(group, kind="stable")
-    pixels, group = pixels[order].astype(np.int32), group[order]
-    v, u = pixels // depth.shape[1], pixels % depth.shape[1]
-    points = lift_pixels(depth.ravel()[pixels], frame.camera, v * stride, u * stride)
-    points = cv2.transform(points[:, None], to_show.astype(np.float32))[:, 0] if len(points) else points
-    starts = np.flatnonzero(np.diff(group, prepend=group[:1] - 1)) if len(group) else []
-    size = 1.15 * stride / frame.camera.fx
-    return Cloud(v * stride, u * stride, points, tuple(_part(points, group, int(a), size) for a in starts))
-
-
-def _part(points: np.ndarray, group: np.ndarray, start: int, size: float) -> CloudPart:
-    number = int(group[start])
-    at = slice(start, int(np.searchsorted(group, number, side="right")))
-    center = cv2.reduce(points[at], 0, cv2.REDUCE_MIN)[0] / 2 + cv2.reduce(points[at], 0, cv2.REDUCE_MAX)[0] / 2
-    first = number < SPAN // 2
-    size = float(BAND_RATIO ** (number - (0 if first else SPAN) + 0.6) * size)
-    return CloudPart(first, at, center, (points[at] - center).astype(np.float16), size)
 
 
 KEPT_BYTES = 96 * 2**20
@@ -419,3 +327,55 @@ def jpeg_url(rgb: np.ndarray, quality: int = 82) -> str:
 def png_url(bgra: np.ndarray) -> str:
     """Where the page finds a picture with transparency ((H, W, 4) uint8, BGRA)."""
     return IMAGES.url(cv2.imencode(".png", bgra, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes(), "png")
+
+
+WIDTHS = (160, 480, 960)
+"""In pixels: of a strip, of a grid, of a frame that is passed by."""
+ADDRESS = re.compile(r"/app/frame/([0-9]{1,3})/([0-9]{1,9})/([0-9]{1,4})\.jpg")
+KEPT_PICTURES, KEPT_PLANS = 600, 16
+
+
+class FramePictures:
+    """Those of all sources of a server; any page may ask for any of them.
+
+    Parameters
+    ----------
+    sources : mapping of str to Pipeline
+    """
+
+    def __init__(self, sources: Mapping[str, Pipeline]) -> None:
+        self._sources = sources
+        self._behind = ThreadPoolExecutor(2, "pictures")
+        self._pictures: Recent[tuple[str, str, int], bytes] = Recent(KEPT_PICTURES)
+        self._plans: Recent[tuple[str, str], tuple[CameraPlan | None]] = Recent(KEPT_PLANS)
+
+    def url(self, source: str, frame_id: str, width: int = WIDTHS[0]) -> str:
+        """Where a page finds the picture of a frame."""
+        number = self._sources[source].dataset.frame_ids.index(frame_id)
+        return f"/app/frame/{list(self._sources).index(source)}/{number}/{width}.jpg"
+
+    async def get(self, path: str) -> bytes | None:
+        """The picture of such an address as JPEG; None for what is no frame or no width of ours, or a broken frame."""
+        found = ADDRESS.fullmatch(path)
+        source, number, width = (0, 0, 0) if found is None else map(int, found.groups())
+        if width not in WIDTHS or source >= len(self._sources):
+            return None
+        name = list(self._sources)[source]
+        ids = self._sources[name].dataset.frame_ids
+        if number >= len(ids):
+            return None
+        key = (name, ids[number], width)
+        made = self._behind.submit(lambda: self._pictures.get(key, lambda: self._draw(*key)))
+        return await asyncio.wrap_future(made) or None
+
+    def _draw(self, source: str, frame_id: str, width: int) -> bytes:
+        with suppress(InputError):
+            rgb = load_picture(self._sources[source].dataset, frame_id).rgb
+            return jpeg(_resized(rgb, width, rgb.shape[0] * width / rgb.shape[1]))
+        return b""
+
+    def plan(self, source: str, frame_id: str, then: Callable[[CameraPlan | None], object]) -> None:
+        """Find where the cameras of a frame's scene stand, and tell."""
+        dataset = self._sources[source].dataset
+        key = (source, scene_of(dataset, frame_id))
+        self._behind.submit(lambda: then(self._plans.get(key, lambda: (camera_plan(dataset, frame_id),))[0]))

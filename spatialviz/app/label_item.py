@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
@@ -16,33 +15,13 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U, letter
 from spatialviz.app.label_view import LabelView
-from spatialviz.app.markup import Child, Element, button, h, heading, panel
+from spatialviz.app.markup import Child, Element, button, h, progress
 
 RULE = re.compile(r"^[a-z]+/[a-z-]+: ")
 UNNAMED = "unnamed"
 """The class of what is outlined and has no name yet."""
 SAYS = {T: "true", U: "undecided", F: "false"}
 Row = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Upcoming:
-    """An item that comes next.
-
-    Attributes
-    ----------
-    place : int
-        In the queue.
-    text, reason, frame : str
-    shot : str
-        Where the page finds a small picture of it.
-    """
-
-    place: int
-    text: str
-    reason: str
-    frame: str
-    shot: str
 
 
 def plain_reason(reason: str) -> str:
@@ -75,14 +54,15 @@ def small(name: str, key: str, do: str, hint: str) -> Element:
 def item_card(view: LabelView, item: ItemKey | None, row: Row | None, selected: int | None) -> Element | None:
     """The item that is open, else the selected object; None without either."""
     reasons = [] if row is None else list(row["reasons"])
-    if item is not None and item.kind == "relation" and item.b is not None:
-        return _relation(view, item, reasons)
-    if item is not None and item.kind == "expression":
-        text = (view.frame.expression(item.what) or {}).get("text", "")
-        return _card(view, "expression", f"“{text}”", "Is this sentence true of what is marked?", reasons)
-    if item is not None and item.a < 0:
-        label = "" if row is None else row["label"]
-        return _card(view, "object", f"No {label} is labelled here", "Is there none?", reasons)
+    match item:
+        case ItemKey(kind="relation") if item.b is not None:
+            return _relation(view, item, reasons)
+        case ItemKey(kind="expression"):
+            text = (view.frame.expression(item.what) or {}).get("text", "")
+            return _card(view, "expression", f"“{text}”", "Is this sentence true of what is marked?", reasons)
+        case ItemKey() if item.a < 0:
+            label = "" if row is None else row["label"]
+            return _card(view, "object", f"No {label} is labelled here", "Is there none?", reasons)
     if selected is None or (labelled := view.frame.objects.get(selected)) is None:
         return None
     name = labelled["label"]
@@ -191,34 +171,24 @@ def begin_card(view: LabelView, editor: LabelEditor) -> Element:
 
 def pace_html(pace: Pace | None, settled: int, items: int) -> Element:
     """How far, and how fast."""
-    share = settled / items if items else 0.0
     parts: list[Child] = [h.span(h.b(f"{settled:,}"), f" of {items:,} settled")] if items else []
     if pace is not None and pace.items:
         parts.append(h.span(h.b(f"{pace.items:,}"), " today"))
         if pace.per_hour is not None:
             parts.append(h.span(h.b(f"{pace.per_hour:.0f}"), " an hour"))
-    bar = h.div(
-        h.i(css={"width": f"{share:.1%}"}), cls="prog", role="progressbar", aria_valuenow=round(100 * share),
-        aria_label="settled of the queue",
-    )  # fmt: skip
-    return h.div(parts, bar if items else None, cls="pace", id="pace")
+    return h.div(parts, progress("settled of the queue", settled, items) if items else None, cls="pace", id="pace")
 
 
-def upcoming_html(items: Sequence[Upcoming]) -> Element | None:
-    """The items that come next, each with its picture and its reason."""
-    if not items:
-        return None
-    rows = (
-        h.button(
-            h.img(src=one.shot, alt="", cls="peek"),
-            h.span(one.text, h.small(one.reason or one.frame)),
-            do=f"item:{one.place}",
-            title=f"{one.text}\n{one.reason}\n{one.frame}",
-            id=f"next-{one.place}",
-        )
-        for one in items
+def upcoming(place: int, text: str, row: Row, shot: str) -> Element:
+    """An item that comes next: its place in the queue, what it says, its row, and where a small picture of it is."""
+    reason = plain_reason(row["reasons"][0]) if row["reasons"] else ""
+    return h.button(
+        h.img(src=shot, alt="", cls="peek"),
+        h.span(text, h.small(reason or row["frame"])),
+        do=f"item:{place}",
+        title=f"{text}\n{reason}\n{row['frame']}",
+        id=f"next-{place}",
     )
-    return panel(heading("Next"), h.div(rows, cls="upcoming"))
 
 
 def bulk_html(find: str, found: int, all_items: int) -> Element:

@@ -4,24 +4,16 @@ from __future__ import annotations
 
 import secrets
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 from spatialviz.app.channel import Address, Call, Outgoing, Patch
 from spatialviz.app.markup import BAD, Child, Element, button, changed, h, note
 
-LISTED_FRAMES = 1000
-"""A list of more frames would be slow to open; around the current one are enough to pick from."""
 KEPT_CALLS = ("strip", "plan", "tags", "keys", "theme", "task", "pixels", "pixelsPicture", "asking", "scale", "measure",
               "found", "chosen")  # fmt: skip
 """Calls that a page which comes back must hear again."""
-
-
-def window(count: int, current: int, most: int = LISTED_FRAMES) -> range:
-    """The places of at most so many frames around the current one."""
-    start = max(0, min(current - most // 2, count - most))
-    return range(start, min(start + most, count))
 
 
 class Page:
@@ -51,6 +43,12 @@ class Page:
             parts = [(region, element.html)] if before is None else list(changed(before, element))
             with self.together() as patch:
                 patch += parts
+
+    def fill(self, regions: Mapping[str, Child]) -> None:
+        """Show what belongs into several regions as one."""
+        with self.together():
+            for region, content in regions.items():
+                self.show(region, content)
 
     @contextmanager
     def together(self) -> Iterator[list[tuple[str, str]]]:

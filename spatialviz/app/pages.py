@@ -25,11 +25,10 @@ from viser._messages import (
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from spatialviz.app import memory
-from spatialviz.app.access import Access
 from spatialviz.app.channel import Hello, read
 from spatialviz.app.context import Shared
 from spatialviz.app.session import Session
-from spatialviz.app.site import PAGE_ID
+from spatialviz.app.site import PAGE_ID, Access
 
 MAX_CLIENTS = 24
 """Pages that may be open at once."""
@@ -169,13 +168,13 @@ class Pages:
             session = self._sessions.get(PAGE_ID.get(""))
             if session is not None:
                 shown[client.client_id] = session
-                session.attach(client)
+                session.post(lambda: session.client.attach(client))
 
         @server.on_client_disconnect
         async def _(client: viser.ClientHandle) -> None:
             session = shown.pop(client.client_id, None)
             if session is not None:
-                session.detach(client)
+                session.post(lambda: session.client.detach(client))
 
     async def scene(self, page_id: str, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
         """Serve viser's socket of a page's scene; one that comes later takes its place."""
@@ -231,7 +230,8 @@ class Pages:
         outgoing = session.channel.attach(connection)
         name = self._access.name(connection.request)
         if name:
-            session.signed_as(name)
+            # Labels are corrected under the name of the token that the browser has, and under no other.
+            session.post(lambda: session.editors.sign_for_token(name))
         session.channel.receive(first)
         sending = asyncio.create_task(session.channel.serve(connection, outgoing))
         try:

@@ -1,23 +1,28 @@
-"""The picture with what is drawn over it, the objects with their pictures, the log."""
+"""The picture with what is drawn over it, by hand too: tools and draft; the objects with their pictures, the log."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
+import cv2
 import numpy as np
 
 from pipeline.answering.objects import SceneObject
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.camera import Camera
+from pipeline.corrections.draft import Draft
+from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.palette import depth_colors, depth_ends, hex_color, palette
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.masks import decode_crop
+from pipeline.geometry.palette import ON_DARK, RGB, depth_colors, depth_ends, hex_color, instance_colors, palette
 from spatialviz.app.beside import name_tag, second_overlay
+from spatialviz.app.context import Context
 from spatialviz.app.frame_cloud import frame_colors
 from spatialviz.app.frames import LoadedFrame, jpeg_url, png_url
 from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
-from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
-from spatialviz.report.picture import box_edges_2d, tinted
+from spatialviz.report.picture import box_edges_2d, edges_path, tinted
 
 IMAGE_WIDTH = 720
 
@@ -34,7 +39,7 @@ def image_html(state: State) -> Element:
     step = max(1, round(frame.width / IMAGE_WIDTH))
     alt = (f"frame {frame.id}", *(f"{role} {state.shown.names[i]}" for i, role in state.roles.items()))
     return panel(
-        None if state.labels is None else pixel_row_html(state, state.labels),
+        None if state.labels is None else pixel_row_html(state),
         h.div(
             h.img(src=jpeg_url(picture[::step, ::step]), alt=", ".join(alt), draggable="false", id="photo"),
             _svg(frame, _quiet_boxes(state, frame.width / 360), "boxes"),
@@ -84,7 +89,7 @@ def overlay_marks(state: State) -> list[Element]:
     order = sorted((i for i in own if i in roles or i == state.selected), key=lambda i: i == state.selected)
     for i in order:
         entry = state.shown.objects[i]
-        drawn = _rectangle(entry.bbox) if entry.lifted.box is None else _edges(entry.lifted.box, frame.camera)
+        drawn = _rectangle(entry.bbox) if entry.lifted.box is None else edges_path(entry.lifted.box, frame.camera)
         marks.append(_path(drawn, hex_color(colors[roles[i]]) if i in roles else "#ffffff", 1.3 * unit))
     marks += () if state.beside is None else second_overlay(state, state.beside, unit)
     for i in order:
@@ -105,17 +110,13 @@ def _ghost_marks(state: State, frame: Frame) -> Iterator[Element]:
     """Boxes beside the answer's, which stay while other objects are chosen."""
     unit, colors = frame.width / 360, palette(True)
     for ghost in state.ghosts if state.flags.ghosts else ():
-        drawn, dashes = _edges(ghost.box, frame.camera), f"{3 * unit:.1f} {2 * unit:.1f}"
+        drawn, dashes = edges_path(ghost.box, frame.camera), f"{3 * unit:.1f} {2 * unit:.1f}"
         yield _path(drawn, hex_color(colors[ghost.role]), 1.1 * unit, stroke_dasharray=dashes)
 
 
 def _rectangle(bbox: np.ndarray) -> str:
     x0, y0, x1, y1 = (float(v) for v in bbox)
     return f"M{x0:.1f} {y0:.1f}H{x1:.1f}V{y1:.1f}H{x0:.1f}Z"
-
-
-def _edges(box: Box3D, camera: Camera) -> str:
-    return "".join(f"M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}" for (ax, ay), (bx, by) in box_edges_2d(box, camera))
 
 
 def _name_place(state: State, i: int) -> tuple[float, float]:
@@ -205,3 +206,109 @@ def thumb(state: State, i: int) -> Element:
     """The small picture of an object; an empty place where it has none."""
     url = "" if state.loaded is None else state.loaded.thumb(state.shown.objects[i].bbox)
     return h.img(src=url, alt="", cls="thumb", loading="lazy") if url else h.span(cls="thumb")
+
+
+TOOLS = {
+    "brush": "paint pixels (Shift+I)",
+    "erase": "take pixels away",
+    "polygon": "corner by corner",
+    "rectangle": "between two corners",
+    "depth": "the surface around a click",
+    "cut": "split it in parts (Shift+X)",
+}
+PART_COLORS: tuple[RGB, ...] = (ON_DARK["edited"], ON_DARK["reference"], ON_DARK["target"], ON_DARK["truth"])
+"""Of the parts of a draft; a whole object has the first, that of edits."""
+
+
+def pixel_row_html(state: State) -> Element:
+    """The tools above the picture, while labels are shown; each opens the large editor."""
+    hint = "select two objects, one after the other"
+    if state.pair is not None and state.pair[0] != state.pair[1]:
+        one, other = (state.shown.names[i] for i in state.pair[:2])
+        hint = f"{one} becomes a part of {other} (Shift+M)"
+    return h.div(
+        h.div(
+            (
+                _tool(name, f"px-tool:{name}", does, state.selected is not None or name != "cut")
+                for name, does in TOOLS.items()
+            ),
+            _tool("new object", "px-new", "drawn on the picture (Shift+N; Shift-drag on the picture)", cls="w2"),
+            _tool("new from 3D", "px-new:scene", "by clicks in the scene (Shift+T)", cls="w2"),
+            _tool("merge", "px-merge", hint, state.pair is not None, cls="w2"),
+            cls="pxrow",
+        ),
+    )
+
+
+def _tool(name: str, do: str, hint: str, on: bool = True, cls: str = "") -> Element:
+    return h.button(name, cls=cls, do=do, title=hint, disabled=not on)
+
+
+def mask_url(parts: Sequence[np.ndarray]) -> str:
+    """Masks ((H, W) bool each) as one transparent picture, each part in its colour: where the page finds it."""
+    height, width = parts[0].shape
+    image = np.zeros((height, width, 4), np.uint8)
+    colors = [*PART_COLORS, *instance_colors(max(len(parts) - len(PART_COLORS), 0) or 1)]
+    for part, (r, g, b) in zip(parts, colors, strict=False):
+        image[part] = b, g, r, 255
+    return png_url(image)
+
+
+def outlines(objects: Sequence[SceneObject], names: Sequence[str], without: int | None) -> Iterator[dict[str, Any]]:
+    """The outlines of objects for the editor: lines as x0, y0, x1, y1, ... in pixels."""
+    for entry, name in zip(objects, names, strict=True):
+        if entry.id != without:
+            lines, _ = cv2.findContours(entry.mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
+            kept = [(line.reshape(-1) + 0.5).tolist() for line in lines if len(line) > 2]
+            yield {"name": name, "size": entry.lifted.quality.mask_pixels, "lines": kept}
+
+
+def around(draft: Draft) -> list[int] | None:
+    """x0, y0, x1, y1 of the picture around the object as it was; None where the whole picture is no larger."""
+    (first, *_) = draft.steps[0]
+    x0, y0, x1, y1 = decode_crop((draft.height, draft.width), first).box
+    side = max(x1 - x0, y1 - y0)
+    if side == 0:
+        return None
+    margin = max(side // 2, 24)
+    box = [max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, draft.width), min(y1 + margin, draft.height)]
+    return box if box[2] - box[0] < 0.7 * draft.width and box[3] - box[1] < 0.7 * draft.height else None
+
+
+def told_of(draft: Draft, lifted: LiftedObject | None, parts: Sequence[np.ndarray]) -> str:
+    """The size of what is drawn, and of the box that it would get."""
+    if len(parts) > 1:
+        return f"{len(parts)} parts: " + " + ".join(f"{int(p.sum()):,}" for p in parts) + " pixels"
+    pixels = f"{int(parts[0].sum()):,} pixels"
+    if lifted is None:
+        return pixels if draft.number is not None else "nothing is drawn yet"
+    if lifted.box is None:
+        return f"{pixels} · no 3D box: too little depth"
+    width, height, depth = lifted.box.size
+    return f"{pixels} · {lifted.quality.points:,} points · box {width:.2f} × {height:.2f} × {depth:.2f} m"
+
+
+POINT = 0.004
+MOST_POINTS = 60_000
+DRAFT = "/draft/"
+"""Where it stands in the scene."""
+
+
+def draw_draft(ctx: Context, frame: Frame, mask: np.ndarray, box: Box3D | None) -> None:
+    """Show a mask's points in the scene, towards the viewer of the cloud they lie in, and a box (camera frame)."""
+    with ctx.client.atomic():
+        ctx.client.clear(DRAFT)
+        color = palette(ctx.state.dark)["edited"]
+        v, u = np.nonzero(mask & (frame.depth > 0))
+        step = max(1, -(-len(v) // MOST_POINTS))
+        v, u = v[::step], u[::step]
+        if len(v):
+            points = lift_pixels(frame.depth[v, u] * np.float32(0.995), frame.camera, v, u)
+            shown = (points @ ctx.scene.to_show.T.astype(np.float32)).astype(np.float32)
+            ctx.client.put(
+                "point_cloud", f"{DRAFT}points", points=shown, colors=np.array(color, np.uint8), point_size=POINT,
+                precision="float32", point_shading="flat", point_shape="square",
+            )  # fmt: skip
+        if box is not None:
+            lines = ctx.scene.shown_box(box).corners[EDGES].astype(np.float32)
+            ctx.client.lines(f"{DRAFT}box", lines, color, 2.6)

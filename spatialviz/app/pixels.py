@@ -25,12 +25,12 @@ from pipeline.corrections.journal.field_refs import same_value
 from pipeline.corrections.vocabulary import vocabulary_of
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError, as_input_error, needed, require
-from spatialviz.app.context import Context, command
+from spatialviz.app.context import Context, command, there
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_item import UNNAMED
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.label_view import LabelView, paired
-from spatialviz.app.pixels_html import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlines, told_of
+from spatialviz.app.picture import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlines, told_of
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
 
@@ -168,15 +168,14 @@ class Pixels(LabelPart):
         return True
 
     def _changed(self, change: Callable[[Draft, Canvas], Draft]) -> None:
-        draft = self._draft
-        if draft is not None:
-            try:
-                self._drafts[self._key] = change(draft, self._canvas_now())
-                self._tell()
-                self._keep()
-            except InputError as error:
-                self._tell(str(error), True)
-            self.follow()
+        draft = there(self._draft)
+        try:
+            self._drafts[self._key] = change(draft, self._canvas_now())
+            self._tell()
+            self._keep()
+        except InputError as error:
+            self._tell(str(error), True)
+        self.follow()
 
     @property
     def _fresh(self) -> bool:
@@ -209,9 +208,7 @@ class Pixels(LabelPart):
     @command("px-undo=take-back", "px-redo=bring-back")
     def _stepped(self, otherwise: str) -> None:
         """A step of the draft back or forth; where there is none, an action of the journal."""
-        draft = self._draft
-        if draft is None:
-            return
+        draft = there(self._draft)
         moved = draft.back() if otherwise == "take-back" else draft.forth()
         self._drafts[self._key] = moved
         self._tell()
@@ -225,9 +222,7 @@ class Pixels(LabelPart):
     @command("px-apply")
     def apply(self, said: str) -> None:
         """Save the draft as one action: {"stay", "label"}; with "stay" the editor remains open."""
-        view, draft, stay, label = self.view, self._draft, False, ""
-        if draft is None:
-            return
+        view, draft, stay, label = self.view, there(self._draft), False, ""
         with suppress(ValueError, TypeError, KeyError, RecursionError):
             message = json.loads(said)
             stay, label = bool(message["stay"]), str(message["label"])
@@ -275,8 +270,7 @@ class Pixels(LabelPart):
     def merge(self) -> None:
         """Make the selected object a part of the one that was selected before it."""
         view, pair = self.view, self.state.pair
-        if pair is None or pair[0] == pair[1]:
-            raise InputError("select two objects, one after the other")
+        pair = needed(None if pair is None or pair[0] == pair[1] else pair, "select two objects, one after the other")
         numbers = view.numbers[pair[1]], view.numbers[pair[0]]
         self.save(lambda frame: merge_objects(frame, numbers))
         self.ctx.show(selected=self.view.place(numbers[0]))

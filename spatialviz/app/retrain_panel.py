@@ -15,7 +15,7 @@ from pipeline.corrections.review.label_jobs import CANCELLED, RetrainingJob, Tra
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import InputError
-from spatialviz.app.context import Context, command
+from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel, progress
 from spatialviz.app.place import Place
@@ -72,10 +72,9 @@ class RetrainPanel(LabelPart):
     def install(self, name: str) -> None:
         """Install the trained network under a name, and answer the question that is asked with it."""
         training = self.location.jobs.training
-        if training.seen.record is None:
-            return
+        network = there(training.seen.record)["network"]
         try:
-            done = install_network(Path(training.seen.record["network"]), name.strip())
+            done = install_network(Path(network), name.strip())
         except InputError as error:
             self.ctx.toast("Not installed", str(error), bad=True)
             return
@@ -100,8 +99,9 @@ class RetrainPanel(LabelPart):
         with suppress(InputError):
             journal = place.to_read()
             corrections = 0 if journal is None else journal.count()
-        section = retrain_html(place.jobs.training.seen, corrections, self.ctx.run is not None)
-        self.ctx.page.show("review-train", section)
+        training = place.jobs.training.seen
+        state = _state(training, corrections, self.ctx.run is not None)
+        self.ctx.page.show("review-train", panel(heading("Retrain", _action(training, corrections)), state))
 
 
 STEPS = {
@@ -113,12 +113,8 @@ STEPS = {
 LISTED = 6
 
 
-def retrain_html(training: TrainingProgress, corrections: int | None, with_run: bool) -> Element:
-    """The section of the Review tab; `corrections` is None where the journal cannot be read."""
-    return panel(heading("Retrain", _action(training, corrections)), _state(training, corrections, with_run))
-
-
 def _state(training: TrainingProgress, corrections: int | None, with_run: bool) -> Child:
+    """How far it is, or what came of it; `corrections` is None where the journal cannot be read."""
     if training.running:
         what, done, of = training.step
         return progress("Training", done, of), h.div(f"{STEPS.get(what, what)} · {training.seconds:.0f} s", cls="dim")

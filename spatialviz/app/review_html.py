@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
@@ -56,22 +55,17 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> El
     said = note(view.said, BAD if view.bad else GOOD) if view and view.said and not (waiting and view.bad) else None
     kept = f"{counted(len(waiting), 'action')} not saved yet, kept here and tried again every few seconds: "
     decide = "Somebody was faster than you: nothing of yours is saved until you decide."
+    who = None if desk is None else h.label(
+        h.span("reviewer", cls="dim"), h.input(cls="find", value=desk.author, maxlength=200, change="author"),
+        cls="who", title="under whose name corrections are saved",
+    )  # fmt: skip
     title = h.h2("Labelling", h.span("every action is saved at once", cls="dim"), cls="mode-title")
     return panel(
         None if view is None else title,
-        h.div(show, None if desk is None else _reviewer(desk.author), cls="nav"),
+        h.div(show, who, cls="nav"),
         said,
         (note(kept + waiting[-1].problem, BAD), button("try again", "save-again", cls="go")) if waiting else None,
         (note(decide, BAD), button("decide", "conflict", cls="go")) if disputed else None,
-    )
-
-
-def _reviewer(author: str) -> Element:
-    return h.label(
-        h.span("reviewer", cls="dim"),
-        h.input(cls="find", value=author, maxlength=200, change="author"),
-        cls="who",
-        title="under whose name corrections are saved",
     )
 
 
@@ -153,38 +147,25 @@ KINDS = {"all": "all", "relation": "relations", "object": "objects", "expression
 Names = Mapping[tuple[str, int], str]
 
 
-@dataclass(frozen=True)
-class Asked:
-    """What a queue that is made next is made of, besides the rules and the linter.
-
-    Attributes
-    ----------
-    networks : bool
-    detector : bool
-    named : str
-        The detector that can be asked; empty without one.
-    """
-
-    networks: bool = False
-    detector: bool = True
-    named: str = ""
-
-
 def queue_html(
     work: Worklist | None,
     making: QueueProgress,
-    asked: Asked,
+    asked: Mapping[str, bool],
+    named: str,
     kind: str,
     item: ItemKey | None,
     names: Names,
     bulk: Element | None = None,
 ) -> Element:
-    """What the queue is made of, how far that is, what filters it, and the list from the current item on."""
+    """What the queue is made of, how far that is, what filters it, and the list from the current item on.
+
+    `asked` says what the next one is made of besides the rules and the linter, `named` the detector that can be asked.
+    """
     again = "build again" if work is not None else "build"
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
     make = button(again, "make-queue", "ranks the labels by what is switched on here")
     head = heading("Queue", stop if making.running else make).with_(id="queue-head")
-    parts = [head, _asked(asked), h.div(_busy(making), id="queue-busy")]
+    parts = [head, _asked(asked, named), h.div(_busy(making), id="queue-busy")]
     if work is None:
         return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
     counts = work.counts
@@ -193,20 +174,20 @@ def queue_html(
     return panel(
         parts,
         _known(making.made),
-        h.div(_settled(counts), tally, id="queue-settled", cls="dim"),
+        h.div(f"{counts['settled']:,} of {counts['items']:,} settled", tally, id="queue-settled", cls="dim"),
         segments("queue-kind", KINDS, kind, "Items of one kind"),
         bulk,
         h.div(rows or "nothing of this kind", id="queue-rows", cls="queue"),
     )
 
 
-def _asked(asked: Asked) -> Element:
-    """What goes into the next queue: switches."""
-    hint = f"what the detector {asked.named} sees otherwise in the labelled frames"
+def _asked(asked: Mapping[str, bool], named: str) -> Element:
+    """What goes into the next queue besides the rules and the linter: switches; `named` is the detector, if any."""
+    hint = f"what the detector {named} sees otherwise in the labelled frames"
     return h.div(
         h.span("rules and linter", cls="try fixed", title="always in it"),
-        _switch("networks", "networks", asked.networks, "networks that have not learnt from a label"),
-        asked.named and _switch("detector", f"detector {asked.named}", asked.detector, hint),
+        _switch("networks", "networks", asked["networks"], "networks that have not learnt from a label"),
+        named and _switch("detector", f"detector {named}", asked["detector"], hint),
         id="queue-asks",
         cls="asks",
     )
@@ -280,12 +261,9 @@ def said(row: Mapping[str, Any], names: Names) -> str:
     def named(number: int) -> str:
         return f"{names.get((frame, number), 'object')}·{number}"
 
-    if kind == "relation":
-        return f"{named(row['a'])} {PHRASE[row['relation']]} {named(row['b'])}: {row['label']}"
-    if kind == "object":
-        return f"no {row['label']} labelled here" if row["a"] < 0 else named(row["a"])
+    match kind:
+        case "relation":
+            return f"{named(row['a'])} {PHRASE[row['relation']]} {named(row['b'])}: {row['label']}"
+        case "object":
+            return f"no {row['label']} labelled here" if row["a"] < 0 else named(row["a"])
     return f"“{row['label']}”"
-
-
-def _settled(counts: Mapping[str, int]) -> str:
-    return f"{counts['settled']:,} of {counts['items']:,} settled"

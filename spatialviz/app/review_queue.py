@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -24,23 +25,21 @@ from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_ca
 from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, needed
-from spatialviz.app.context import Context, command
+from spatialviz.app.context import Context, command, there
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_item import (
-    Upcoming,
     begin_card,
     bulk_html,
     idle_card,
     item_card,
     pace_html,
-    plain_reason,
-    upcoming_html,
+    upcoming,
 )
 from spatialviz.app.label_part import NO_LABELS, LabelPart
 from spatialviz.app.label_view import Target
-from spatialviz.app.markup import Element, h, panel
-from spatialviz.app.review_html import KINDS, Asked, doubt_html, queue_html, said
+from spatialviz.app.markup import Element, h, heading, panel
+from spatialviz.app.review_html import KINDS, doubt_html, queue_html, said
 
 SHOWN_NEXT = 5
 NEWEST = 3000
@@ -64,6 +63,8 @@ class SourceQueue:
         Of its making, as it was taken last.
     behind : bool
         It has come since the page was drawn.
+    asked : dict of str to bool
+        What the next one is made of besides the rules and the linter.
     """
 
     source: Pipeline
@@ -72,12 +73,12 @@ class SourceQueue:
     newest: Mark = NOTHING
     seen: QueueProgress = field(default_factory=QueueProgress)
     behind: bool = False
+    asked: dict[str, bool] = field(default_factory=lambda: {"networks": False, "detector": True})
 
     @cached_property
-    def asked(self) -> Asked:
-        """What the next one is made of."""
-        second = second_setup(self.source, self.location.labels)
-        return Asked(named="" if second is None else second[0])
+    def second(self) -> tuple[str, Any] | tuple[None, None]:
+        """The detector that can be asked, as it is called, and its setup."""
+        return second_setup(self.source, self.location.labels) or (None, None)
 
     @cached_property
     def names(self) -> dict[tuple[str, int], str]:
@@ -121,7 +122,7 @@ class ReviewQueue(LabelPart):
         queue, place, asked = self._queue, self.location, self._queue.asked
         if place.jobs.queue.running:
             return
-        called, detector = (asked.detector and second_setup(queue.source, place.labels)) or (None, None)
+        called, detector = queue.second if asked["detector"] else (None, None)
         place.jobs.make(
             lambda out: QueueJob(
                 place.labels.root,
@@ -129,7 +130,7 @@ class ReviewQueue(LabelPart):
                 None if place.where is None else str(place.where),
                 place.project,
                 str(queue.source.dataset.root),
-                networks=asked.networks,
+                networks=asked["networks"],
                 detector=detector,
                 called=called,
             )
@@ -143,9 +144,9 @@ class ReviewQueue(LabelPart):
     @command("queue-from")
     def switch(self, what: str) -> None:
         """Put networks or the detector into the next queue, or leave them out."""
-        if what in ("networks", "detector"):
-            asked = self._queue.asked
-            self._queue.asked = replace(asked, **{what: not getattr(asked, what)})
+        asked = self._queue.asked
+        if what in asked:
+            asked[what] = not asked[what]
             self.follow()
 
     def _made(self, queue: SourceQueue) -> None:
@@ -187,16 +188,13 @@ class ReviewQueue(LabelPart):
     @command("next-item")
     def step(self, step: int) -> None:
         """Look at the next item that is open, or at the one above."""
-        work, found = self._caught_up(), self._item
-        if work is None:
-            return
+        work, found = there(self._caught_up()), self._item
         if step < 0:
             while (found := work.previous(found)) is not None and self._kind not in ("all", found.kind):
                 pass
         else:
             found = self._next(work, found)
-        if found is not None:
-            self.open(found)
+        self.open(there(found))
 
     def _next(self, work: Worklist, after: ItemKey | None) -> ItemKey | None:
         if not self._find:
@@ -218,19 +216,16 @@ class ReviewQueue(LabelPart):
     @command("accept-found")
     def accept_found(self) -> None:
         """Accept all that the filter finds, as one step."""
-        work = self._caught_up()
-        places = [] if work is None or not self._find else self._found(work)
-        if work is None or not places:
-            return
-        items = [work.keys[k] for k in places[:MOST]]
-        if isinstance(self.save(lambda _: accept_all(items, self.editor.frame, self.editor.author)), Saved):
+        work = there(self._caught_up())
+        items = [work.keys[k] for k in self._found(work)[:MOST] if self._find]
+        if items and isinstance(self.save(lambda _: accept_all(items, self.editor.frame, self.editor.author)), Saved):
             self.ctx.toast("Accepted", f"{counted(len(items), 'item')}: one undo takes all of them back")
 
     @command("item")
     def open_row(self, place: int) -> None:
         """Look at the item of a row."""
-        work = self._queue.work
-        if work is not None and 0 <= place < len(work):
+        work = there(self._queue.work)
+        if 0 <= place < len(work):
             self.open(work.keys[place])
 
     def open(self, key: ItemKey) -> None:
@@ -393,10 +388,9 @@ class ReviewQueue(LabelPart):
         if work is not None and self.ctx.reviewed is not work.frame_counts:
             self.ctx.reviewed = work.frame_counts
             self.ctx.post(lambda: self.ctx.handle("strip"))
-        page.show("review-item", None if view is None else self._card(queue, item))
         bulk = None if work is None else bulk_html(self._find, len(self._found(work)), len(work))
-        rows = queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names, bulk)
-        page.show("review-list", rows)
+        rows = queue_html(work, queue.seen, queue.asked, queue.second[0] or "", self._kind, item, queue.names, bulk)
+        page.fill({"review-item": None if view is None else self._card(queue, item), "review-list": rows})
 
     def _card(self, queue: SourceQueue, item: ItemKey | None) -> Element:
         """The item with its answers, the pace, and what comes next."""
@@ -410,20 +404,18 @@ class ReviewQueue(LabelPart):
         pace = pace_html(self._paced(), counts.get("settled", 0), counts.get("items", 0))
         # Another card is another element: the page scrolls to it.
         card = card.with_(id=f"card-{place}-{self.number}", data_shown=True)
-        return h.div(panel(card), panel(pace), upcoming_html(self._upcoming(queue, item)))
+        after = [] if work is None else self._upcoming(queue, work, item)
+        return h.div(panel(card), panel(pace), panel(heading("Next"), h.div(after, cls="upcoming")) if after else None)
 
-    def _upcoming(self, queue: SourceQueue, item: ItemKey | None) -> list[Upcoming]:
-        work, found, after = queue.work, list[Upcoming](), item
-        for _ in range(SHOWN_NEXT if work is not None else 0):
-            assert work is not None
-            after = self._next(work, after)
-            place = None if after is None else work.indices[after.plain]
-            if after is None or place is None or after == item or any(u.place == place for u in found):
+    def _upcoming(self, queue: SourceQueue, work: Worklist, item: ItemKey | None) -> list[Element]:
+        found, after = dict[int, Element](), self._next(work, item)
+        while after is not None and after != item and len(found) < SHOWN_NEXT:
+            place, row = work.indices[after.plain], work.row(after)
+            if place in found:
                 break
-            row = work.row(after)
-            reason = plain_reason(row["reasons"][0]) if row["reasons"] else ""
-            found.append(Upcoming(place, said(row, queue.names), reason, after.frame, self._shot(after)))
-        return found
+            found[place] = upcoming(place, said(row, queue.names), row, self._shot(after))
+            after = self._next(work, after)
+        return list(found.values())
 
     def _shot(self, key: ItemKey) -> str:
         """A small picture of an item's object; of its frame, while that is not loaded or the object is none."""

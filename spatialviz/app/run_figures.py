@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.datasets.base import load_picture
 from pipeline.evaluation.browsing import RunRows, labelled_boxes
 from pipeline.evaluation.comparing import Comparison, compare
-from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
+from pipeline.evaluation.confusion import Confusion, answer_standings, count_standings
 from pipeline.evaluation.loss_plots import MOST_SHOWN
 from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.search import Field, completions
@@ -33,29 +33,42 @@ FRAMES, PICTURES = 8, 3000
 Found = TypeVar("Found")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Listing:
     """The expressions of a run that match a search.
 
     Attributes
     ----------
+    figures : RunFigures
+        Of the run.
     query : str
     error : str
         Why the search cannot be carried out; what was found before stays.
-    count, total : int
-        Expressions that match, and those of the run.
+    found : (N,) int64
+        Numbers of the rows that match, in the order of the list.
     at : (str, str, str) or None
         Frame, id and text of the one that is open.
-    place : int or None
-        Where it is among those that match.
     """
 
-    total: int
+    figures: RunFigures
     query: str = ""
     error: str = ""
-    count: int = 0
+    found: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     at: tuple[str, str, str] | None = None
-    place: int | None = None
+
+    @property
+    def count(self) -> int:
+        """How many match."""
+        return len(self.found)
+
+    @property
+    def place(self) -> int | None:
+        """Where the one that is open is among those that match."""
+        return None if self.at is None else self.place_of(self.figures.rows.number(*self.at[:2]))
+
+    def place_of(self, number: int | None) -> int | None:
+        """Where a row of the run is among those that match."""
+        return None if number is None else next(iter(np.flatnonzero(self.found == number).tolist()), None)
 
 
 class RunFigures:
@@ -106,25 +119,19 @@ class RunFigures:
     def confusion(self) -> Confusion | str:
         """The relation that was asked against the one in which the answer stands; from then on rows can be searched
         by that, too."""
-        found = _or_why(self._standings)
+        run = self.run
+        made_with = (run.manifest.get("labels") or {}).get("content_hash")
+        found = _or_why(lambda: answer_standings(run.records, run.labels, made_with))
         if isinstance(found, str):
             return found
         self.rows.add_column(STANDS_IN, found.column())
         return count_standings(found)
 
-    @property
+    @cached_property
     def fields(self) -> tuple[Field, ...]:
         """What the run can be searched by, with the values that occur."""
         _ = self.confusion
-        return self._fields
-
-    @cached_property
-    def _fields(self) -> tuple[Field, ...]:
         return completions(self.rows.records)
-
-    def _standings(self) -> Standings:
-        made_with = self.run.manifest.get("labels") or {}
-        return answer_standings(self.run.records, self.run.labels, made_with.get("content_hash"))
 
     # ---- pictures -------------------------------------------------------------------
 

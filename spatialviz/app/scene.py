@@ -18,9 +18,9 @@ import viser.transforms as vtf
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import EDGES, Box3D, ray_entry
 from pipeline.geometry.camera import Camera
+from pipeline.geometry.cloud import Cloud
 from pipeline.geometry.palette import RGB, Role, hex_color, palette
 from pipeline.system.errors import needed
-from spatialviz.app.frames import Cloud
 from spatialviz.app.markup import detector_score
 from spatialviz.app.scene_client import SceneClient, triple
 from spatialviz.app.state import NOTHING, Ghost, Shown, State
@@ -279,13 +279,15 @@ class Viewpoint:
         Repeated when the shape of the page changes before anybody has turned the view.
         """
         eye, look, fov = self._pose(kind)
+        # The sensor's own up in its view, so that the picture stands as it was taken; the world's elsewhere.
+        up = self._to_show @ np.array([0.0, -1.0, 0.0]) if kind == "sensor" else np.array([0.0, 0.0, 1.0])
         camera, self._placed = self._client.camera, None
         p0, l0, f0 = np.array(camera.position), np.array(camera.look_at), float(camera.fov)
         for k in range(1, steps + 1):
             t = k / steps
             t = t * t * (3 - 2 * t)
             position, look_at = p0 * (1 - t) + eye * t, l0 * (1 - t) + look * t
-            self._turn(up_direction=self._up(kind), position=position, look_at=look_at, fov=f0 * (1 - t) + fov * t)
+            self._turn(up_direction=triple(up), position=position, look_at=look_at, fov=f0 * (1 - t) + fov * t)
             if k < steps:
                 self._client.flush()
                 time.sleep(1 / 40)
@@ -325,10 +327,6 @@ class Viewpoint:
         away = np.array(self._client.camera.position) - center
         away *= max(float(np.linalg.norm(box.size)) * 1.9, 0.5) / max(float(np.linalg.norm(away)), 1e-6)
         self._turn(position=center + away, look_at=center)
-
-    def _up(self, kind: str) -> tuple[float, float, float]:
-        """The sensor's own up in its view, so that the picture stands as it was taken; the world's elsewhere."""
-        return triple(self._to_show @ np.array([0.0, -1.0, 0.0]) if kind == "sensor" else np.array([0.0, 0.0, 1.0]))
 
     def _pose(self, kind: str) -> tuple[np.ndarray, np.ndarray, float]:
         points, camera = needed(self._points, "no cloud is shown"), needed(self._camera, "no cloud is shown")

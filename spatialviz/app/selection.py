@@ -13,7 +13,7 @@ from pipeline.datasets.demo import demo_path
 from pipeline.geometry.camera import depth_at
 from pipeline.geometry.level_plane import level_normal_at
 from pipeline.system.errors import InputError, require
-from spatialviz.app.context import Context, Part, choice, command
+from spatialviz.app.context import Context, Part, choice, command, there
 from spatialviz.app.frames import LoadedFrame, ToldUp
 from spatialviz.app.label_view import paired
 from spatialviz.app.picture import smallest_at
@@ -58,9 +58,7 @@ class Selection(Part):
     @command("chip")
     def select_role(self, role: str) -> None:
         """A click on a word of the expression: the object that fills it."""
-        pair = self.state.pair
-        if pair is not None:
-            self.click(None, [pair[0 if role == "target" else 1]])
+        self.click(None, [there(self.state.pair)[0 if role == "target" else 1]])
 
     @command("image")
     def select_at(self, fractions: str) -> None:
@@ -96,8 +94,7 @@ class Selection(Part):
         chosen = None if state.selected is None else state.shown.objects[state.selected]
         if chosen is None and state.beside is not None and state.second_selected is not None:
             chosen = state.beside.objects[state.second_selected]
-        if chosen is not None and chosen.lifted.box is not None:
-            self.ctx.scene.viewpoint.focus(chosen.lifted.box)
+        self.ctx.scene.viewpoint.focus(there(there(chosen).lifted.box))
 
 
 class Pointing(Part):
@@ -158,13 +155,12 @@ class LevelSurface(Part):
     @command("level-keep")
     def keep(self) -> None:
         """Write what was said into the settings beside the data."""
-        told, root = self.ctx.shared.store.told.get(self.state.source), self.ctx.source.dataset.root
-        if told is not None:
-            try:
-                require(root.resolve() != demo_path().resolve(), "the built-in demo stays as it is", path=root)
-                self.ctx.toast("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
-            except InputError as error:
-                self.ctx.toast("Up is not kept", str(error), bad=True)
+        told, root = there(self.ctx.shared.store.told.get(self.state.source)), self.ctx.source.dataset.root
+        try:
+            require(root.resolve() != demo_path().resolve(), "the built-in demo stays as it is", path=root)
+            self.ctx.toast("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
+        except InputError as error:
+            self.ctx.toast("Up is not kept", str(error), bad=True)
 
     @command("level-back")
     def take_back(self) -> None:

@@ -26,13 +26,12 @@ from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from pipeline.system.worker_pool import one_thread
-from spatialviz.app.access import Access
 from spatialviz.app.channel import answering, end_all
 from spatialviz.app.context import Shared
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.pages import MAX_CLIENTS, Pages
-from spatialviz.app.site import Site, served_by
+from spatialviz.app.site import Access, Site, served_by
 
 ENDS_WITHIN = 10.0
 """Seconds that clients' threads have to finish what they are at."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 from dataclasses import asdict, replace
-
-import viser
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import unused_words
 from pipeline.answering.json_records import holds
-from pipeline.answering.suggestions import suggest_expressions
+from pipeline.answering.suggestions import completions, suggest_expressions
 from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.language.counted import counted
@@ -23,7 +22,6 @@ from spatialviz.app import (
     filling,
     frame_cloud,
     keys,
-    row_cases,
     selection,
     view_strings,
     what_if,
@@ -31,7 +29,7 @@ from spatialviz.app import (
 from spatialviz.app.answer import answer_in_words
 from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
-from spatialviz.app.context import Context, Shared, command, commands_of
+from spatialviz.app.context import Context, Idle, Shared, command, commands_of, there
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.judging import Judge
 from spatialviz.app.label_view import ANYTHING, Target
@@ -40,7 +38,6 @@ from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
 from spatialviz.app.stages import opened
 from spatialviz.app.state import NOTHING, shown_objects
-from spatialviz.app.toolbar import offers
 
 RECENT = 12
 """Questions that Ask offers again."""
@@ -56,7 +53,7 @@ class Session(Context):
 
     def __init__(self, page_id: str, shared: Shared) -> None:
         super().__init__(page_id, shared)
-        self._path = f"/scene/{page_id}/"
+        self._scene = Scene(f"/scene/{page_id}/")
         self._suggestions = self._asked = tuple[str, ...]()
         self._begun = self._correcting = False
         self._pushed: Place | None = None
@@ -83,8 +80,7 @@ class Session(Context):
             pointing,
             selection.ViewSettings(self),
             keys.Keys(self),
-            view_strings.Keeping(self, self._judge, self._strings.now),
-            row_cases.RowCases(self, self._judge, self._runs.selected),
+            view_strings.Keeping(self, self._judge, self._strings.now, self._runs.selected),
             *self._labels.parts,
         )
         self._commands = {name: run for part in parts for name, run in commands_of(part).items()}
@@ -105,7 +101,7 @@ class Session(Context):
 
     def receive(self, message: Incoming) -> None:
         if isinstance(message, Hello):
-            self.channel.send(Scene(self._path))
+            self.channel.send(self._scene)
             self.page.again()
             if self._begun:
                 return
@@ -122,18 +118,6 @@ class Session(Context):
         else:
             self.handle(message.text)
 
-    def signed_as(self, name: str) -> None:
-        """Labels are corrected under the name of the token that the browser has, and under no other."""
-        self.post(lambda: self.editors.sign_for_token(name))
-
-    def attach(self, client: viser.ClientHandle) -> None:
-        """The browser's frame is there: show the scene in it."""
-        self.post(lambda: self.client.attach(client))
-
-    def detach(self, client: viser.ClientHandle) -> None:
-        """The browser's frame has gone."""
-        self.post(lambda: self.client.detach(client))
-
     async def _turned(self, _: object) -> None:
         """The camera moves: where it comes to rest is said by the address."""
         if self._turning is not None:
@@ -147,8 +131,8 @@ class Session(Context):
         """Carry out a command such as "pair:3"; unknown ones are ignored."""
         kind, _, argument = keys.meant(message, self.state.labels is not None).partition(":")
         try:
-            if kind in self._commands:
-                self._commands[kind](argument)
+            with suppress(Idle):
+                self._commands.get(kind, str)(argument)
         except InputError as error:
             self.fail(error)
 
@@ -190,7 +174,8 @@ class Session(Context):
         if not self._begun:
             # With a run, its first failure; the frames follow.
             self._runs.follow()
-            self._runs.open(0)
+            with suppress(Idle):
+                self._runs.open(0)
         if not self._begun:
             self.open_frame(self.state.frame_id, first=True)
 
@@ -267,7 +252,8 @@ class Session(Context):
     @command("ask-typed")
     def _complete(self, typed: str) -> None:
         """Offer what could be asked of this frame: its names, relations, and what was asked lately."""
-        self.page.call("asking", {"typed": typed, "offers": offers(typed, self.state, self._suggestions, self._asked)})
+        names = [o.label for o in self.state.shown.objects]
+        self.page.call("asking", {"typed": typed, "offers": completions(typed, names, self._suggestions, self._asked)})
 
     # ---- frames ---------------------------------------------------------------------
 
@@ -387,13 +373,11 @@ class Session(Context):
     @command("relation")
     def _ask_relation(self, number: int) -> None:
         """Ask the same two names with another relation."""
-        trace = self.state.trace
-        if trace is None or trace.asked is None or not 0 <= number < len(trace.scores.relations):
-            return
-        first, second = trace.query.target, trace.asked.nodes[0].label
-        if trace.inverse:
-            first, second = second, first
-        self.ask(f"{first} {PHRASE[trace.scores.relations[number]]} the {second}")
+        trace = there(self.state.trace)
+        ends = trace.query.target, there(trace.asked).nodes[0].label
+        if 0 <= number < len(trace.scores.relations):
+            first, second = ends[::-1] if trace.inverse else ends
+            self.ask(f"{first} {PHRASE[trace.scores.relations[number]]} the {second}")
 
     @command("again")
     def _ask_again(self) -> None:
@@ -406,11 +390,10 @@ class Session(Context):
 
     @command("clear")
     def _clear(self) -> None:
-        loaded = self.state.loaded
-        if loaded is not None:
-            self.state = replace(self.state.unasked, text="", shown=shown_objects(loaded, None, self._exact))
-            self.page.call("question", "")
-            self.draw()
+        shown = shown_objects(there(self.state.loaded), None, self._exact)
+        self.state = replace(self.state.unasked, text="", shown=shown)
+        self.page.call("question", "")
+        self.draw()
 
     # ---- drawing --------------------------------------------------------------------
 

@@ -11,25 +11,27 @@ import gzip
 import http
 import logging
 import re
-from collections.abc import Awaitable, Callable, Iterator
+import secrets
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import SplitResult, parse_qs, quote, urlsplit
+from urllib.parse import SplitResult, parse_qs, parse_qsl, quote, urlencode, urlsplit
 
 import viser
 import websockets.asyncio.server as ws
+from websockets.datastructures import Headers
 from websockets.extensions.permessage_deflate import ServerPerMessageDeflateFactory
 from websockets.http11 import Request, Response
 
-from spatialviz.app.access import KINDS, Access, response
+from pipeline.system.errors import as_input_error, require
 from spatialviz.app.channel import LONGEST_COMMAND, LONGEST_DRAWING
 from spatialviz.app.frames import IMAGES
 
 if TYPE_CHECKING:
-    from spatialviz.app.frame_pictures import FramePictures
+    from spatialviz.app.frames import FramePictures
     from spatialviz.app.pages import Pages
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
@@ -123,26 +125,24 @@ class Site:
         return response(http.HTTPStatus.TOO_MANY_REQUESTS, b"too many sockets, or not the messages of a page\n")
 
     def _file(self, path: str, query: dict[str, list[str]]) -> Response:
-        if path == "/":
-            return response(
-                http.HTTPStatus.OK, self._files["index.html"], ".html", {"Content-Security-Policy": PAGE_POLICY}
-            )
         folder, _, name = path.rpartition("/")
-        if folder == "/app" and name in self._files:
-            return response(http.HTTPStatus.OK, self._files[name], Path(name).suffix)
-        if folder == "/app/image" and (data := IMAGES.get(name)) is not None:
-            return response(
-                http.HTTPStatus.OK, data, Path(name).suffix, {"Cache-Control": "private, max-age=86400, immutable"}
-            )
-        if folder == "/app/file":
-            found = self._pages.download(query.get("id", [""])[0], name)
-            if found is not None:
-                given = {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(found[0])}"}
-                return response(http.HTTPStatus.OK, found[1], "", given)
-        if folder.startswith("/scene/") and not name and ID.fullmatch(folder.removeprefix("/scene/")):
-            more = {"Content-Security-Policy": SCENE_POLICY, "Content-Encoding": "gzip"}
-            return response(http.HTTPStatus.OK, self._scene, ".html", more)
-        return response(http.HTTPStatus.NOT_FOUND, b"not found\n")
+        data, kind, more = None, Path(name).suffix, dict[str, str]()
+        match folder:
+            case "" if not name:
+                data, kind, more = self._files["index.html"], ".html", {"Content-Security-Policy": PAGE_POLICY}
+            case "/app":
+                data = self._files.get(name)
+            case "/app/image":
+                data, more = IMAGES.get(name), {"Cache-Control": "private, max-age=86400, immutable"}
+            case "/app/file":
+                given, data = self._pages.download(query.get("id", [""])[0], name) or ("", None)
+                kind, more = "", {"Content-Disposition": f"attachment; filename*=UTF-8''{quote(given)}"}
+            case _ if folder.startswith("/scene/") and not name and ID.fullmatch(_scene_of(folder)):
+                data, kind = self._scene, ".html"
+                more = {"Content-Security-Policy": SCENE_POLICY, "Content-Encoding": "gzip"}
+        if data is None:
+            return response(http.HTTPStatus.NOT_FOUND, b"not found\n")
+        return response(http.HTTPStatus.OK, data, kind, more)
 
     async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
         """Serve an open socket: the page's own, or viser's of its scene."""
@@ -160,18 +160,6 @@ class Site:
     def log(self, problem: str) -> None:
         """Say what was wrong with what came, seldom."""
         self._pages.log(problem)
-
-
-class _Told(logging.Handler):
-    """What websockets logs: whoever breaks off would fill the terminal with it."""
-
-    def __init__(self, log: Callable[[str], None]) -> None:
-        super().__init__(logging.WARNING)
-        self._log = log
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Say it shortly."""
-        self._log(f"{record.getMessage()}: {record.exc_info[1] if record.exc_info else ''}")
 
 
 def _scene_of(path: str) -> str:
@@ -196,8 +184,13 @@ def served_by(site: Site | Nobody) -> Iterator[None]:
                 connection.protocol.available_extensions = [ServerPerMessageDeflateFactory(compress_settings=DEFLATED)]
             return await site.answer(connection, request)
 
-        logger = logging.Logger("spatialviz.sockets")
-        logger.addHandler(_Told(site.log))
+        def told(record: logging.LogRecord) -> bool:
+            site.log(f"{record.getMessage()}: {record.exc_info[1] if record.exc_info else ''}")
+            return False
+
+        # What websockets logs is said shortly: whoever breaks off would fill the terminal with it.
+        logger = logging.Logger("spatialviz.sockets", logging.WARNING)
+        logger.addFilter(told)
         options |= {
             "logger": logger,
             "close_timeout": CLOSE_SECONDS,
@@ -211,3 +204,157 @@ def served_by(site: Site | Nobody) -> Iterator[None]:
         yield
     finally:
         ws.serve = original  # pyright: ignore[reportAttributeAccessIssue]
+
+
+LOCAL_NAMES = ("127.0.0.1", "localhost", "[::1]")
+COOKIE = "spatialviz"
+EVERYWHERE = ("", "0.0.0.0", "::")
+REFUSAL = (
+    '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+    '<meta name="color-scheme" content="dark light"><title>spatialviz: no access</title></head>'
+    "<body><main><h1>No access</h1><p>{}</p></main></body></html>\n"
+)
+KINDS = {".html": "text/html", ".mjs": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml",
+         ".jpg": "image/jpeg", ".png": "image/png"}  # fmt: skip
+SAFE = {
+    "X-Content-Type-Options": "nosniff",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+}
+
+
+class Access:
+    """Checks requests.
+
+    Parameters
+    ----------
+    host : str
+        The address that is listened on.
+    tokens : mapping of str to str
+        Names by token. Where there are any, a request needs one of them, in a cookie or once in the page's address.
+    """
+
+    def __init__(self, host: str, tokens: Mapping[str, str] | None = None) -> None:
+        self._tokens = dict(tokens or {})
+        self._host = host
+
+    @classmethod
+    def of(cls, host: str, file: Path | None = None) -> Access:
+        """What an address needs: nothing on this machine, else the tokens of a file, or a new one.
+
+        Raises
+        ------
+        InputError
+            For a file that holds no tokens.
+        """
+        if file is not None:
+            return cls(host, read_tokens(file))
+        return cls(host, {} if host in (*LOCAL_NAMES, "::1") else {secrets.token_urlsafe(24): ""})
+
+    @property
+    def unnamed(self) -> str:
+        """The token that belongs to nobody; "" where there is none."""
+        return next((token for token, name in self._tokens.items() if not name), "")
+
+    @property
+    def open(self) -> bool:
+        """Whether no token is needed."""
+        return not self._tokens
+
+    def refusal(self, request: Request) -> Response | None:
+        """Why a request is refused; None where it is not.
+
+        The Host must be a name of this machine: a foreign page may point its own name here. A socket, and whatever
+        else comes with an Origin, must come from the page that this server has served.
+        """
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        host = hosts[0] if len(hosts) == 1 else ""
+        if not self._names(host):
+            return refused(http.HTTPStatus.MISDIRECTED_REQUEST, "This server does not go by that name.")
+        if len(origins) > 1 or (origins and urlsplit(origins[0]).netloc != host):
+            return refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
+        if request.headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none") and not (
+            request.headers.get("Sec-Fetch-Mode") == "navigate" and request.headers.get("Sec-Fetch-Dest") == "document"
+        ):
+            return refused(http.HTTPStatus.FORBIDDEN, "This page belongs to another site.")
+        asked = _token(urlsplit(request.path).query)
+        if self._tokens and self.name(request) is None and asked not in self._tokens:
+            return refused(
+                http.HTTPStatus.UNAUTHORIZED, "A token is needed: open the address that the server has printed."
+            )
+        return None
+
+    def entered(self, request: Request) -> Response | None:
+        """Where the address holds a token: the same address without it, and the token in a cookie."""
+        parts = urlsplit(request.path)
+        token = _token(parts.query)
+        if not token:
+            return None
+        kept = urlencode([(k, v) for k, v in parse_qsl(parts.query, keep_blank_values=True) if k != "token"])
+        headers = {
+            "Location": "/" + ("?" + kept if kept else ""),
+            "Content-Length": "0",
+            "Cache-Control": "no-store",
+        }
+        if token in self._tokens:
+            headers["Set-Cookie"] = f"{COOKIE}={token}; Path=/; HttpOnly; SameSite=Lax"
+        return Response(http.HTTPStatus.FOUND, "Found", Headers(headers), b"")
+
+    def name(self, request: Request) -> str | None:
+        """The name of whoever's token a request has; None where it has none."""
+        for part in request.headers.get("Cookie", "").split(";"):
+            key, _, value = part.strip().partition("=")
+            if key == COOKIE and value in self._tokens:
+                return self._tokens[value]
+        return None
+
+    def _names(self, host: str) -> bool:
+        name = re.sub(r":\d+$", "", host)
+        if name in LOCAL_NAMES or name in (self._host, f"[{self._host}]"):
+            return True
+        # The name by which others reach this machine is not known here: numbers and plain names of a local network may
+        # be it. Dotted web names are refused, or a page could point its own name at this address.
+        return self._host in EVERYWHERE and bool(
+            re.fullmatch(r"\d+(\.\d+){3}|\[[0-9a-f:]+\]|[\w-]+(\.local)?", name, re.ASCII)
+        )
+
+
+def read_tokens(file: Path) -> dict[str, str]:
+    """Names by token, of a file with a line "NAME TOKEN" for each; "#" begins a remark.
+
+    Raises
+    ------
+    InputError
+        For lines that are none, short or double tokens, and a file without any.
+    """
+    how = "a line NAME TOKEN for each person, the token at least 16 letters, digits, - or _"
+    tokens: dict[str, str] = {}
+    with as_input_error("the tokens cannot be read", OSError, UnicodeDecodeError, path=file):
+        lines = file.read_text("utf-8").splitlines()
+    for number, line in enumerate(lines, 1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        good = len(words) == 2 and re.fullmatch(r"[\w-]{16,}", words[1], re.ASCII) and words[1] not in tokens
+        require(good, f"line {number} is not a name and a token of its own", expected=how, path=file)
+        tokens[words[1]] = words[0]
+    require(tokens, "the file holds no token", expected=how, path=file)
+    return tokens
+
+
+def _token(query: str) -> str:
+    return dict(parse_qsl(query)).get("token", "")
+
+
+def refused(status: http.HTTPStatus, text: str) -> Response:
+    """A refusal as a page that is read to everybody; `text` is the program's own."""
+    return response(status, REFUSAL.format(text).encode(), ".html", {"Cache-Control": "no-store"})
+
+
+def response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: Mapping[str, str] | None = None) -> Response:
+    """An answer with what every one says; `suffix` is that of the file, `more` are headers of its own."""
+    kind = KINDS.get(suffix, "application/octet-stream" if status == http.HTTPStatus.OK else "text/plain")
+    headers = {"Content-Type": f"{kind}; charset=utf-8" if kind.startswith("text") else kind, **SAFE}
+    headers |= {"Cache-Control": "no-cache", "Content-Length": str(len(body)), **(more or {})}
+    return Response(status, status.phrase, Headers(headers), body)

@@ -10,13 +10,14 @@ from pipeline.answering.json_records import link_words, probability
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import Diagnosis, Missed
+from pipeline.diagnosis.whatif.asked_pair import AskedPair, asked_pair
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
 from spatialviz.app.beside import hollow, second_name
-from spatialviz.app.edit_scene import REGION_COLORS, AskedPair, asked_pair
+from spatialviz.app.edit_scene import REGION_COLORS
 from spatialviz.app.markup import (
     Child,
     Element,
@@ -204,7 +205,7 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
     ]
     if trace.relation and trace.relation not in trace.scores.relations:
         bars.append(_bar(state, trace.relation, pair.p_relation))
-    links, asked = pair.links if len(pair.links) > 1 else (), asked_pair(state)
+    links, asked = pair.links if len(pair.links) > 1 else (), asked_pair(trace, pair, state.edits)
     return [
         h.h3(f"{state.name_of(a)} → {state.name_of(b)}", h.span(f"by {_scored_by(trace.scores, trace.scorer)}")),
         bars,
@@ -251,7 +252,7 @@ def level(p: float) -> Element:
 
 def _placement(state: State, asked: AskedPair) -> list[Child]:
     """Where the chosen target falls in the relation's region, by the rule, and why."""
-    a, b = (state.shown.names[i] for i in asked.places)
+    a, b = map(state.name_of, asked.ends)
     pressed = str(state.flags.region).lower()
     toggle = button("region", "flag:region", "show it in the scene (Shift+R)", aria_pressed=pressed)
     legend = (
@@ -260,7 +261,7 @@ def _placement(state: State, asked: AskedPair) -> list[Child]:
     )
     return [
         h.h3("By the rule", h.span(toggle)),
-        h.p(f"{a} {PHRASE[asked.relation]} {b}", cls="dim"),
+        h.p(f"{a} {PHRASE[asked.trace.relation]} {b}", cls="dim"),
         h.p(asked.placement.why),
         h.div(legend, cls="legend") if state.flags.region else None,
     ]

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.asked_names import taken_as, unused_words
-from pipeline.answering.json_records import probability, why_no_answer
-from pipeline.answering.pair_table import HOLDS, ScoredPair
+from pipeline.answering.json_records import why_no_answer
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import Candidates
-from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis, threshold
+from pipeline.diagnosis.stages import Stage, failed_stages, parse_notes, stages_of, unasked_stages
+from pipeline.diagnosis.verdict import Diagnosis, threshold
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
-from pipeline.language.counted import counted
-from pipeline.language.glossary import glossary
 from pipeline.language.lexicon import wording
 from pipeline.language.tree import Attachment, Node, Span
 from spatialviz.app.answer import verdict_evidence
@@ -24,36 +20,15 @@ from spatialviz.app.markup import Child, Element, cell, chosen, h, hint_of, name
 from spatialviz.app.stage_objects import attributes_evidence, candidates_evidence, lift_evidence, relations_evidence
 from spatialviz.app.state import State
 
-Mark: TypeAlias = Literal["good", "doubt", "bad", "idle"]
 
-
-@dataclass(frozen=True)
-class Stage:
-    """How a stage fared: by a mark, in plain words, and what it took."""
-
-    name: str
-    mark: Mark
-    words: str
-    cost: str = ""
-
-
-def failed_stages(state: State) -> tuple[str, ...]:
-    """The stages that failed: by the verdict, else where the question stopped."""
-    judged = state.judged
-    if state.error:
-        return ("PARSE",)
-    if isinstance(judged, Diagnosis):
-        if judged.verdict != "COMPOUND":
-            return (MODULE_OF[judged.verdict],) if judged.verdict in MODULE_OF else ()
-        return tuple(dict.fromkeys("OPM" if part in ("CONF", "RECALL") else part for part in judged.repair))
-    if state.trace is None or why_no_answer(state.trace) is None:
-        return ()
-    return ("OPM",) if state.trace.missing else ("PRM",)
+def failed(state: State) -> tuple[str, ...]:
+    """The stages that failed; none where nothing was asked."""
+    return failed_stages(state.trace, state.judged) if state.trace is not None or state.error else ()
 
 
 def opened(state: State) -> str:
     """The stage whose evidence is open: the one that was chosen, else the one that failed, else that of the pairs."""
-    return state.stage or next(iter(failed_stages(state)), "PRM")
+    return state.stage or next(iter(failed(state)), "PRM")
 
 
 def stages_html(state: State, open_stage: str = "") -> Element:
@@ -62,7 +37,7 @@ def stages_html(state: State, open_stage: str = "") -> Element:
     `open_stage` is as `State.stage`: a name of EVIDENCE, "" for `opened`, and anything else for none.
     """
     open_stage = open_stage or opened(state)
-    return h.ol((_item(state, stage, open_stage, failed_stages(state)) for stage in stages(state)), cls="stages")
+    return h.ol((_item(state, stage, open_stage, failed(state)) for stage in _stages(state)), cls="stages")
 
 
 def _item(state: State, stage: Stage, open_stage: str, failed: tuple[str, ...]) -> Element:
@@ -100,97 +75,13 @@ def _sentence(state: State) -> Element:
     return h.p(None if state.trace is None else why_no_answer(state.trace), cls="sentence")
 
 
-def stages(state: State) -> list[Stage]:
-    """All stages: one that failed stands out, and where the answer is right no other is in doubt."""
-    trace, failed = state.trace, failed_stages(state)
-    if trace is None:
-        found = [Stage(name, "idle", glossary()[name].short) for name in EVIDENCE if name not in ("ATTRIBUTE", "LABEL")]
-        if state.error:
-            found[0] = Stage("PARSE", "bad", "could not be asked")
-        return [*found, _label(state)]
-    made = (_parse(trace), _opm(trace), _lift(state, trace), _srm(state, trace), _attribute(state), _prm(trace))
-    right = isinstance(state.judged, Diagnosis) and state.judged.correct
-    return [
-        replace(s, mark="bad" if s.name in failed else "good" if right and s.name != "LABEL" else s.mark)
-        for s in (*filter(None, made), _label(state))
-    ]
-
-
-def _ms(trace: Trace, stage: str) -> str:
-    value = trace.timings.get(stage, 0.0) * 1000
-    return f"{value:.1f} ms" if value < 100 else f"{value:.0f} ms"
-
-
-def _sound(is_so: object) -> Mark:
-    return "good" if is_so else "doubt"
-
-
-def _parse(trace: Trace) -> Stage:
-    several = f"one of {len(trace.query.readings)} readings" if len(trace.query.readings) > 1 else ""
-    reading = trace.query.default if trace.ranking is None else trace.ranking.reading
-    words = "; ".join(filter(None, (reading.description, several, *parse_notes(trace))))
-    return Stage("PARSE", _sound(not unused_words(trace.query)), words, _ms(trace, "parse"))
-
-
-def _opm(trace: Trace) -> Stage:
-    counts = ", ".join(f"{len(c.index)} for “{name}”" for name, c in trace.candidates.items())
-    words = f"candidates: {counts} (detector: {trace.detector})"
-    if trace.answered is not None and not any(len(c.index) for c in trace.candidates.values()):
-        return Stage("OPM", "idle", f"no proposals are given (detector: {trace.detector})")
-    return Stage("OPM", "bad" if trace.missing else "good", words, _ms(trace, "opm"))
-
-
-def _lift(state: State, trace: Trace) -> Stage:
-    objects = [(state.shown.names[i], state.shown.objects[i].lifted.quality.concerns) for i in state.roles]
-    doubts = [f"{name}: {concern}" for name, concerns in objects for concern in concerns]
-    doubts += ["the up vector is assumed to be image-up"] if trace.viewer.up_source == "assumed" else []
-    doubts += ["the depth is estimated"] if trace.frame.depth_source else []
-    doubts += ["the depth looks odd"] if state.loaded is not None and state.loaded.doubt else []
-    words = "; ".join(doubts) or f"{counted(len(trace.objects), 'object')} in 3D"
-    # An object that was lifted for an earlier question costs nothing now.
-    cost = _ms(trace, "lift") if trace.timings.get("lift", 0.0) > 1e-4 else "cached"
-    return Stage("LIFT", _sound(not doubts), words, cost)
-
-
-def _srm(state: State, trace: Trace) -> Stage:
-    chosen, cost = state.chosen, _ms(trace, "srm")
-    if trace.answered is not None and trace.scorer != trace.detector:
-        return Stage("SRM", "idle", "relations are not given")
-    if chosen is None or chosen.reference is None:
-        return Stage("SRM", "good" if trace.objects else "idle", f"relations are scored by {trace.scorer}", cost)
-    words = f"“{trace.phrase}” has {probability(chosen.p_relation)} for the chosen pair (scorer: {trace.scorer})"
-    return Stage("SRM", _sound(chosen.holds and abs(chosen.relation_probability - HOLDS) >= 0.1), words, cost)
-
-
-def _attribute(state: State) -> Stage | None:
-    """Of questions that say something of an object alone."""
-    if not any(pair.factors for pair in state.ranked):
-        return None
-    factors = () if state.chosen is None else state.chosen.factors
-    words = ", ".join(f"“{f.text}” has {probability(f.probability)}" for f in factors) or "no pair is chosen"
-    return Stage("ATTRIBUTE", _sound(all(f.holds for f in factors)), words)
-
-
-def _prm(trace: Trace) -> Stage:
-    reason, ranking, cost = why_no_answer(trace), trace.ranking, _ms(trace, "prm")
-    if trace.answered is not None:
-        return Stage("PRM", "idle", f"{trace.answered}; what ranked it is not given")
-    if reason is not None or ranking is None:
-        return Stage("PRM", "idle" if trace.missing else "bad", "nothing to rank" if trace.missing else reason or "")
-    if len(ranking.pairs) == 1:
-        return Stage("PRM", "good", "the only candidate pair", cost)
-    words = f"{len(ranking.pairs)} pairs, the best leads by {ranking.margin:.2f}"
-    return Stage("PRM", _sound(ranking.margin >= 0.1), words, cost)
-
-
-def _label(state: State) -> Stage:
-    annotated = 0 if state.loaded is None else len(state.loaded.context.frame.annotations)
-    if isinstance(state.judged, Diagnosis):
-        return Stage("LABEL", "good" if state.judged.correct else "idle", glossary()[state.judged.verdict].verdict)
-    if isinstance(state.judged, str):
-        return Stage("LABEL", "idle", "no verdict")
-    words = f"the dataset annotates {counted(annotated, 'object')}" if annotated else "nothing is known of this frame"
-    return Stage("LABEL", "good" if annotated else "idle", words)
+def _stages(state: State) -> tuple[Stage, ...]:
+    loaded = state.loaded
+    if state.trace is None:
+        annotated = 0 if loaded is None else len(loaded.context.frame.annotations)
+        return unasked_stages(state.judged, annotated, bool(state.error))
+    odd = loaded is not None and bool(loaded.doubt)
+    return stages_of(state.trace, state.judged, pair=state.chosen, name=state.name_of, odd_depth=odd)
 
 
 def parse_evidence(state: State, trace: Trace) -> list[Child]:
@@ -203,21 +94,13 @@ def parse_evidence(state: State, trace: Trace) -> list[Child]:
     ]
 
 
-def parse_notes(trace: Trace) -> list[str]:
-    """What was taken for something else, and what was not used, each with the reason."""
-    expression = trace.query.expression
-    notes = [expression.note] if expression is not None and expression.note else []
-    labels = {label: c.labels for label, c in trace.candidates.items()}
-    notes += [f"“{text}” taken as {meant.name}" for text, meant in taken_as(trace.query, labels)]
-    return notes + [f"not used: “{words}”: {why}" for words, why in unused_words(trace.query)]
-
-
 def _chip(state: State, text: str, span: Span) -> Element:
-    if span.role == "target" or span.role == "reference":
-        css = {"--c": hex_color(palette(state.dark)[span.role])}
-        return h.button(text, cls="chip", css=css, do=f"chip:{span.role}", title=f"select the {span.role}")
-    if span.role == "unused":
-        return h.span(h.s(text), cls="chip rel unused", title=f"not used: {span.note}")
+    match span.role:
+        case "target" | "reference" as role:
+            css = {"--c": hex_color(palette(state.dark)[role])}
+            return h.button(text, cls="chip", css=css, do=f"chip:{role}", title=f"select the {role}")
+        case "unused":
+            return h.span(h.s(text), cls="chip rel unused", title=f"not used: {span.note}")
     return h.span(text, cls="chip rel", title=span.role)
 
 

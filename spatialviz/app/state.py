@@ -15,6 +15,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Edits, Outcome
+from pipeline.diagnosis.whatif.changes import PairKeys, pair_keys, ranked_pairs
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.palette import Role
@@ -392,9 +393,6 @@ def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before:
     return Shown(tuple(objects), tuple(o.name(i, exact) for i, o in enumerate(objects)), place)
 
 
-_Names = tuple[str | None, ...]
-
-
 @dataclass(frozen=True)
 class Edited:
     """Both answers.
@@ -415,7 +413,7 @@ class Edited:
 
     def pair_before(self, pair: ScoredPair) -> tuple[int | None, ScoredPair | None]:
         """A pair of the answer as it was, after the place that it had, from 1; None where it was no candidate."""
-        return self._ranked.get(_named(self.after, pair), (None, None))
+        return self._ranked.get(pair_keys(self.after, pair), (None, None))
 
     def relation_before(self, a: int, b: int, relation: str) -> float | None:
         """P("a RELATION b") as it was, for places in the objects of the answer."""
@@ -425,12 +423,5 @@ class Edited:
         return float(scores.of(relation)[tuple(map(self.before.keys.index, keys))])
 
     @cached_property
-    def _ranked(self) -> dict[_Names, tuple[int, ScoredPair]]:
-        ranking = self.before.trace.ranking
-        pairs = () if ranking is None else ranking.pairs
-        return {_named(self.before, pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
-
-
-def _named(outcome: Outcome, pair: ScoredPair) -> _Names:
-    ends = (pair.target, pair.reference, pair.second_reference)
-    return tuple(None if i is None else outcome.keys[i] for i in ends)
+    def _ranked(self) -> dict[PairKeys, tuple[int, ScoredPair]]:
+        return ranked_pairs(self.before)

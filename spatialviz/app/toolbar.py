@@ -8,10 +8,8 @@ from dataclasses import asdict
 from pipeline.datasets.settings import ASSUMED, SOURCES
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.palette import DROPPED
-from pipeline.language.relation_names import PHRASE
 from spatialviz.app.beside import layers_html
 from spatialviz.app.keys import KEYS, MOVE_KEYS
-from spatialviz.app.layout import window
 from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, hint_of, note, panel, segments, term, words
 from spatialviz.app.state import State
 
@@ -98,23 +96,9 @@ def _point_size(state: State) -> Element:
     )  # fmt: skip
 
 
-def frame_nav_html(place: int, count: int) -> Element:
-    """Which frame of how many, with steps to its neighbours."""
-    return h.div(
-        _step(-1, "‹", "previous frame (P)", place > 0),
-        h.span(f"{place + 1} of {count}", cls="dim"),
-        _step(1, "›", "next frame (N)", place + 1 < count),
-        cls="nav",
-    )
-
-
 def moves_html(leads: Mapping[str, str] | None) -> Element | None:
     """Where a robot can go from here, of a dataset that has moves."""
     return None if leads is None else h.div((_move(leads, *key) for key in MOVE_KEYS), cls="moves")
-
-
-def _step(by: int, label: str, hint: str, possible: bool) -> Element:
-    return button(label, f"next-frame:{by}", hint, aria_label=hint, id=f"step{by}", disabled=not possible)
 
 
 def _move(leads: Mapping[str, str], key: str, label: str, message: str) -> Element:
@@ -135,15 +119,8 @@ def suggestions_html(state: State, suggestions: Sequence[str]) -> Element | None
     return panel(h.ul(rows, cls="suggestions"))
 
 
-TOOLS = (
-    ("share", "Copy link", "the address of this view, into the clipboard (Ctrl+C)", {"local": "share"}),
-    ("copy-state", "Copy view", "the view with its edits as a string (Shift+C)", {"do": "copy-state"}),
-    ("paste-state", "Open view", "open a view from its string (Shift+V)", {"do": "paste-state"}),
-    ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)", {"do": "keep-case"}),
-    ("report", "Report", "one page of this answer, as a download (Shift+P)", {"do": "report"}),
-    ("theme", "Dark or light", "M", {"do": "theme"}),
-    ("help", "Keys", "all keys (?)", {"do": "help"}),
-)
+LISTED_FRAMES = 1000
+"""A list of more frames would be slow to open; around the current one are enough to pick from."""
 
 
 def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list[Element]:
@@ -156,9 +133,14 @@ def where_html(state: State, sources: Sequence[str], ids: Sequence[str]) -> list
         type="text", value=state.frame_id, list="frame-ids", aria_label="Frame", change="open:", cls="frame-id",
         autocomplete="off", spellcheck="false",
     )  # fmt: skip
-    at = ids.index(state.frame_id)
-    offered = h.datalist((h.option(value=ids[i]) for i in window(len(ids), at)), id="frame-ids")
-    return [dataset, field, offered, frame_nav_html(at, len(ids))]
+    at, count = ids.index(state.frame_id), len(ids)
+    start = max(0, min(at - LISTED_FRAMES // 2, count - LISTED_FRAMES))
+    offered = h.datalist((h.option(value=name) for name in ids[start : start + LISTED_FRAMES]), id="frame-ids")
+    back, on = (
+        button(label, f"next-frame:{by}", hint, aria_label=hint, id=f"step{by}", disabled=not 0 <= at + by < count)
+        for by, label, hint in ((-1, "‹", "previous frame (P)"), (1, "›", "next frame (N)"))
+    )
+    return [dataset, field, offered, h.div(back, h.span(f"{at + 1} of {count}", cls="dim"), on, cls="nav")]
 
 
 TASK_HINTS = {
@@ -173,12 +155,6 @@ def tasks_html(state: State, with_run: bool, with_labels: bool) -> Element | Non
     possible = {"explain": True, "evaluate": with_run, "label": with_labels}
     tasks = {name: name.capitalize() for name, is_so in possible.items() if is_so}
     return segments("task", tasks, state.task, "What the page is for", TASK_HINTS) if len(tasks) > 1 else None
-
-
-def tools_html() -> Element:
-    """What one may want to keep or change, in one menu."""
-    items = (h.button(name, h.small(hint), title=hint, id=f"tool-{key}", **how) for key, name, hint, how in TOOLS)
-    return h.details(h.summary("⋯", aria_label="Tools", title="share, keep, look"), h.div(items), cls="menu")
 
 
 def problem_html(state: State) -> Element | None:
@@ -198,40 +174,6 @@ def refusal_html(state: State) -> Element | None:
         cls="refusal",
         role="alert",
     )
-
-
-OFFERED = 8
-
-
-def offers(typed: str, state: State, suggestions: Sequence[str], asked: Sequence[str]) -> list[dict[str, str]]:
-    """What may come next, the best first.
-
-    {"text", "kind", "detail"}: a "question" stands for all that is typed, a "name" or a "relation" ends it.
-    """
-    text = typed.lower()
-    sources = (("asked before", asked), ("example", suggestions))
-    whole = [{"text": t, "kind": "question", "detail": detail} for detail, found in sources for t in found]
-    if not text.strip():
-        return _distinct(whole)
-    found = [o for o in whole if o["text"].lower().startswith(text) and o["text"].lower() != text]
-    names = sorted({o.label for o in state.shown.objects}, key=lambda n: (len(n), n))
-    # A relation follows a name, else a name does.
-    due = "relation" if any(text.rstrip().endswith(name.lower()) for name in names) else "name"
-    for kind, vocabulary in (("name", names), ("relation", list(dict.fromkeys(PHRASE.values())))):
-        for word in vocabulary:
-            if _begins(text, word.lower()) or (text.endswith(" ") and kind == due):
-                found.append({"text": word, "kind": kind, "detail": "in this frame" if kind == "name" else kind})
-    return _distinct(found)
-
-
-def _begins(text: str, word: str) -> bool:
-    """Whether the end of a text, from the beginning of a word of it, begins this word."""
-    starts = (k for k in range(max(0, len(text) - len(word) + 1), len(text)) if k == 0 or text[k - 1] == " ")
-    return any(word.startswith(text[k:]) for k in starts)
-
-
-def _distinct(found: list[dict[str, str]]) -> list[dict[str, str]]:
-    return list({o["text"].strip().lower(): o for o in reversed(found)}.values())[::-1][:OFFERED]
 
 
 PICK = "Click a level surface, a floor or a table-top, in the picture or in the scene. Shift+U leaves it as it is."

@@ -1,10 +1,10 @@
-"""What a client keeps: its view as a string, which opens it again, its answer as a case or as one page."""
+"""What a client keeps: its view as a string that opens it again, its answer as a case or one page, cases of rows."""
 
 from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -21,10 +21,11 @@ from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState, decode, encode
 from pipeline.evaluation.shared_makers import shares_of_answer
+from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.judging import Judge
-from spatialviz.app.markup import Element, h
+from spatialviz.app.markup import BAD, Element, h, note
 from spatialviz.app.place import Place
 from spatialviz.app.state import ColorMode, State
 from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
@@ -273,6 +274,8 @@ def _detections(
 CASES = "cases"
 """The folder, under the one that the program was started in, that cases are saved in."""
 LONGEST_NAME = 80
+MOST, TOLD = 200, 5
+"""Cases that are made at once, and reasons that are told why some are not."""
 
 
 def folder_name(text: str) -> str:
@@ -281,11 +284,17 @@ def folder_name(text: str) -> str:
 
 
 class Keeping(Part):
-    """Saves what one client looks at."""
+    """Saves what one client looks at, and cases of what `selected` gives: rows of a run."""
 
-    def __init__(self, ctx: Context, judge: Judge, view: Callable[[], ViewState]) -> None:
+    def __init__(
+        self,
+        ctx: Context,
+        judge: Judge,
+        view: Callable[[], ViewState],
+        selected: Callable[[], list[dict[str, Any]]],
+    ) -> None:
         super().__init__(ctx)
-        self._judge, self._view = judge, view
+        self._judge, self._view, self._selected = judge, view, selected
 
     @command("keep-case")
     def ask_name(self) -> None:
@@ -317,9 +326,8 @@ class Keeping(Part):
         folder = Path(CASES) / clean
         require(clean, "this is no name for a folder", got=repr(name[:40]), expected="letters and digits")
         require(not folder.exists(), "there is a case of this name already", expected="another name", path=folder)
-        (source, context, state), run = self._answered(), self.ctx.run
-        origin = {} if run is None else {"run": str(run.folder), "expression": self._view().expression_id}
-        save_case(folder, source, context, state.text, run=origin, **self._given(source, context))
+        source, context, state = self._answered()
+        self._save(folder, context, state.text, self._view().expression_id, self._given(source, context))
         replay = shlex.join(["spatialviz", "replay", str(folder)])
         self.ctx.note(f"case saved: {replay}")
         self.ctx.dialog.show(
@@ -331,6 +339,13 @@ class Keeping(Part):
             ),
             h.button("Copy the command", local="copy"),
         )
+
+    def _save(
+        self, folder: Path, context: PreparedFrame, text: str, expression: str | None, given: Mapping[str, Any]
+    ) -> None:
+        run = self.ctx.run
+        origin = {} if run is None else {"run": str(run.folder), "expression": expression}
+        save_case(folder, self.ctx.source, context, text, run=origin, **given)
 
     @command("report")
     def report(self) -> None:
@@ -367,3 +382,52 @@ class Keeping(Part):
         facts = () if view.run is None else (("run", view.run), ("expression", view.expression_id or answered.text))
         shares = shares_of_answer(self.ctx.source, self._judge.labels) if run is None else run.shares
         return Subject(view.dataset, view.frame, commands, string, facts, shares)
+
+    @command("row-cases")
+    def save_rows(self) -> None:
+        """Save each of the selected as a case; one that is there already stays."""
+        rows, count = self._selected(), len(self._selected())
+        require(count <= MOST, "so many cases are not made at once", got=count, expected=f"up to {MOST}")
+        saved, refused, there = list[str](), list[str](), list[Path]()
+
+        def make() -> None:
+            if not rows:
+                self.ctx.page.call("working", "")
+                self._tell(saved, refused, len(there))
+                return
+            row = rows.pop(0)
+            self.ctx.page.call("working", f"case {count - len(rows)} of {count}")
+            folder = Path(CASES) / folder_name(f"{row['text']}-{row['frame']}")
+            if folder.exists():
+                there.append(folder)
+            else:
+                try:
+                    self._save_row(folder, row)
+                    saved.append(str(folder))
+                except InputError as error:
+                    refused.append(f"{row['text']}: {error}")
+            self.ctx.post(make)
+
+        self.ctx.post(make)
+
+    def _save_row(self, folder: Path, row: dict[str, Any]) -> None:
+        here = self.state
+        context = self.ctx.shared.store.load(here.source, row["frame"]).context
+        # What is judged is what is looked at.
+        self.state = replace(here, frame_id=row["frame"])
+        try:
+            truth = self._judge.truth(self.ctx.source, context)
+            known = self._judge.known(truth, row["id"])
+        finally:
+            self.state = here
+        self._save(folder, context, row["text"], row["id"], {"truth": truth, **known})
+
+    def _tell(self, saved: list[str], refused: list[str], there: int) -> None:
+        self.ctx.dialog.show(
+            "Cases of the selected",
+            (
+                h.p(f"{counted(len(saved), 'case')} saved{f', {there} were there already' if there else ''}."),
+                h.pre("\n".join(saved), cls="file") if saved else None,
+                [note(reason, BAD) for reason in refused[:TOLD]],
+            ),
+        )

@@ -80,14 +80,10 @@ class WhatIf(Part):
 
     # ---- edits ----------------------------------------------------------------------
 
-    @command("edit-live")
-    def _edit_live(self, said: str) -> None:
-        self._edit(said, live=True)
-
-    @command("edit")
-    def _edit(self, said: str, live: bool = False) -> None:
+    @command("edit", "edit-live")
+    def _edit(self, said: str, by: str) -> None:
         """Carry out an edit such as "size:1:0.2"; a live one is followed by others of the same hand."""
-
+        live = by == "edit-live"
         self._try(lambda: edited_by(said, self.state, self.ctx.source, self.keys(self._base())), live)
 
     def _try(self, change: Callable[[], Edits], live: bool = False) -> None:
@@ -203,8 +199,7 @@ class WhatIf(Part):
             legend = None if self._map is None else map_legend(state, self._map)
             trace, editable = state.trace, candidate or hidden
             panel = None if trace is None else edit_html(state, trace, self.ctx.source, editable, self._map)
-            self.ctx.page.show("map-legend", legend)
-            self.ctx.page.show("edit", panel)
+            self.ctx.page.fill({"map-legend": legend, "edit": panel})
 
 
 def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str | None, keys: tuple[str, ...]) -> State:

@@ -213,7 +213,7 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
     for index, role in cast.roles.items():
         box = cast.objects[index].lifted.box
         if box is not None:
-            parts.append(f'<path class="box {role}" d="{_edges(box, frame.camera)}"/>')
+            parts.append(f'<path class="box {role}" d="{edges_path(box, frame.camera)}"/>')
     taken: list[tuple[float, float, float, float]] = []
     for index, role in reversed(cast.roles.items()):
         entry = cast.objects[index]
@@ -246,9 +246,10 @@ def _outline(mask: np.ndarray) -> str:
     return "".join(paths)
 
 
-def _edges(box: Box3D, camera: Camera) -> str:
+def edges_path(box: Box3D, camera: Camera, origin: tuple[float, float] = (0.0, 0.0)) -> str:
+    """The visible edges of a 3D box as a path of an SVG, in pixels of the picture from `origin`."""
     reach = 8 * camera.width
-    edges = box_edges_2d(box, camera)
+    edges = box_edges_2d(box, camera) - np.array(origin)
     edges = np.clip(edges[np.isfinite(edges).all(axis=(1, 2))], -reach, reach)
     return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in edges)
 

@@ -12,10 +12,8 @@ import numpy as np
 from pipeline.answering.objects import PreparedFrame
 from pipeline.diagnosis.answer import Answer
 from pipeline.geometry.boxes import EDGES, Box3D
-from pipeline.geometry.camera import lift_pixels
-from pipeline.geometry.lifting import flying_pixels
+from pipeline.geometry.cloud import cloud_of, drawn_pixels
 from pipeline.geometry.palette import RGB, Role, palette
-from spatialviz.app.frames import BAND_RATIO, FAR
 from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
 from spatialviz.app.site import Nobody, served_by
 from spatialviz.report.picture import AnswerRoles, answer_roles
@@ -46,7 +44,7 @@ def _with_server(server: viser.ViserServer, answered: Answer, context: PreparedF
         server.scene.world_axes.visible = False
         server.scene.configure_environment_map(hdri=None)
         server.scene.configure_default_lights(cast_shadow=False)
-        points = _draw_cloud(server.scene, context, to_show)
+        points = _draw_cloud(server.scene, context)
         _draw_boxes(server.scene, answer_roles(answered), to_show)
         _place_camera(server, points, context, to_show)
         return server.scene.as_html(dark_mode=True)
@@ -54,25 +52,21 @@ def _with_server(server: viser.ViserServer, answered: Answer, context: PreparedF
         server.stop()
 
 
-def _draw_cloud(scene: viser.SceneApi, context: PreparedFrame, to_show: np.ndarray) -> np.ndarray:
+def _draw_cloud(scene: viser.SceneApi, context: PreparedFrame) -> np.ndarray:
     """Surfaces in bands of depth, each with its point size; returns the shown points (N, 3)."""
     frame = context.frame
-    usable = (frame.depth > 0) & (frame.depth < FAR) & ~flying_pixels(frame.depth)
+    usable = drawn_pixels(frame)
     stride = max(1, int(np.ceil(np.sqrt(usable.sum() / MOST_POINTS))))
     while usable[::stride, ::stride].sum() > MOST_POINTS:
         stride += 1
-    v, u = (x * stride for x in np.nonzero(usable[::stride, ::stride]))
-    z = frame.depth[v, u]
-    points = (lift_pixels(z, frame.camera, v, u) @ to_show.T.astype(np.float32)).astype(np.float32)
-    band = np.floor(np.log(np.maximum(z, 1e-3)) / np.log(BAND_RATIO)).astype(int)
-    for k, level in enumerate(np.unique(band)):
-        index = np.flatnonzero(band == level)
+    cloud = cloud_of(frame, context.viewer, stride)
+    colors = cloud.painted(frame.rgb)
+    for part in cloud.parts:
         scene.add_point_cloud(
-            f"/cloud/{k}", points[index], frame.rgb[v[index], u[index]],
-            point_size=float(BAND_RATIO ** (level + 0.6) / frame.camera.fx * stride * 1.15),
+            f"/cloud/{part.name}", cloud.points[part.at], colors[part.at], point_size=part.size,
             point_shading="flat", point_shape="square",
         )  # fmt: skip
-    return points
+    return cloud.points
 
 
 def _draw_boxes(scene: viser.SceneApi, cast: AnswerRoles, to_show: np.ndarray) -> None:

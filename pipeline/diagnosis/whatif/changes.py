@@ -31,7 +31,7 @@ _WORDS = {
 }
 
 Record = dict[str, Any]
-_Names = tuple[str, str | None, str | None]
+PairKeys = tuple[str, str | None, str | None]
 
 
 def what_changed(
@@ -83,7 +83,8 @@ def what_changed(
     }
 
 
-def _names(outcome: Outcome, pair: ScoredPair) -> _Names:
+def pair_keys(outcome: Outcome, pair: ScoredPair) -> PairKeys:
+    """The keys of a pair's objects: target, reference, the other end of "between"."""
     keys = outcome.keys
     return (
         keys[pair.target],
@@ -92,9 +93,9 @@ def _names(outcome: Outcome, pair: ScoredPair) -> _Names:
     )
 
 
-def _winner(outcome: Outcome) -> _Names | None:
+def _winner(outcome: Outcome) -> PairKeys | None:
     ranking = outcome.trace.ranking
-    return None if ranking is None else _names(outcome, ranking.pairs[0])
+    return None if ranking is None else pair_keys(outcome, ranking.pairs[0])
 
 
 def _answer(outcome: Outcome, verdict: str | None) -> Record:
@@ -127,22 +128,23 @@ def _object(outcome: Outcome, index: int) -> Record:
     return {"key": outcome.keys[index], "label": outcome.trace.objects[index].label}
 
 
-def _pairs(outcome: Outcome) -> dict[_Names, tuple[int, ScoredPair]]:
+def ranked_pairs(outcome: Outcome) -> dict[PairKeys, tuple[int, ScoredPair]]:
+    """The ranked pairs by the keys of their objects, each after its rank, from 1."""
     pairs = () if outcome.trace.ranking is None else outcome.trace.ranking.pairs
-    return {_names(outcome, pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
+    return {pair_keys(outcome, pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
 
 
-def _factors(before: Outcome, after: Outcome, names: _Names) -> Record:
+def _factors(before: Outcome, after: Outcome, names: PairKeys) -> Record:
     """The log factors of one pair in both answers; null where it is no candidate pair."""
     record: Record = {"target": names[0], "reference": names[1]}
     for when, outcome in (("before", before), ("after", after)):
-        at, pair = _pairs(outcome).get(names, (None, None))
+        at, pair = ranked_pairs(outcome).get(names, (None, None))
         record[when] = None if pair is None else {"rank": at, "log_score": pair.log_score, **pair.log_factors}
     return record
 
 
 def _moved(before: Outcome, after: Outcome, most: int) -> list[Record]:
-    old, new = _pairs(before), _pairs(after)
+    old, new = ranked_pairs(before), ranked_pairs(after)
     gone = [names for names in old if names not in new]
     ranks = {names: [side[names][0] if names in side else None for side in (old, new)] for names in (*new, *gone)}
     found = [
