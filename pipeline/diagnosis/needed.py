@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, inf, log, prod
 
@@ -130,3 +131,42 @@ def _bounds(
             low = inf
     # Bounds that meet leave a point, where two pairs tie, and no room in which the right pair comes first.
     return (low, high) if low < high * (1 - 1e-9) else (inf, 0.0)
+
+
+def smallest_change(changes: Sequence[Needed]) -> str:
+    """In words: the smallest change of one factor that would put the right pair first, or that there is none."""
+    names = {
+        "relation": "relation",
+        "target": "target score",
+        "reference": "reference score",
+        "attributes": "attributes",
+    }
+    for change in changes:
+        if change.right_above is None:
+            continue
+        above, now = threshold(change.right_above, change.right)
+        if change.right_above < 0.01 and change.right < 0.005 and change.factor != "reference":
+            # Two pairs that are both next to 0: what is enough says more than what is just enough.
+            return f"A {names[change.factor]} of 0.01 instead of {change.right:.2f} would put the right pair first."
+        return f"Smallest change: its {names[change.factor]} above " + (
+            f"{above}, which is a tie." if above == now else f"{above} instead of {now}."
+        )
+    if not changes:
+        return ""
+    falls = [n for n in changes if n.winner_below is not None]
+    if not falls:
+        return "No change of one factor alone would put the right pair first."
+    least = min(falls, key=lambda n: n.winner - (n.winner_below or 0.0))
+    below, now = threshold(least.winner_below or 0.0, least.winner)
+    what = f"Smallest change: the answer's {names[least.factor]} below {below}"
+    return f"{what}, which is a tie." if below == now else f"{what} instead of {now}."
+
+
+def threshold(value: float, now: float) -> tuple[str, str]:
+    """What a factor has to pass, with so many digits that it is another number than it is now, and neither 0 nor 1."""
+    shown = is_now = ""
+    for digits in range(2, 10):
+        shown, is_now = f"{value:.{digits}f}", f"{now:.{digits}f}"
+        if shown != is_now and 0 < float(shown) < 1:
+            break
+    return shown, f"{now:.2f}" if abs(now - value) >= 0.01 else is_now

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.answering.pair_table import HOLDS, ScoredPair, one_object_twice
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.needed import Needed
+from pipeline.diagnosis.needed import Needed, smallest_change
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.unexplained import unexplained
@@ -221,7 +221,7 @@ def _unexplained(d: Diagnosis, case: Case) -> str:
 
 
 def _lost(d: Diagnosis, case: Case) -> str:
-    return " ".join(filter(None, (_flipped(d, case), _others(d), _smallest_change(d))))
+    return " ".join(filter(None, (_flipped(d, case), _others(d), smallest_change(d.needed))))
 
 
 def _correct(d: Diagnosis, case: Case) -> str:
@@ -398,16 +398,6 @@ def apart(*values: float) -> tuple[str, ...]:
     return tuple(f"{value:.2f}" for value in values)
 
 
-def threshold(value: float, now: float) -> tuple[str, str]:
-    """What a factor has to pass, with so many digits that it is another number than it is now, and neither 0 nor 1."""
-    shown = is_now = ""
-    for digits in range(2, 10):
-        shown, is_now = f"{value:.{digits}f}", f"{now:.{digits}f}"
-        if shown != is_now and 0 < float(shown) < 1:
-            break
-    return shown, f"{now:.2f}" if abs(now - value) >= 0.01 else is_now
-
-
 def _repaired(d: Diagnosis) -> str:
     if not d.repair:
         return "No correction of the modules mends it."
@@ -422,35 +412,6 @@ def _others(d: Diagnosis) -> str:
         return ""
     words = " or ".join(ORACLE_WORDS[name] for name in others)
     return f"{words[0].upper()}{words[1:]} alone would do too."
-
-
-def _smallest_change(d: Diagnosis) -> str:
-    """The smallest change of one factor that would put the right pair first, or that there is none."""
-    names = {
-        "relation": "relation",
-        "target": "target score",
-        "reference": "reference score",
-        "attributes": "attributes",
-    }
-    for change in d.needed:
-        if change.right_above is None:
-            continue
-        above, now = threshold(change.right_above, change.right)
-        if change.right_above < 0.01 and change.right < 0.005 and change.factor != "reference":
-            # Two pairs that are both next to 0: what is enough says more than what is just enough.
-            return f"A {names[change.factor]} of 0.01 instead of {change.right:.2f} would put the right pair first."
-        return f"Smallest change: its {names[change.factor]} above " + (
-            f"{above}, which is a tie." if above == now else f"{above} instead of {now}."
-        )
-    if not d.needed:
-        return ""
-    falls = [n for n in d.needed if n.winner_below is not None]
-    if not falls:
-        return "No change of one factor alone would put the right pair first."
-    least = min(falls, key=lambda n: n.winner - (n.winner_below or 0.0))
-    below, now = threshold(least.winner_below or 0.0, least.winner)
-    what = f"Smallest change: the answer's {names[least.factor]} below {below}"
-    return f"{what}, which is a tie." if below == now else f"{what} instead of {now}."
 
 
 def _p(value: float | None) -> str:

@@ -89,12 +89,7 @@ class Run(InNotebook):
             The run's folder; by default a temporary one.
         options
             `header`, a dict with fields of the first line ("system", "ranking", ...), and what `import_run` takes:
-            name, workers, plots, overwrite, rescore.
-
-        Raises
-        ------
-        InputError
-            As `import_run`.
+            name, workers, plots, overwrite, rescore. It raises as `import_run`.
         """
         # By its name: what makes runs stands above what opens them.
         importing = import_module("pipeline.evaluation.from_records")
