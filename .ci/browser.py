@@ -22,7 +22,7 @@ from playwright.sync_api import Browser, Locator, Page, sync_playwright
 
 CHROMIUM = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 SIZE = {"width": 1440, "height": 900}
-SLOW = float(os.environ.get("SPATIALVIZ_CHECK_PATIENCE", "30"))
+SLOW = float(os.environ.get("SPATIALVIZ_CHECK_PATIENCE", "60"))
 """Seconds that something may take to appear; more on a machine that is busy with other things."""
 ENDS_WITHIN = 30.0
 # viser's client always makes the sorter of its Gaussian splats, a WebAssembly module whose glue (Emscripten's embind)

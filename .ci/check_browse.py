@@ -55,6 +55,11 @@ def grid_works(tab: Tab) -> None:
 def cameras_work(tab: Tab) -> None:
     """A click on a camera of the plan opens its frame."""
     tab.see("#strip .plan .camera")
+    # The plan follows the frame a little later, and is then drawn anew.
+    tab.poll(
+        "document.querySelector('#strip .camera.here title')?.textContent"
+        " === document.querySelector('#where .frame-id').value"
+    )
     other = tab.page.locator("#strip .camera:not(.here)").first
     name = other.locator("title").text_content()
     box = other.bounding_box()
