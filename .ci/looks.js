@@ -1,11 +1,12 @@
 /* What a script can see of how the page looks: text that is cut, and things that lie on each other. */
 async () => {
-// Text is cut where it is wider than its element; with an ellipsis that is meant, if a title says the whole of it.
+// Text is cut where it is wider than its element; with an ellipsis that is meant, if a title says the whole of it. What is
+// there for screen readers alone is not looked at.
 const cut = () => {
   const found = [], told = e => e.closest('[title], summary, :is(button, [role=button], [role=option])[aria-label]');
   const name = e => `${e.tagName.toLowerCase()}${e.id ? '#' + e.id : ''}.${e.className} "${e.textContent.trim().slice(0, 40)}"`;
   for (const e of document.querySelectorAll('body *')) {
-    if (!e.checkVisibility({visibilityProperty: true}) || e.closest('.hidden, svg, #suggested, dialog:not([open])')) continue;
+    if (!e.checkVisibility({visibilityProperty: true}) || e.closest('.hidden, .unseen, svg, #suggested, dialog:not([open])')) continue;
     const own = [...e.childNodes].some(n => n.nodeType === 3 && n.data.trim()), s = getComputedStyle(e);
     const field = e.matches('input[type=text], input:not([type]), select');
     if (!own && !field && !e.matches('button')) continue;
