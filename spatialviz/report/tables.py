@@ -6,7 +6,8 @@ from html import escape
 from math import log
 
 from pipeline.diagnosis.answer import Answer
-from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
+from pipeline.diagnosis.stages import failed_stages
+from pipeline.diagnosis.verdict import ORACLE_WORDS, Diagnosis
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from spatialviz.report.picture import AnswerRoles
@@ -17,12 +18,11 @@ _MODULES = (
     ("ATTRIBUTE", "attributes", ()), ("SRM", "relations", ("srm",)), ("PRM", "ranking", ("prm",)),
     ("LABEL", "the label", ()),
 )  # fmt: skip
-_ORACLE_MODULE = {"RECALL": "OPM", "LIFT": "LIFT", "SRM": "SRM", "CONF": "PRM", "ATTRIBUTE": "ATTRIBUTE"}
 
 
 def modules_html(answered: Answer) -> str:
     """A strip of the modules with what each took, the blamed one marked."""
-    blamed = blamed_modules(answered.diagnosis)
+    blamed = () if answered.diagnosis is None else failed_stages(answered.trace, answered.diagnosis)
     times = {} if answered.trace is None else answered.trace.timings
     cells = []
     judged = answered.diagnosis
@@ -35,15 +35,6 @@ def modules_html(answered: Answer) -> str:
         text = ' <span class="sr">blamed</span>' if name in blamed else ""
         cells.append(f"<li{mark}><b>{name}</b><span>{what}</span><em>{shown}</em>{text}</li>")
     return f'<ol class="modules">{"".join(cells)}</ol>'
-
-
-def blamed_modules(judged: Diagnosis | None) -> frozenset[str]:
-    """The modules that the verdict blames."""
-    if judged is None or judged.correct:
-        return frozenset()
-    if judged.verdict == "COMPOUND":
-        return frozenset(_ORACLE_MODULE[name] for name in judged.repair)
-    return frozenset({MODULE_OF[judged.verdict]} if judged.verdict in MODULE_OF else ())
 
 
 def decomposition_html(d: Diagnosis, cast: AnswerRoles) -> str:
