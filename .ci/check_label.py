@@ -53,15 +53,16 @@ def settle_by_keys(tab: Tab, journal: Path, labels: Path) -> None:
 def object_shown(tab: Tab) -> None:
     """Open an item about an object, and wait until its three views have its points."""
     tab.click("queue-kind:object")
-    # The queue may be renewed by what a detector has found meanwhile; what is wanted is an item about an object.
+    # The queue may be renewed by what a detector has found meanwhile, whose first items are about what is not
+    # labelled; what is wanted is an item about an object.
     shown = f"document.querySelector('#crop figcaption b')?.textContent === {CLAIM}"
-    for _ in range(4):
+    for _ in range(15):
         tab.press("j")
-        tab.see("#sides .side-view canvas")
         with suppress(AssertionError):
-            tab.poll(shown, seconds=8)
+            tab.poll(shown, seconds=4)
             break
     tab.poll(shown)
+    tab.see("#sides .side-view canvas")
     # The points may come after the words.
     tab.poll("document.getElementById('sides').dataset.of === document.querySelector('#crop figcaption b').textContent")
     tab.page.wait_for_timeout(1000)
