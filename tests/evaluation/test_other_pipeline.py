@@ -20,5 +20,5 @@ def test_the_verdict_names_the_planted_module_of_another_pipeline() -> None:
     assert len(planted) >= 5
     assert sum(found[fault] for fault, found in planted.items()) >= MOST * sum(c.total() for c in planted.values())
     # What is not planted is right, or wrong of itself, and never beyond explanation.
-    assert counts["clean"]["CORRECT"] + counts["clean"]["LABEL"] >= counts["clean"].total() / 2
+    assert counts["clean"]["CORRECT"] + counts["clean"]["LABEL"] >= 0.8 * counts["clean"].total()
     assert not any("UNEXPLAINED" in verdict for found in counts.values() for verdict in found)
