@@ -93,24 +93,31 @@ def numbered_lines(path: Blob) -> list[tuple[int, str]]:
     return [(number, line) for number, line in lines if line and not line.startswith("#")]
 
 
-def path_inside(root: Path, name: str, source: Path, line: int) -> Path:
-    """The file that line `line` of the list `source` names, which must lie inside `root`.
+def name_inside(name: str, source: Path, line: int) -> str:
+    """The name of a file as line `line` of the list `source` gives it, which must stay inside the list's folder.
 
     Raises
     ------
     InputError
         An absolute path, one with "..", or one with control characters.
     """
-    windows = PureWindowsPath(name)
-    outside = PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts
     require(
-        name and not outside and name.isprintable(),
+        name and name.isprintable() and (_PLAIN.match(name) or not _leaves(name)),
         f"line {line} names a file outside the dataset",
         got=repr(name[:80]),
         expected="a path relative to the dataset's folder, without ..",
         path=source,
     )
-    return root / name
+    return name
+
+
+_PLAIN = re.compile(r"(?!.*\.\.)[^/\\:][^\\:]*\Z")
+"""Most names, which need no closer look."""
+
+
+def _leaves(name: str) -> bool:
+    windows = PureWindowsPath(name)
+    return bool(PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts)
 
 
 def read_matrix(path: Blob, rows: int, columns: int) -> np.ndarray:
@@ -194,14 +201,9 @@ def listed_once() -> Iterator[None]:
         _LISTED.reset(token)
 
 
-_DIGITS = str.maketrans("123456789", "0" * 9)
-
-
 def in_order(names: list[str]) -> list[str]:
     """Names in natural order."""
-    # Where all digits stand in the same columns, the order of characters is the natural one, and soon found.
-    alike = len({name.translate(_DIGITS) for name in names}) <= 1
-    return sorted(names) if alike else sorted(names, key=natural)
+    return sorted(names, key=natural)
 
 
 def readable(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
@@ -212,7 +214,18 @@ def readable(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
         return [], []
 
 
-def natural(name: str) -> tuple[list[tuple[int, int, str]], str]:
-    """Sort key under which frame2 comes before frame10."""
-    parts = re.findall(r"[0-9]+|[^0-9]+", name)
-    return [(0, int(p), "") if p[0] in "0123456789" else (1, 0, p) for p in parts], name
+_NUMBER = re.compile("0*([0-9]+)")
+
+
+def natural(name: str) -> str:
+    """Sort key under which frame2 comes before frame10.
+
+    A number is written as what tells its length and its digits, so that characters are compared: a tuple of parts
+    would be compared three times as slowly, and a folder may hold 300,000 names.
+    """
+    return _NUMBER.sub(_with_length, name) + "\0" + name
+
+
+def _with_length(number: re.Match[str]) -> str:
+    digits = number[1]
+    return f"\1{chr(len(digits))}{digits}"

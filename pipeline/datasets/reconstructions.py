@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.camera_files import NOTHING, Stated, flat_numbers, stated_in
 from pipeline.datasets.cameras import inverse, or_note, pose_from_matrix, pose_from_quaternion
-from pipeline.datasets.files import as_floats, numbered_lines, path_inside, read_json, readable
+from pipeline.datasets.files import as_floats, name_inside, numbered_lines, read_json, readable
 from pipeline.datasets.images import INTEGER_DEPTH_SUFFIXES, picture_size
 from pipeline.datasets.pairing import choose_naming, files_in_roles
 from pipeline.datasets.recording import DepthRule, Listed, Recording
@@ -35,10 +35,10 @@ FOCALS = {"SIMPLE_PINHOLE": 1, "SIMPLE_RADIAL": 1, "RADIAL": 1, "SIMPLE_RADIAL_F
 
 @dataclass(frozen=True)
 class PosedPicture:
-    """One entry of a list of pictures: its files, and its camera as the list has it."""
+    """One entry of a list of pictures: its files, relative to the dataset, and its camera as the list has it."""
 
-    color: Path
-    depth: Path | None
+    color: str
+    depth: str | None
     camera: Any
     pose: Any
 
@@ -62,7 +62,7 @@ class PosedPictures(Recording):
             expected=f"a folder depth/ with a file of the same name or number for each, {OR_ESTIMATED}",
             path=self.source,
         )
-        integer = any(e.depth is not None and e.depth.suffix.lower() in INTEGER_DEPTH_SUFFIXES for e in entries)
+        integer = any(e.depth is not None and e.depth.lower().endswith(INTEGER_DEPTH_SUFFIXES) for e in entries)
         unknown = self.rule.units_per_metre is None and settings.depth_scale is None
         self._ask_for(f"{len(self._entries)} posed pictures with depth", False, unknown and integer)
         if unknown and not integer:
@@ -84,21 +84,21 @@ class PosedPictures(Recording):
 
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         entry = self._found(self._entries, frame_id)
-        depth = entry.depth
+        color, depth = self.root / entry.color, None if entry.depth is None else self.root / entry.depth
         if not self._settings.estimated:
-            depth = needed(depth, "the depth file is missing", path=entry.color)
-        stated = NOTHING if self._settings.intrinsics is not None else self._read_camera(entry.camera, entry.color)
+            depth = needed(depth, "the depth file is missing", path=color)
+        stated = NOTHING if self._settings.intrinsics is not None else self._read_camera(entry.camera, color)
         pose = None if entry.pose is None else or_note(notes, "no camera pose: ", self._read_pose, entry.pose)
-        return Listed(entry.color, depth, stated, pose)
+        return Listed(color, depth, stated, pose)
 
     def _with_depths(self, entries: dict[str, PosedPicture]) -> dict[str, PosedPicture]:
         """The entries, each with the depth file that has its number or its name."""
         depths = files_in_roles(self.root, "depth")
         if not depths:
             return entries
-        colors = [os.path.relpath(entry.color, self.root) for entry in entries.values()]
+        colors = [entry.color for entry in entries.values()]
         naming = choose_naming(colors, depths)
-        known = {naming(name): self.root / name for name in depths}
+        known = {naming(name): name for name in depths}
         return {
             frame_id: PosedPicture(entry.color, known.get(naming(color)), entry.camera, entry.pose)
             for (frame_id, entry), color in zip(entries.items(), colors, strict=True)
@@ -125,12 +125,13 @@ class NerfstudioDataset(PosedPictures):
         for number, frame in enumerate(frames):
             path = frame.get("file_path") if isinstance(frame, Mapping) else None
             require(isinstance(path, str), f"frame {number} names no file", path=self.source)
-            color = path_inside(self.root, f"{path}", self.source, number)
-            color = color if color.suffix else color.with_suffix(".png")
+            color = os.path.normpath(name_inside(f"{path}", self.source, number))
+            stem, suffix = os.path.splitext(os.path.basename(color))
+            color = color if suffix else f"{color}.png"
             depth = next((frame[key] for key in ("depth_file_path", "depth_path") if frame.get(key)), None)
-            depth = None if depth is None else path_inside(self.root, str(depth), self.source, number)
+            depth = None if depth is None else name_inside(str(depth), self.source, number)
             own = {k: v for k, v in frame.items() if k not in ("transform_matrix", "file_path", "depth_file_path")}
-            frame_id = color.stem if color.stem not in found else f"{color.parent.name}/{color.stem}"
+            frame_id = stem if stem not in found else f"{os.path.basename(os.path.dirname(color))}/{stem}"
             found[frame_id] = PosedPicture(color, depth, own, frame.get("transform_matrix"))
         cameras = [self._shared, *(entry.camera for entry in found.values())]
         self.lens = any(camera.get(key) for camera in cameras for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
@@ -176,16 +177,18 @@ class ColmapDataset(PosedPictures):
         found: dict[str, PosedPicture] = {}
         for words in pictures:
             name = " ".join(words[9:])
-            color = path_inside(self._pictures(name), name, self.source, 0)
-            frame_id = color.stem if color.stem not in found else name
+            color = os.path.join(self._folder(name), name_inside(name, self.source, 0))
+            stem = os.path.splitext(os.path.basename(color))[0]
+            frame_id = stem if stem not in found else name
             found[frame_id] = PosedPicture(color, None, cameras.get(words[8]), words[1:8])
         self.lens = any(len(words) > 3 and not words[0].endswith("PINHOLE") for words in cameras.values())
         self.notes += ("the poses' scale is the reconstruction's own, which need not be metres",)
         return self._with_depths(dict(sorted(found.items())))
 
-    def _pictures(self, name: str) -> Path:
-        folders = (self.root / folder for folder in ("images", "color", "rgb", ""))
-        return next((folder for folder in folders if (folder / name).is_file()), self.root / "images")
+    def _folder(self, name: str) -> str:
+        """Where a picture stands, relative to the dataset."""
+        folders = ("images", "color", "rgb", "")
+        return next((folder for folder in folders if os.path.isfile(self.root / folder / name)), "images")
 
     def _read_camera(self, camera: Sequence[str] | None, picture: Path) -> Stated:
         words = needed(camera, "a picture of an unknown camera", path=self.source)

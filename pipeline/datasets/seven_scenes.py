@@ -35,15 +35,16 @@ class SevenScenesDataset(Recording):
 
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
-        self._files: dict[str, dict[str, list[Path]]] = {}
+        self._files: dict[str, dict[str, list[str]]] = {}
         for folder in ("", *_sequences(root)):
             for name in listing(root / folder)[1]:
                 if match := _IMAGE.fullmatch(name):
                     frame_id = f"{folder}/{match[1]}" if folder else match[1]
                     kinds = self._files.setdefault(frame_id, {"color": [], "depth": []})
-                    kinds[match[2]].append(root / folder / name)
+                    kinds[match[2]].append(name)
         self.frame_ids = tuple(self._files)
-        if any(_camera_file(root, (root / frame_id).parent) is None for frame_id in self.frame_ids):
+        folders = {frame_id.rpartition("/")[0] for frame_id in self.frame_ids}
+        if any(_camera_file(root, root / folder) is None for folder in folders):
             self.notes += camera_notes(settings, DEFAULT_INTRINSICS, "7-Scenes' own")
         if settings.registration is None:
             self.notes += (UNREGISTERED,)
@@ -51,8 +52,10 @@ class SevenScenesDataset(Recording):
     def _listed(self, frame_id: str, notes: list[str]) -> Listed:
         files = self._found(self._files, frame_id)
         stem = self.root / frame_id
-        color = one_file(files["color"], "colour", stem.with_name(f"{stem.name}.color.png"))
-        depth = one_file(files["depth"], "depth", stem.with_name(f"{stem.name}.depth.png"))
+        color, depth = (
+            one_file([stem.with_name(name) for name in files[kind]], told, stem.with_name(f"{stem.name}.{kind}.png"))
+            for kind, told in (("color", "colour"), ("depth", "depth"))
+        )
         pose_file = stem.with_name(f"{stem.name}.pose.txt")
         pose = read_pose(pose_file, notes) if pose_file.is_file() else None
         path = _camera_file(self.root, stem.parent)

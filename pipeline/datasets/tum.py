@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.cameras import or_note, pose_from_quaternion
-from pipeline.datasets.files import as_floats, numbered_lines, path_inside
+from pipeline.datasets.files import as_floats, name_inside, numbered_lines
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings, camera_notes
 from pipeline.system.errors import require
@@ -34,12 +34,12 @@ _TIME = re.compile(r"[0-9]+(\.[0-9]+)?")
 """Seconds with as many digits as a script prints."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class _Entry:
     """One line of rgb.txt or depth.txt."""
 
     stamp: str
-    path: Path
+    name: str
 
     @property
     def time(self) -> float:
@@ -90,7 +90,8 @@ class TumDataset(Recording):
         require(frame_id in self._depths, f"no depth image within 20 ms of {frame_id}", path=self.root / "depth.txt")
         notes += self._pose_notes
         pose = self._pose(color.time, notes)
-        return Listed(color.path, self._depths[frame_id].path, pose=pose, documented=self._camera)
+        names = color.name, self._depths[frame_id].name
+        return Listed(*(self.root / name for name in names), pose=pose, documented=self._camera)
 
     def _pose(self, time: float, notes: list[str]) -> np.ndarray | None:
         path = self._path
@@ -125,7 +126,7 @@ def _entries(root: Path, name: str) -> list[_Entry]:
             expected="timestamp path",
             path=source,
         )
-        entry = _Entry(stamp, path_inside(root, rest[0], source, number))
+        entry = _Entry(stamp, name_inside(rest[0], source, number))
         time = Decimal(stamp)
         require(time not in found, f"line {number} repeats a time stamp", got=stamp[:60], path=source)
         found[time] = entry

@@ -98,7 +98,8 @@ def begun_labels(
         selection=asdict(SelectConfig()),
         dataset={
             "path": str(dataset.root.absolute()), "options": given, "format": dataset.format,
-            "input_hash": files_hash(dataset.root),
+            # Of all files, once labels are written: a recording may have 300,000.
+            "input_hash": "",
         },
         models={"detector": f"{BY_HAND}: 1", "second_opinion": fingerprint(config.second_opinion)},
         seed=config.seed,
@@ -182,7 +183,10 @@ def _write(labels: Labels, frames: pa.Table) -> None:
         tables = {name: frames if name == "frames" else labels.table(name) for name in TABLES}
         files = {name: write_merged(staging, name, iter([table])) for name, table in tables.items()}
         rows = {("pairs" if name == "relations" else name): f.rows for name, f in files.items()}
-        manifest = labels.manifest.model_copy(update={"tables": files, "counts": _counts(frames, rows)})
+        dataset = labels.manifest.dataset
+        dataset = {**dataset, "input_hash": dataset["input_hash"] or files_hash(Path(dataset["path"]))}
+        told = {"tables": files, "counts": _counts(frames, rows), "dataset": dataset}
+        manifest = labels.manifest.model_copy(update=told)
         write_labels(staging, manifest)
         for file in sorted(filter(Path.is_file, staging.rglob("*")), key=lambda p: p.name == MANIFEST_FILE):
             final = labels.root / file.relative_to(staging)

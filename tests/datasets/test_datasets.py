@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +32,21 @@ from pipeline.datasets import (
     write_settings,
 )
 from pipeline.datasets.cameras import nearest_rotation
+from pipeline.datasets.files import in_order
 from pipeline.system import plugins
 
 # Opening, naming, settings
+
+
+def in_parts(name: str) -> tuple[list[tuple[int, int, str]], str]:
+    parts = re.findall(r"[0-9]+|[^0-9]+", name)
+    return [(0, int(p), "") if p[0].isascii() and p[0].isdigit() else (1, 0, p) for p in parts], name
+
+
+@given(st.lists(st.from_regex(r"[ -.a-cA-C_0-9\u00e9\u0661]{0,12}", fullmatch=True), max_size=30))
+def test_names_stand_in_the_order_of_their_numbers(names: list[str]) -> None:
+    assert in_order(names) == sorted(names, key=in_parts)
+    assert in_order(["f10", "f2", "f02", "f2b", "f"]) == ["f", "f02", "f2", "f2b", "f10"]
 
 
 def test_what_cannot_be_opened_is_told(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from dataset_writers import write_folder
 from depth_graphs import write_network, write_picture
 
 from pipeline.datasets import open_dataset
-from pipeline.labels.by_hand import begun_labels, default_folder
+from pipeline.labels.by_hand import begun_labels, default_folder, with_frames
 from pipeline.labels.reading import Labels, labelled_dataset
 from pipeline.system.errors import InputError
 
@@ -49,10 +49,10 @@ def test_labels_of_a_single_picture_are_begun(tmp_path: Path) -> None:
     write_picture(tmp_path / "1.png")
     model = write_network(tmp_path / "network.onnx", "moge-2")
     dataset = open_dataset(tmp_path / "1.png", depth_model=str(model))
-    before = begun_labels(dataset, default_folder(dataset, tmp_path), {"depth_model": str(model)})
+    before = with_frames(begun_labels(dataset, default_folder(dataset, tmp_path), {"depth_model": str(model)}), dataset)
     assert before.root == tmp_path / "1.png-labels"
     write_picture(tmp_path / "1.png", mm=26)
-    after = begun_labels(dataset, default_folder(dataset, tmp_path))
+    after = with_frames(begun_labels(dataset, tmp_path / "after"), dataset)
     assert after.manifest.dataset["input_hash"] != before.manifest.dataset["input_hash"]
 
 
