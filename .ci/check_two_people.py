@@ -60,9 +60,12 @@ class Person:
         until = time.monotonic() + 60
         while time.monotonic() < until:
             journal = self.location.to_read()
-            for event in [] if journal is None else journal.events(author=self.name, after=self.last):
+            new = () if journal is None else journal.events(author=self.name, after=self.last)
+            for event in new:
                 self.last = event.id
                 if wanted(event):
+                    # The other events of one action are no second one.
+                    self.last = max(e.id for e in new if e.group == event.group)
                     return True
             if self.tab.page.locator("#dialog-window").count():
                 return False
@@ -96,11 +99,14 @@ class Person:
     def resize(self, row: int) -> Iterator[None]:
         page = self.tab.page
         name = self.tab.poll("row => document.querySelector(`#object-${row} b`)?.textContent", row)
-        if page.evaluate(EDITED) != name:
-            self.tab.send(f"object:{row}")
-            self.tab.poll(f"name => {EDITED} === name", name)
-        width = round(self.chance.uniform(0.2, 0.6), 3)
         entry = page.locator(WIDTH)
+        while page.evaluate(EDITED) != name or not entry.count():
+            # Choosing what the next item chooses at this moment takes it off again.
+            self.tab.send(f"object:{row}")
+            page.wait_for_timeout(1000)
+        now = float(entry.input_value())
+        # The number that stands there already is no edit.
+        width = next(w for w in iter(lambda: round(self.chance.uniform(0.2, 0.6), 3), now) if abs(w - now) > 1e-3)
         entry.fill(f"{width:.3f}")
         entry.press("Enter")
         yield

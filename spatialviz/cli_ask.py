@@ -350,7 +350,8 @@ class WhatIf(Output):
 class SaveCase(Output):
     """Keep one answer as a small folder that `replay` runs again: a failure becomes a regression test."""
 
-    dataset: DatasetArg
+    dataset: Positional[str]
+    """Dataset folder or "demo"; or a run, of this pipeline or imported: its answer, judged by its labels."""
     frame: OneFrameArg
     expression: ExpressionArg
     out: NewFolder
@@ -380,6 +381,8 @@ class Replay(Output):
     """Model file or options for a detector that looks again."""
     min_score: float | None = None
     """Its minimum score."""
+    predictions: Path | None = None
+    """What your own pipeline gives now, as `import-run` takes it: for cases of imported runs."""
     tolerance: float = 1e-4
     """A probability that moves by more is shown as a warning."""
     update: Flag = False

@@ -21,6 +21,7 @@ from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, lo
 from pipeline.diagnosis.whatif.asked_pair import asked_pair
 from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
 from pipeline.diagnosis.whatif.rerun import foreign_keys
+from pipeline.evaluation.run_folder import RUN_FILE, open_run
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.relations.relations import letter
@@ -73,7 +74,12 @@ def whatif_answer(
 
 
 def run_save_case(command: SaveCase) -> None:
-    source = command.source.open(command.dataset, command.frame)
+    run = open_run(command.dataset) if (Path(command.dataset) / RUN_FILE).is_file() else None
+    source = command.source.open(command.dataset, command.frame) if run is None else run.source
+    labels = None if command.labels is None else open_labels(command.labels)
+    if run is not None:
+        require(not command.source.words(), "a run has its own options", got=" ".join(command.source.words()))
+        labels = labels or run.labels
     context = _one_context(source, command.frame)
     edits = None if command.edits is None else edits_record(load_edits(command.edits))
     now = save_case(
@@ -81,8 +87,10 @@ def run_save_case(command: SaveCase) -> None:
         source,
         context,
         command.expression,
-        truth=known_truth(source, context, None if command.labels is None else open_labels(command.labels)),
+        truth=known_truth(source, context, labels),
+        confidence=None if run is None else run.spec.confidence,
         edits=edits,
+        run=None if run is None else {"run": str(run.folder)},
         name=command.name,
         copy_network=command.copy_srm,
     )
@@ -96,6 +104,10 @@ def run_replay(command: Replay) -> int:
         "--model and --min-score need --detector",
         expected="live or a detector's name",
     )
+    require(
+        command.predictions is None or (command.detector == "kept" and command.srm is None),
+        "--predictions say what detected and what scored relations", expected="without --detector and --srm",
+    )  # fmt: skip
     folders = [folder for path in command.cases for folder in find_cases(path)]
     totals = {"same": 0, "changed": 0, "updated": 0, "damaged": 0}
     for result in replay_all(
@@ -107,6 +119,7 @@ def run_replay(command: Replay) -> int:
         detector=None if command.detector == "kept" else command.detector,
         model=command.model,
         min_score=command.min_score,
+        predictions=command.predictions,
     ):
         totals[result.status] += 1
         command.write(replay_record(result), print_replay, result)

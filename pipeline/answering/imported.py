@@ -8,7 +8,7 @@ scored by the scorer that the file names, else by the rule, as a stand-in that i
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -167,15 +167,19 @@ class ImportedPipeline(Pipeline):
         The expression that this one is about; None for the whole file.
     rescore : callable or None
         Asks the other pipeline's ranking again; see `pair_rules.Rescore`.
+    shown : RunRules or None
+        What the whole file showed of its ranking, where these are some of its lines.
     """
 
     predictions: Predictions = field(kw_only=True)
     line: Prediction | None = None
     rescore: Rescore | None = None
+    shown: RunRules | None = None
 
     @cached_property
-    def _rules(self) -> RunRules:
-        return RunRules.of(self.predictions)
+    def rules(self) -> RunRules:
+        """What the file shows of its ranking."""
+        return self.shown or RunRules.of(self.predictions)
 
     def asked(self, frame_id: str, text: str) -> Pipeline:
         """The source of one expression; InputError where the file has no line for it."""
@@ -194,7 +198,7 @@ class ImportedPipeline(Pipeline):
         detector = GivenDetector(self.predictions, line)
         assert isinstance(self.scorer, GivenRelations)
         scorer = scorer_of(self.predictions, line, self.scorer.stand_in)
-        rule = line_rule(self._rules, self.predictions.header, line, self.rescore)
+        rule = line_rule(self.rules, self.predictions.header, line, self.rescore)
         config = (
             self.config
             if rule is None
@@ -264,25 +268,22 @@ def open_imported(predictions: Path, dataset: Any, **options: Any) -> ImportedPi
                 cause=cause,
                 path=read.path,
             )
-    config = AskConfig()
-    if read.header.settings is not None:
-        with as_input_error("line 1, settings: not those of a run", ValueError, path=read.path):
-            config = TypeAdapter(AskConfig).validate_python(read.header.settings)
-    weights = read.header.weights
-    if read.header.settings is None:
-        rank = replace(
-            config.rank,
-            target_weight=weights.target,
-            reference_weight=weights.reference,
-            relation_weight=weights.relation,
-        )
-        config = replace(config, rank=rank)
     named = read.header.scorer
     scorer = ShownScorer(read, source.dataset) if named is None else make_scorer(named, options.get("vectors"))
     return ImportedPipeline(
-        source.dataset, GivenDetector(read), scorer_of(read, None, scorer), config, source.synonyms,
+        source.dataset, GivenDetector(read), scorer_of(read, None, scorer), config_of(read), source.synonyms,
         predictions=read, rescore=rescore,
     )  # fmt: skip
+
+
+def config_of(predictions: Predictions) -> AskConfig:
+    """How the header says that answers were found; InputError where its settings are none."""
+    config, header = AskConfig(), predictions.header
+    if header.settings is not None:
+        with as_input_error("line 1, settings: not those of a run", ValueError, path=predictions.path):
+            return TypeAdapter(AskConfig).validate_python(header.settings)
+    weights = {f"{name}_weight": weight for name, weight in asdict(header.weights).items()}
+    return replace(config, rank=replace(config.rank, **weights))
 
 
 def open_source(dataset: Any, **options: Any) -> Pipeline:

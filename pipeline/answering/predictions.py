@@ -67,16 +67,21 @@ class Predictions:
         By frame and text, boxes and masks filled in from earlier lines of the frame.
     numbers : dict of (str, str) to int
         The number of each line in the file, from 1, for messages.
+    least : int or None
+        The level of the file that these lines are some of.
     """
 
     path: Path
     header: Header
     lines: dict[tuple[str, str], Prediction]
     numbers: dict[tuple[str, str], int]
+    least: int | None = None
 
     @property
     def level(self) -> int:
         """What all lines with an answer have: the least of their levels; where none has one, what lines reach."""
+        if self.least is not None:
+            return self.least
         most = max((p.level for p in self.lines.values()), default=0)
         return min((p.level for p in self.lines.values() if p.problem is None), default=most)
 

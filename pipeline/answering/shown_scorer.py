@@ -52,12 +52,16 @@ class ShownScorer:
 
     predictions: Predictions
     dataset: Dataset = field(repr=False)
+    kept: dict[str, np.ndarray | None] | None = None
+    """What the whole file showed, where it is not at hand."""
 
     name = "rule"
 
     @cached_property
     def weights(self) -> dict[str, np.ndarray | None]:
         """(K,) float64 by relation: of `described`, giving the log odds; None where nothing explains its pairs."""
+        if self.kept is not None:
+            return self.kept
         predictions, rows = self.predictions, dict[str, list[tuple[np.ndarray, float]]]()
         frames = list(dict.fromkeys(line.frame for line in predictions.lines.values()))
         chosen = np.unique(np.linspace(0, len(frames) - 1, min(LOOKED_AT, len(frames))).astype(int))

@@ -15,8 +15,9 @@ from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.pair_rules import factors_of
 from pipeline.answering.predictions import GivenAnswer, Header, Prediction, read_predictions, write_predictions
+from pipeline.diagnosis.answer import answer_record
 from pipeline.diagnosis.asking import ask_and_judge, edited_trace
-from pipeline.diagnosis.cases.saving import save_case
+from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.evaluation.importing import check_places, export_run, import_run
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
@@ -102,8 +103,8 @@ def test_an_imported_run_can_be_asked_and_edited(folder: Path, imported: Importe
     assert "imported, level 3" in answer.trace.detector
     with pytest.raises(InputError, match="has no line for this expression"):
         imported.ask(imported.prepare(row["frame"]), "a zebra left of a unicorn")
-    with pytest.raises(InputError, match="an imported answer is no case"):
-        save_case(folder / "case", imported, imported.prepare(row["frame"]), row["text"])
+    kept = save_case(folder / "case", imported, imported.prepare(row["frame"]), row["text"])
+    assert answer_record(kept) == answer_record(open_case(folder / "case").answer())
 
 
 def at_level(folder: Path, level: int) -> Path:

@@ -11,6 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, TypeAd
 
 from pipeline.answering.ask import AskConfig
 from pipeline.datasets.saved_case import CASE_FORMAT, DAMAGED, MANIFEST, Four, SavedFrame, Three
+from pipeline.diagnosis.cases.kept_predictions import ShownRecord
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
@@ -25,9 +26,11 @@ NOT_JUDGED = "."
 _GEOMETRY = {"lo": 3, "hi": 3, "center": 3, "R": 9, "size": 3}
 _FACTS = ("distance", "occluded", "mask_pixels")
 
-PROPOSALS, NETWORK = "proposals.json", "relations.onnx"
+PROPOSALS, PREDICTIONS, NETWORK = "proposals.json", "predictions.jsonl", "relations.onnx"
+"""What was detected; in a case of another pipeline what it gave; a relation network that came along."""
 
 
+File = Literal["rgb.png", "depth.png", "depth.npy", "proposals.json", "predictions.jsonl", "relations.onnx"]
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -48,9 +51,9 @@ class DetectorRecord(_Strict):
 
 
 class ScorerRecord(_Strict):
-    """What scored the relations: the rule, the network that comes with the program, or a file."""
+    """What scored the relations: the rule, the network that comes with the program, a file, or another pipeline."""
 
-    kind: Literal["rule", "trained", "file"]
+    kind: Literal["rule", "trained", "file", "imported"]
     name: str
     file: str | None = None
     sha256: str | None = None
@@ -123,7 +126,7 @@ class Manifest(_Strict):
     name: str
     tool: str
     created: str
-    files: dict[Literal["rgb.png", "depth.png", "depth.npy", "proposals.json", "relations.onnx"], str]
+    files: dict[File, str]
     text: str
     reading: Query | None = None
     """How the text was read, where it was not by the grammar."""
@@ -133,6 +136,8 @@ class Manifest(_Strict):
     synonyms: Synonyms | None
     detector: DetectorRecord
     scorer: ScorerRecord
+    shown: ShownRecord | None = None
+    """Of a case of another pipeline."""
     config: Config
     truth: dict[str, Any] | None
     edits: dict[str, Any] | None

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.answering.objects import SAME_BOX_IOU
+from pipeline.answering.predictions import read_predictions
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
 from pipeline.diagnosis.cases.manifest import Expected, ExpectedObject, checked_expected
@@ -233,6 +234,7 @@ def replay_all(
     detector: str | None = None,
     model: Path | None = None,
     min_score: float | None = None,
+    predictions: Path | None = None,
 ) -> Iterator[Result]:
     """Run cases again, one at a time.
 
@@ -247,12 +249,15 @@ def replay_all(
         Take the answers of now as the expected ones.
     detector, model, min_score
         A detector that looks at the pictures now; None for the kept detections.
+    predictions : Path, optional
+        What another pipeline gives now, as a file of predictions with a line for each case.
 
     Raises
     ------
     InputError
-        The relation scorer that was asked for cannot be used with any case.
+        The relation scorer that was asked for cannot be used with any case, or the predictions cannot be read.
     """
+    read = None if predictions is None else read_predictions(predictions)
     if srm is not None:
         # Said once, and not of every case: none of them is damaged by it.
         make_scorer(srm, vectors)
@@ -261,7 +266,9 @@ def replay_all(
             opened = open_case(folder, srm=srm, vectors=vectors)
             if detector is not None:
                 opened = opened.with_detector(detector, model, min_score)
-            replay = replay_case(opened, tolerance, live=detector is not None)
+            if read is not None:
+                opened = opened.with_predictions(read)
+            replay = replay_case(opened, tolerance, live=detector is not None or read is not None)
             moved = replay.record != opened.manifest.expected
             if update and moved:
                 opened.expect(replay.record)

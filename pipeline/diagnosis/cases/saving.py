@@ -15,8 +15,10 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from pipeline.answering.imported import ImportedPipeline
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
+from pipeline.answering.predictions import Predictions
 from pipeline.datasets.saved_case import (
     CASE_FORMAT,
     MANIFEST,
@@ -28,9 +30,11 @@ from pipeline.datasets.saved_case import (
 from pipeline.datasets.settings import Settings
 from pipeline.diagnosis.answer import Answer, Edited, answer_record
 from pipeline.diagnosis.asking import answer
+from pipeline.diagnosis.cases.kept_predictions import keep_predictions, kept_source, named_scorer, newer_source
 from pipeline.diagnosis.cases.kept_proposals import KeptDetector, keep_proposals, read_proposals
 from pipeline.diagnosis.cases.manifest import (
     NETWORK,
+    PREDICTIONS,
     PROPOSALS,
     Expected,
     Manifest,
@@ -47,9 +51,10 @@ from pipeline.language.naming import default_synonyms
 from pipeline.language.tree import Query
 from pipeline.proposals.registry import open_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
+from pipeline.relations.given import GivenRelations
 from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.door import read_bytes
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, needed, require
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import sha256_of, temporary_sibling, write_synced, write_whole
 
@@ -112,11 +117,6 @@ def save_case(
     """
     folder = Path(folder)
     require(
-        getattr(source, "predictions", None) is None,
-        "an imported answer is no case: what gave it cannot be run again here",
-        expected="the predictions of a later version, imported and compared as a run",
-    )
-    require(
         not (folder.exists() and not (folder.is_dir() and not any(folder.iterdir()))),
         "the folder for the case is not empty",
         expected="a new one",
@@ -124,8 +124,13 @@ def save_case(
     )
     now = answer(source, context, text, truth=truth, case=case, mark=mark, confidence=confidence, edits=edits)
     frame, files = saved_frame(context.frame)
-    files[PROPOSALS] = _json(_proposals(source, context, now, case)).encode()
-    scorer, network = _scorer_record(source.scorer, copy_network)
+    shown, made_relations = None, source.scorer
+    if isinstance(source, ImportedPipeline):
+        files[PREDICTIONS], shown = keep_predictions(source, context.frame.id)
+        made_relations = source.scorer if shown.relations is not None else named_scorer(source)
+    else:
+        files[PROPOSALS] = _json(_proposals(source, context, now, case)).encode()
+    scorer, network = _scorer_record(made_relations, copy_network)
     if network is not None:
         files[NETWORK] = network
     judged = now.diagnosis
@@ -150,10 +155,11 @@ def save_case(
         "detector": {
             "name": detector.name,
             "exact": detector.exact,
-            "vocabulary": None if source.dataset.class_names or detector.vocabulary is None else detector.vocabulary,
+            "vocabulary": None if source.dataset.class_names or shown is not None else detector.vocabulary,
             "fingerprint_sha256": hashlib.sha256(detector.fingerprint().encode()).hexdigest(),
         },
         "scorer": scorer.model_dump(mode="json"),
+        **({} if shown is None else {"shown": shown.model_dump(mode="json")}),
         "config": config_record(source.config),
         "truth": known,
         "edits": dict(edits) if edits else None,
@@ -177,7 +183,7 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record
         partial.mkdir()
         for file, data in files.items():
             write_synced(partial / file, data)
-        opened = open_case(partial, scorer=source.scorer)
+        opened = open_case(partial, scorer=None if isinstance(source, ImportedPipeline) else source.scorer)
         again = answer_record(opened.answer())
         if again != record:
             require(
@@ -211,6 +217,8 @@ def _json(record: dict[str, Any]) -> str:
 
 def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, bytes | None]:
     """What scores relations, and its file where it goes into the case."""
+    if isinstance(scorer, GivenRelations):
+        return ScorerRecord(kind="imported", name=scorer.name), None
     if isinstance(scorer, RuleScorer):
         return ScorerRecord(kind="rule", name=scorer.name), None
     path = getattr(scorer, "path", None)
@@ -288,6 +296,10 @@ class OpenedCase:
         InputError
             No such detector, or it needs a model.
         """
+        require(
+            self.manifest.shown is None, "what another pipeline gave cannot be looked at again here",
+            expected="--predictions FILE, what it gives now", path=self.root,
+        )  # fmt: skip
         name = self.manifest.detector.name if name == "live" else name
         if "+" in name or "&" in name:
             what = "a detector with a segmenter" if "+" in name else "fused detectors"
@@ -302,6 +314,11 @@ class OpenedCase:
         note = () if same == self.manifest.detector.fingerprint_sha256 else (f"{name} is not set as it was",)
         source = replace(self.source, detector=made[min_score], open_unfiltered=lambda: made[0.0])
         return replace(self, source=source, notes=(*self.notes, *note))
+
+    def with_predictions(self, predictions: Predictions) -> OpenedCase:
+        """The same case as another pipeline answers it, which may be a later version of the one that it is of."""
+        source = newer_source(predictions, self.manifest.shown, self.source)
+        return replace(self, source=source, notes=())
 
 
 def open_case(
@@ -332,29 +349,43 @@ def open_case(
     require((root / MANIFEST).is_file(), "this is no saved case", expected=f"a folder with {MANIFEST}", path=root)
     table = read_manifest(root)
     manifest, expected = checked_manifest(root, table)
-    proposals = checked_file(root, table, PROPOSALS)
     for file in manifest.files:
         checked_file(root, table, file)
-    kept, mark_of_file = read_proposals(proposals)
-    d = manifest.detector
-    detector = KeptDetector(d.name, d.exact, d.vocabulary, kept, proposals, mark_of_file)
     notes: tuple[str, ...] = ()
-    if scorer is None:
+    if scorer is None and manifest.scorer.kind != "imported":
         scorer, notes = _scorer(root, manifest, srm, vectors)
     truth = case = mark = confidence = None
     if manifest.truth is not None:
         truth, case, mark, confidence = read_truth(manifest.truth, manifest.frame.id, root / MANIFEST)
+    make = _own_source if manifest.shown is None else _imported_source
+    source = make(root, table, manifest, scorer)
+    return OpenedCase(root, manifest, table, expected, source, truth, case, mark, confidence, notes)
+
+
+def _imported_source(
+    root: Path, table: dict[str, Any], manifest: Manifest, scorer: RelationScorer | None
+) -> ImportedPipeline:
+    assert manifest.shown is not None
+    file, dataset = checked_file(root, table, PREDICTIONS), SavedCaseDataset(root, Settings())
+    return kept_source(file, manifest.shown, dataset, scorer, manifest.config, manifest.synonyms)
+
+
+def _own_source(root: Path, table: dict[str, Any], manifest: Manifest, scorer: RelationScorer | None) -> Pipeline:
+    proposals = checked_file(root, table, PROPOSALS)
+    kept, mark_of_file = read_proposals(proposals)
+    d = manifest.detector
+    detector = KeptDetector(d.name, d.exact, d.vocabulary, kept, proposals, mark_of_file)
 
     def read(text: str, **options: Any) -> Query:
         """As it was read when the case was kept; the grammar reads other texts."""
         kept = manifest.reading
         return kept if kept is not None and text == kept.text else parse(text, **options)
 
-    source = Pipeline(
+    scorer = needed(scorer, "the case is damaged at shown", path=root)
+    return Pipeline(
         SavedCaseDataset(root, Settings()), detector, scorer, manifest.config, manifest.synonyms,
         lambda: replace(detector, everything=True, _answers={}), reader=read if manifest.reading else parse,
     )  # fmt: skip
-    return OpenedCase(root, manifest, table, expected, source, truth, case, mark, confidence, notes)
 
 
 def _scorer(

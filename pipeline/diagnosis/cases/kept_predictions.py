@@ -1,0 +1,120 @@
+"""What another pipeline gave, in a case: the lines of its frame, and what the whole file showed of its modules.
+
+A ranking and a scorer that cannot be asked again are known by all pairs of their file (`pair_rules`, `shown_scorer`);
+a case has those of one frame, and so keeps what was found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, FiniteFloat
+
+from pipeline.answering.ask import AskConfig
+from pipeline.answering.imported import GivenDetector, ImportedPipeline, config_of, scorer_of
+from pipeline.answering.opening import Pipeline
+from pipeline.answering.pair_rules import RunRules
+from pipeline.answering.predictions import Predictions, as_json, read_predictions
+from pipeline.answering.shown_ranking import ShownRanking
+from pipeline.answering.shown_scorer import ShownScorer
+from pipeline.datasets.base import Dataset
+from pipeline.language.naming import Synonyms
+from pipeline.relations import RelationScorer, RuleScorer
+from pipeline.relations.given import GivenRelations
+from pipeline.system.errors import require
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class ShownRankingRecord(_Strict):
+    """`ShownRanking` as JSON."""
+
+    weights: tuple[FiniteFloat, ...]
+    unit: FiniteFloat
+
+
+class ShownRecord(_Strict):
+    """What a whole file of predictions showed.
+
+    Attributes
+    ----------
+    level : int
+    true_scores : (float, float)
+    ranking : ShownRankingRecord or None
+    relations : dict or None
+        The scorer's fit by relation; None where the file names its scorer.
+    """
+
+    level: int
+    true_scores: tuple[FiniteFloat, FiniteFloat]
+    ranking: ShownRankingRecord | None = None
+    relations: dict[str, tuple[FiniteFloat, ...] | None] | None = None
+
+    @property
+    def rules(self) -> RunRules:
+        """As `ImportedPipeline` takes them."""
+        shown = self.ranking and ShownRanking(np.array(self.ranking.weights), self.ranking.unit)
+        return RunRules(shown, self.true_scores)
+
+
+def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, ShownRecord]:
+    """The lines of a frame as a file of predictions, and what its whole file showed.
+
+    Raises
+    ------
+    InputError
+        The ranking was asked again by a function, which no file holds.
+    """
+    require(
+        source.rescore is None, "the ranking was asked again by a function, which no case holds",
+        expected="the run without rescore",
+    )  # fmt: skip
+    file, rules, stand_in = source.predictions, source.rules, named_scorer(source)
+    lines = (as_json(thing) for thing in (replace(file.header, events=False), *file.of_frame(frame)))
+    ranking = rules.shown and ShownRankingRecord(weights=tuple(rules.shown.weights.tolist()), unit=rules.shown.unit)
+    relations = None
+    if isinstance(stand_in, ShownScorer):
+        relations = {k: None if w is None else tuple(w.tolist()) for k, w in stand_in.weights.items()}
+    shown = ShownRecord(level=file.level, true_scores=rules.true_scores, ranking=ranking, relations=relations)
+    return "".join(f"{line}\n" for line in lines).encode(), shown
+
+
+def named_scorer(source: ImportedPipeline) -> RelationScorer:
+    """What scores the pairs that the file does not have."""
+    assert isinstance(source.scorer, GivenRelations)
+    return source.scorer.stand_in
+
+
+def kept_source(
+    file: Path, shown: ShownRecord, dataset: Dataset, scorer: RelationScorer | None, config: AskConfig,
+    synonyms: Synonyms | None,
+) -> ImportedPipeline:  # fmt: skip
+    """The source of a case, by its own file; `scorer` is the one that its header names; as `read_predictions`."""
+    read = replace(read_predictions(file), least=shown.level)
+    return _source(read, dataset, scorer or _shown_scorer(read, shown, dataset), config, synonyms, shown.rules)
+
+
+def newer_source(read: Predictions, shown: ShownRecord | None, before: Pipeline) -> ImportedPipeline:
+    """The source of a case with predictions that were made since.
+
+    What ranks is found in their file; what stands in for their scorer is the case's, or the rule where it has none.
+    """
+    scorer = RuleScorer() if shown is None else _shown_scorer(read, shown, before.dataset)
+    return _source(read, before.dataset, scorer, config_of(read), before.synonyms)
+
+
+def _shown_scorer(read: Predictions, shown: ShownRecord, dataset: Dataset) -> ShownScorer:
+    told = {k: None if w is None else np.array(w) for k, w in (shown.relations or {}).items()}
+    return ShownScorer(read, dataset, told)
+
+
+def _source(
+    read: Predictions, dataset: Dataset, scorer: RelationScorer, config: AskConfig, synonyms: Synonyms | None,
+    rules: RunRules | None = None,
+) -> ImportedPipeline:  # fmt: skip
+    relations = scorer_of(read, None, scorer)
+    return ImportedPipeline(dataset, GivenDetector(read), relations, config, synonyms, predictions=read, shown=rules)

@@ -1,0 +1,137 @@
+"""Answers of another pipeline as regression cases: kept with what it gave, run again, and answered by a later version.
+
+The pipeline is that of `benchmarks/other_pipeline.py`: it ranks by scores of its own, and one module of it is broken.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from benchmarks.other_pipeline import CENTRES, Line, lines
+
+from pipeline.answering.imported import ImportedPipeline, open_imported
+from pipeline.answering.opening import open_pipeline
+from pipeline.answering.predictions import Prediction, write_predictions
+from pipeline.datasets.demo import demo_labels
+from pipeline.datasets.saved_case import MANIFEST
+from pipeline.diagnosis.asking import known_truth
+from pipeline.diagnosis.cases.manifest import PREDICTIONS
+from pipeline.diagnosis.cases.replay import Result, replay_all
+from pipeline.diagnosis.cases.saving import open_case, save_case
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.system.errors import InputError
+
+FRAMES = 3
+RIGHT = ("CORRECT", "LABEL")
+"""The answer is right, or as right as the label."""
+
+
+@pytest.fixture(scope="module")
+def labels() -> Labels:
+    return open_labels(demo_labels())
+
+
+@pytest.fixture(scope="module")
+def asked(labels: Labels) -> list[tuple[Line, Line]]:
+    """Lines of a few frames as the pipeline gives them with one module broken, and those of a version without."""
+    dataset = open_pipeline("demo", srm="rule").dataset
+    broken, whole = (list(lines(CENTRES, dataset, labels, 4, every=10, share=s)) for s in (0.7, 0.0))
+    clean = {(x.line.frame, x.line.text): x for x in whole}
+    both = [(x, clean[x.line.frame, x.line.text]) for x in broken]
+    frames = list(dict.fromkeys(x.line.frame for x, _ in both))[:FRAMES]
+    return [pair for pair in both if pair[0].line.frame in frames]
+
+
+def written(path: Path, found: list[Prediction]) -> Path:
+    write_predictions(path, CENTRES.header, found)
+    return path
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory, labels: Labels, asked: list[tuple[Line, Line]]) -> Path:
+    """A case of each third line, by the verdict that the whole file gives."""
+    folder = tmp_path_factory.mktemp("cases")
+    source = open_imported(written(folder / "first.jsonl", [x.line for x, _ in asked]), "demo")
+    for k, (x, _) in enumerate(asked[::3]):
+        context = source.prepare(x.line.frame)
+        save_case(
+            folder / "cases" / f"{k:03d}", source, context, x.line.text, truth=known_truth(source, context, labels)
+        )
+    return folder
+
+
+def replayed(folder: Path, **options: Path) -> Iterator[Result]:
+    return replay_all(sorted((folder / "cases").iterdir()), **options)
+
+
+def test_a_case_holds_what_its_verdict_was_found_by(kept: Path, asked: list[tuple[Line, Line]]) -> None:
+    results = list(replayed(kept))
+    assert {r.status for r in results} == {"same"}
+    assert all(r.replay is not None and not r.replay.warnings for r in results)
+    verdicts = {r.replay.after.judgement.verdict for r in results if r.replay and r.replay.after.judgement}
+    assert len(verdicts - {"CORRECT", "LABEL"}) >= 3
+    case = json.loads((kept / "cases" / "000" / MANIFEST).read_text())
+    assert case["scorer"]["kind"] == "imported"
+    assert case["shown"]["level"] == 3
+    # One frame of the file, and no more.
+    inside = [json.loads(line) for line in (kept / "cases" / "000" / PREDICTIONS).read_text().splitlines()[1:]]
+    assert {line["frame"] for line in inside} == {case["frame"]["id"]}
+    assert isinstance(open_case(kept / "cases" / "000").source, ImportedPipeline)
+
+
+def test_a_later_version_is_judged_by_the_same_cases(kept: Path, asked: list[tuple[Line, Line]]) -> None:
+    later = written(kept / "later.jsonl", [y.line for _, y in asked])
+    faults = [x.fault for x, _ in asked[::3]]
+    for fault, result in zip(faults, replayed(kept, predictions=later), strict=True):
+        assert result.replay is not None
+        before, after = result.replay.before.judgement, result.replay.after.judgement
+        assert before is not None
+        assert after is not None
+        if fault is not None:
+            assert result.status == "changed"
+            assert f"verdict: {before.verdict} -> {after.verdict}" in result.replay.changes
+            assert before.verdict not in RIGHT
+            assert after.verdict in RIGHT
+
+
+def test_a_file_that_lacks_a_case_is_told(kept: Path, asked: list[tuple[Line, Line]]) -> None:
+    others = written(kept / "others.jsonl", [replace(asked[0][0].line, text="cup left of cup")])
+    results = list(replayed(kept, predictions=others))
+    assert all(r.replay and "has no line for this expression" in r.replay.changes[0] for r in results)
+    with pytest.raises(InputError, match="line 1: not JSON"):
+        list(replayed(kept, predictions=kept / "cases" / "000" / MANIFEST))
+
+
+def test_what_cannot_be_run_again_is_told(kept: Path, labels: Labels, tmp_path: Path) -> None:
+    opened = open_case(kept / "cases" / "000")
+    with pytest.raises(InputError, match="--predictions FILE"):
+        opened.with_detector("live", None)
+    source = open_imported(kept / "first.jsonl", "demo", rescore=lambda line, ids, factors: factors[:, 0])
+    context = source.prepare(opened.manifest.frame.id)
+    with pytest.raises(InputError, match="asked again by a function"):
+        save_case(tmp_path / "case", source, context, opened.manifest.text)
+    assert not (tmp_path / "case").exists()
+
+
+@pytest.mark.parametrize("damage", ["shown", "scorer", "file", "level"])
+def test_a_damaged_case_is_told(kept: Path, tmp_path: Path, damage: str) -> None:
+    root = tmp_path / "case"
+    root.mkdir()
+    for file in (kept / "cases" / "000").iterdir():
+        (root / file.name).write_bytes(file.read_bytes())
+    table = json.loads((root / MANIFEST).read_text())
+    if damage == "shown":
+        del table["shown"]
+    elif damage == "scorer":
+        table["shown"]["ranking"] = {"weights": ["x"], "unit": 1}
+    elif damage == "level":
+        table["shown"]["level"] = "three"
+    else:
+        (root / PREDICTIONS).write_text("{}\n")
+    (root / MANIFEST).write_text(json.dumps(table))
+    with pytest.raises(InputError, match=r"case|damaged|changed"):
+        open_case(root).answer()
