@@ -239,10 +239,8 @@ class Subject:
         facts += [("note", note) for note in opened.notes]
         dataset = m.dataset.get("name", "")
         recording = str(opened.root / PROPOSALS)
-        commands = (
-            shlex.join(["spatialviz", "replay", root]),
-            shlex.join(["spatialviz", "view", root, "--detector", "recorded", "--model", recording]),
-        )
+        view = shlex.join(["spatialviz", "view", root, "--detector", "recorded", "--model", recording])
+        commands = (shlex.join(["spatialviz", "replay", root]), *([view] if PROPOSALS in m.files else []))
         return Subject(
             dataset, m.frame.id, commands, view_state(dataset, m.frame.id, m.text, m.edits), tuple(facts),
         )  # fmt: skip

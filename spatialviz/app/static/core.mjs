@@ -37,7 +37,10 @@ const morph = (old, made) => {
   for (const {name} of [...old.attributes]) {
     if (!made.hasAttribute(name) && name !== 'style' && !(name === 'open' && old.tagName === 'DETAILS')) old.removeAttribute(name);
   }
+  const about = old === document.activeElement && old.tagName === 'INPUT' && old.value === old.defaultValue && old.value;
   for (const {name, value} of made.attributes) if (old.getAttribute(name) !== value) old.setAttribute(name, value);
+  // Who is about to type over what was there types over what is there now, and not in front of it.
+  if (about && old.value !== about) old.select();
   if (made.dataset.css !== undefined) style(old); else if (old.hasAttribute('style')) old.removeAttribute('style');
   if (old.tagName === 'INPUT' && old !== document.activeElement) {
     if (old.value !== made.value) old.value = made.value;
