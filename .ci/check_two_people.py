@@ -103,7 +103,10 @@ class Person:
         while page.evaluate(EDITED) != name or not entry.count():
             # Choosing what the next item chooses at this moment takes it off again.
             self.tab.send(f"object:{row}")
-            page.wait_for_timeout(1000)
+            for _ in range(100):
+                page.wait_for_timeout(100)
+                if page.evaluate(EDITED) == name and entry.count():
+                    break
         now = float(entry.input_value())
         # The number that stands there already is no edit.
         width = next(w for w in iter(lambda: round(self.chance.uniform(0.2, 0.6), 3), now) if abs(w - now) > 1e-3)
