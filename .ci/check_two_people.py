@@ -109,7 +109,8 @@ class Person:
                     break
         now = float(entry.input_value())
         # The number that stands there already is no edit.
-        width = next(w for w in iter(lambda: round(self.chance.uniform(0.2, 0.6), 3), now) if abs(w - now) > 1e-3)
+        width = round(self.chance.uniform(0.2, 0.6), 3)
+        width = width if abs(width - now) > 1e-3 else width + 0.01
         entry.fill(f"{width:.3f}")
         entry.press("Enter")
         yield
