@@ -120,19 +120,18 @@ class Person:
             return e.ref.field == "box" and bool(e.after) and abs(e.after["size"][0] - width) < 1e-6
 
         try:
-            saved = self.saves(str(done), wanted)
+            # Whoever takes their own is asked again where the other has saved once more meanwhile.
+            while not self.saves(str(done), wanted):
+                mine = self.chance.random() < 0.5
+                self.told["mine" if mine else "theirs"] += 1
+                page.keyboard.press("m" if mine else "t")
+                self.tab.poll("!document.getElementById('dialog-window')")
+                if not mine:
+                    return
         except Refused:
             # The page was still on its way to the next item when the width was typed.
             self.told["refused"] += 1
             return
-        if not saved:
-            mine = self.chance.random() < 0.5
-            self.told["mine" if mine else "theirs"] += 1
-            page.keyboard.press("m" if mine else "t")
-            self.tab.poll("!document.getElementById('dialog-window')")
-            if not mine:
-                return
-            assert self.saves(str(done), wanted), "asked again"
         self.keep(done)
 
     def undo(self) -> Iterator[None]:
