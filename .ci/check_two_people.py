@@ -34,7 +34,7 @@ Done = tuple[str, str, float]
 
 
 class Refused(Exception):
-    """A number that was typed for an object that is selected no longer."""
+    """A number was typed for an object that is selected no longer."""
 
 
 @dataclass
@@ -55,10 +55,15 @@ class Person:
     blocked: int = 0
     """So many of `done` the other has changed since: they are not taken back."""
 
-    def saves(self, what: str, wanted: Callable[[Event], bool]) -> bool:
-        """Wait until the journal has something from this person; False where the page asks whose value it is to be."""
-        until = time.monotonic() + 60
-        while time.monotonic() < until:
+    def saves(self, what: str, wanted: Callable[[Event], bool], still: Callable[[], bool] = lambda: True) -> bool:
+        """Wait until the journal has something from this person; False where the page asks whose value it is to be.
+
+        What was typed where the next item was coming up was typed nowhere: it is `still` so where it was not.
+        """
+        started = time.monotonic()
+        while (waited := time.monotonic() - started) < 60:
+            if waited > 5 and not still():
+                raise Refused
             journal = self.location.to_read()
             new = () if journal is None else journal.events(author=self.name, after=self.last)
             for event in new:
@@ -121,7 +126,7 @@ class Person:
 
         try:
             # Whoever takes their own is asked again where the other has saved once more meanwhile.
-            while not self.saves(str(done), wanted):
+            while not self.saves(str(done), wanted, lambda: page.evaluate(EDITED) == name):
                 mine = self.chance.random() < 0.5
                 self.told["mine" if mine else "theirs"] += 1
                 page.keyboard.press("m" if mine else "t")
