@@ -69,6 +69,18 @@ def at_middle(frame: Frame, to_map: np.ndarray, box: np.ndarray) -> tuple[np.nda
     return center, np.sqrt((to_map[:3, :3] ** 2) @ axes**2)
 
 
+def part_of(t: Mapped, frame: Frame, rng: np.random.Generator) -> Mapped | None:
+    """A thing as it is found where its 2D box holds a third to two fifths of it, at its left, right, top or bottom."""
+    side, kept = int(rng.integers(2)), rng.uniform(0.33, 0.4)
+    middle, half = np.array(t.box[:2]), np.array(t.box[2:]) / 2
+    middle[side] += float(rng.choice([-1, 1])) * (1 - kept) * half[side]
+    half[side] *= kept
+    box = (*middle.tolist(), *(2 * half).tolist())
+    whole = np.tile([frame.width, frame.height], 2)
+    found = at_middle(frame, t.to_map, np.concatenate([middle - half, middle + half]) * whole)
+    return None if found is None else replace(t, box=box, center=found[0], size=found[1], mask=None)
+
+
 def mapped(frame: Frame, to_map: np.ndarray) -> Iterator[Mapped]:
     """The annotated things of one frame, some of them twice."""
     whole = np.tile([frame.width, frame.height], 2)
@@ -143,6 +155,13 @@ def asked(case: Case, truth: FrameCases, known: dict[int, Thing], rng: np.random
         return found | {int(i): float(rng.uniform(0.17, 0.27)) for i in false}
 
     return Seen(case, scored(case.target_object), scored(case.reference_object))
+
+
+def right_pair_proposed(met: Met) -> bool:
+    """Whether its detector gave a right target and the reference that it is right by; it misses some things."""
+    true = np.argwhere(met.truth.acceptable_pairs(met.asked.case))
+    given = {(a % TWIN, b % TWIN) for a in met.asked.targets for b in met.asked.references}
+    return not given.isdisjoint(map(tuple, met.truth.numbers[true].tolist()))
 
 
 def told(own: OtherPipeline, met: Met) -> Prediction:

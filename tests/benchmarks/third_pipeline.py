@@ -34,7 +34,19 @@ from pipeline.datasets.synthetic import render_dataset
 from pipeline.labels.job import label
 
 from .other_pipeline import AXES, FAULTS, PLANTED_SHARE, Met, OtherPipeline, Row, lines, right, verdicts
-from .third_parts import TWIN, Mapped, Seen, asked, at_middle, object_map, pair_score, probability, told, written
+from .third_parts import (
+    TWIN,
+    Mapped,
+    Seen,
+    asked,
+    object_map,
+    pair_score,
+    part_of,
+    probability,
+    right_pair_proposed,
+    told,
+    written,
+)
 
 KINDS = {
     "OPM-TARGET": ("unseen", "mistaken", "suppressed", "threshold", "part"),
@@ -53,7 +65,9 @@ TRIES = 6
 
 def planted(own: OtherPipeline, fault: str, met: Met, rng: np.random.Generator) -> Met | None:
     drawn = (planted_once(own, fault, met, rng) for _ in range(TRIES))
-    return next((d for d in drawn if d is not None and not right(own, told(own, d), met)), None)
+    broken = next((d for d in drawn if d is not None and not right(own, told(own, d), met)), None)
+    # Where the detector missed the right pair already, a second module would be wrong.
+    return broken if right_pair_proposed(met) else None
 
 
 def planted_once(own: OtherPipeline, fault: str, met: Met, rng: np.random.Generator) -> Met | None:
@@ -175,7 +189,7 @@ def proposed_wrong(
             new = dict.fromkeys(ids, scores[one]) | {one: max(scores[i] for i in ids)}
         return replace(met, asked=replace(seen, **{side: scores | new})) if new else None
     if kind == "part":
-        parts = [_part(known[i], met, rng) for i in ids]
+        parts = [part_of(known[i], met.frame, rng) for i in ids]
         return put(met, {t.id: t for t in parts if t is not None}, rng)
     kept = {i: s for i, s in scores.items() if i not in ids}
     if kind == "mistaken" and others:
@@ -183,18 +197,6 @@ def proposed_wrong(
     gone = {"suppressed": [(i, scores[i], "overlap") for i in ids],
             "threshold": [(i, float(rng.uniform(0.08, 0.14)), "threshold") for i in ids]}.get(kind, [])  # fmt: skip
     return replace(met, asked=replace(seen, **{side: kept}, dropped={name: gone}))
-
-
-def _part(t: Mapped, met: Met, rng: np.random.Generator) -> Mapped | None:
-    """A thing as it is found where its 2D box holds a third to two fifths of it, at its left, right, top or bottom."""
-    side, kept = int(rng.integers(2)), rng.uniform(0.33, 0.4)
-    middle, half = np.array(t.box[:2]), np.array(t.box[2:]) / 2
-    middle[side] += float(rng.choice([-1, 1])) * (1 - kept) * half[side]
-    half[side] *= kept
-    box = (*middle.tolist(), *(2 * half).tolist())
-    whole = np.tile([met.frame.width, met.frame.height], 2)
-    found = at_middle(met.frame, t.to_map, np.concatenate([middle - half, middle + half]) * whole)
-    return None if found is None else replace(t, box=box, center=found[0], size=found[1], mask=None)
 
 
 def told_rows(words: str, rows: Sequence[Row]) -> None:
