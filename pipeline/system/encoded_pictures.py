@@ -19,10 +19,10 @@ def png(image: np.ndarray, level: int = 1) -> bytes:
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, level])[1].tobytes()
 
 
-def resized(rgb: np.ndarray, width: float, height: float | None = None) -> np.ndarray:
-    """A picture made smaller, to whole pixels, in its own shape where no `height` is given."""
-    tall = float(rgb.shape[0] * width / rgb.shape[1]) if height is None else height
-    return cv2.resize(rgb, (max(1, round(width)), max(1, round(tall))), interpolation=cv2.INTER_AREA)
+def resized(rgb: np.ndarray, width: float) -> np.ndarray:
+    """A picture made smaller, in its own shape, to whole pixels."""
+    size = max(1, round(width)), max(1, round(rgb.shape[0] * width / rgb.shape[1]))
+    return cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
 
 
 def thumbnail(rgb: np.ndarray, bbox: np.ndarray) -> bytes:
@@ -41,5 +41,4 @@ def thumbnail(rgb: np.ndarray, bbox: np.ndarray) -> bytes:
     crop = rgb[top:bottom, left:right]
     if not crop.size:
         return b""
-    scale = THUMB / max(crop.shape[:2])
-    return jpeg(resized(crop, crop.shape[1] * scale, crop.shape[0] * scale), THUMB_QUALITY)
+    return jpeg(resized(crop, crop.shape[1] * THUMB / max(crop.shape[:2])), THUMB_QUALITY)

@@ -10,7 +10,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
-from pipeline.diagnosis.whatif.answer_view import Edited, OtherAnswer
+from pipeline.diagnosis.whatif.answer_view import BothAnswers, OtherAnswer
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
@@ -42,7 +42,7 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     return panel(level_html(state), before, told_, verdict_html(state), under, cls="answer")
 
 
-def before_html(state: State, edited: Edited) -> Element:
+def before_html(state: State, edited: BothAnswers) -> Element:
     """What was answered without the edits, in one line."""
     trace, colors = edited.before.trace, palette(state.dark)
     reason, count = why_no_answer(trace), len(each_edit(state.edits))
@@ -86,7 +86,7 @@ def verdict_html(state: State) -> Element | None:
     return h.div(
         h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why"),
         None if state.task == "explain" and judged.verdict in MODULE_OF else h.p(judged.text, cls="sentence"),
-        None if state.other is None or state.trace is None else _second(state.other, state.moved),
+        None if state.other is None or state.trace is None else _second(state.other, state.other_pair),
         cls="verdict",
     )
 
@@ -224,7 +224,7 @@ def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
         h.td(), h.td(), (h.th(term(f"P({name})", name[:3]), cls="n") for name in ("target", "reference", "relation"))
     )
     return [
-        h.h3("The second run", h.span(f"{other.name}: {state.moved}" if state.moved else other.name)),
+        h.h3("The second run", h.span(f"{other.name}: {state.other_pair}" if state.other_pair else other.name)),
         verdict_chip_of(other.judged) if isinstance(other.judged, Diagnosis) else None,
         h.table(h.thead(head), h.tbody(rows), cls="other"),
     ]

@@ -10,7 +10,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Baseline, Edits, rerun
-from pipeline.diagnosis.whatif.answer_view import Edited
+from pipeline.diagnosis.whatif.answer_view import BothAnswers
 from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
 from pipeline.diagnosis.whatif.edit_words import edited_by
@@ -121,7 +121,7 @@ class WhatIf(Part):
         seconds = perf_counter() - start
         rank = replace(baseline.source.config.rank, **edits.rank) if edits.rank else None
         judged = self._judge(outcome.trace, rank) if edits else self._judged
-        edited = Edited(baseline.outcome, outcome, self._judged, seconds)
+        edited = BothAnswers(baseline.outcome, outcome, self._judged, seconds)
         self.state = self.state.under(edits, edited, judged, self.keys(baseline))
 
     def keys(self, baseline: Baseline) -> tuple[str, ...]:

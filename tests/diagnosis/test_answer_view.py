@@ -11,7 +11,7 @@ from whatif_scenes import ScoringDetector, context_of, source
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import all_objects
 from pipeline.diagnosis.whatif import Baseline, Edits, rerun
-from pipeline.diagnosis.whatif.answer_view import AnswerView, Edited, OtherAnswer, answer_view
+from pipeline.diagnosis.whatif.answer_view import AnswerView, BothAnswers, OtherAnswer, answer_view
 from pipeline.diagnosis.whatif.edit_words import edited_by, said_edits
 from pipeline.diagnosis.whatif.shown import shown_objects
 from pipeline.system.errors import InputError
@@ -38,7 +38,7 @@ def after(view: AnswerView, baseline: Baseline, edits: Edits) -> AnswerView:
     """The view with edits, as one goes on looking at it."""
     outcome = rerun(baseline, edits)
     keys = baseline.outcome.keys if view.edited is None else view.edited.after.keys
-    return view.under(edits, Edited(baseline.outcome, outcome, None, 0.0), None, keys)
+    return view.under(edits, BothAnswers(baseline.outcome, outcome, None, 0.0), None, keys)
 
 
 def test_the_best_pair_is_chosen_with_its_roles_and_the_next_ones_beside(baseline: Baseline) -> None:
@@ -105,15 +105,15 @@ def test_objects_are_found_again_by_their_keys(baseline: Baseline, scored: Basel
 
 def test_the_other_runs_answer_is_told_by_what_of_it_is_another_thing(baseline: Baseline) -> None:
     view = looked_at(baseline)
-    assert view.moved == ""
+    assert view.other_pair == ""
     assert view.ghosts == []
     same = replace(view, other=OtherAnswer("second", baseline.outcome.trace))
-    assert (same.moved, same.ghosts) == ("the same pair", [])
+    assert (same.other_pair, same.ghosts) == ("the same pair", [])
     hidden = rerun(baseline, Edits().with_hidden(baseline.outcome.keys[view.ranked[0].target]))
     another = replace(view, other=OtherAnswer("second", hidden.trace))
-    assert another.moved == "another target"
+    assert another.other_pair == "another target"
     assert [(g.key, g.role) for g in another.ghosts] == [("other-target", "edited")]
-    assert replace(view, other=OtherAnswer("second", None, error="no")).moved == ""
+    assert replace(view, other=OtherAnswer("second", None, error="no")).other_pair == ""
 
 
 def test_edits_are_said_in_words_one_after_the_other(baseline: Baseline) -> None:

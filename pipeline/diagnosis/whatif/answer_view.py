@@ -81,8 +81,8 @@ def same_thing(trace: Trace | None, place: int | None, other: SceneObject) -> bo
 
 
 @dataclass(frozen=True)
-class Edited:
-    """Both answers.
+class BothAnswers:
+    """An answer without edits and with them.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class AnswerView:
         The answer of a run to compare with.
     edits : Edits
         Of the question that is asked; they stay when it is asked again.
-    edited : Edited or None
+    edited : BothAnswers or None
         `trace` is the answer under the edits, and this has the one without them; None where nothing is edited.
     """
 
@@ -146,7 +146,7 @@ class AnswerView:
     judged: Diagnosis | str | None = None
     other: OtherAnswer | None = None
     edits: Edits = field(default_factory=Edits)
-    edited: Edited | None = None
+    edited: BothAnswers | None = None
 
     def name_of(self, i: int) -> str:
         """The name of an object of the trace."""
@@ -228,7 +228,7 @@ class AnswerView:
         return found
 
     @property
-    def moved(self) -> str:
+    def other_pair(self) -> str:
         """What of the pair is another one in the other run's answer; empty where one of the two has none."""
         mine, other = self.ranked[0] if self.ranked else None, self.other
         if mine is None or other is None or other.best is None or other.trace is None:
@@ -238,7 +238,9 @@ class AnswerView:
         found = {(True, True): "the same pair", (True, False): "the same target, another reference"}
         return found.get((same[0], same[1]), "another target")
 
-    def under(self: View, edits: Edits, edited: Edited, judged: Diagnosis | str | None, keys: tuple[str, ...]) -> View:
+    def under(
+        self: View, edits: Edits, edited: BothAnswers, judged: Diagnosis | str | None, keys: tuple[str, ...]
+    ) -> View:
         """The same with an answer under edits; `keys` are those of the objects of the trace until now.
 
         What was selected stays so. The chosen pair stays, too, unless it was the answer: then it is the new one.
