@@ -34,7 +34,7 @@ Done = tuple[str, str, float]
 
 
 class Refused(Exception):
-    """A number that was typed for an object that is selected no longer."""
+    """A number was typed for an object that is selected no longer."""
 
 
 @dataclass
@@ -55,10 +55,15 @@ class Person:
     blocked: int = 0
     """So many of `done` the other has changed since: they are not taken back."""
 
-    def saves(self, what: str, wanted: Callable[[Event], bool]) -> bool:
-        """Wait until the journal has something from this person; False where the page asks whose value it is to be."""
-        until = time.monotonic() + 60
-        while time.monotonic() < until:
+    def saves(self, what: str, wanted: Callable[[Event], bool], still: Callable[[], bool] = lambda: True) -> bool:
+        """Wait until the journal has something from this person; False where the page asks whose value it is to be.
+
+        What was typed where the next item was coming up was typed nowhere: it is `still` so where it was not.
+        """
+        started = time.monotonic()
+        while (waited := time.monotonic() - started) < 60:
+            if waited > 5 and not still():
+                raise Refused
             journal = self.location.to_read()
             new = () if journal is None else journal.events(author=self.name, after=self.last)
             for event in new:
@@ -120,19 +125,18 @@ class Person:
             return e.ref.field == "box" and bool(e.after) and abs(e.after["size"][0] - width) < 1e-6
 
         try:
-            saved = self.saves(str(done), wanted)
+            # Whoever takes their own is asked again where the other has saved once more meanwhile.
+            while not self.saves(str(done), wanted, lambda: page.evaluate(EDITED) == name):
+                mine = self.chance.random() < 0.5
+                self.told["mine" if mine else "theirs"] += 1
+                page.keyboard.press("m" if mine else "t")
+                self.tab.poll("!document.getElementById('dialog-window')")
+                if not mine:
+                    return
         except Refused:
             # The page was still on its way to the next item when the width was typed.
             self.told["refused"] += 1
             return
-        if not saved:
-            mine = self.chance.random() < 0.5
-            self.told["mine" if mine else "theirs"] += 1
-            page.keyboard.press("m" if mine else "t")
-            self.tab.poll("!document.getElementById('dialog-window')")
-            if not mine:
-                return
-            assert self.saves(str(done), wanted), "asked again"
         self.keep(done)
 
     def undo(self) -> Iterator[None]:

@@ -24,11 +24,11 @@ from pipeline.language.tree import Attachment, Node, Query
 from pipeline.proposals.base import Detector, Proposals, is_final, told_by_ids, top_k
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.relations.scorer import (
+    BEYOND_PAIRS,
     RelationScorer,
     RelationScores,
     RuleScorer,
-    between_probabilities,
-    superlative_probabilities,
+    probabilities_beyond,
 )
 from pipeline.system.errors import Unsupported, require
 
@@ -312,14 +312,12 @@ def joined(
 
 def relation_lookup(scores: RelationScores, objects: Sequence[SceneObject], same: np.ndarray) -> RelationLookup:
     """The relation probabilities of a list of objects as the ranking asks for them."""
-    lifted = [o.lifted for o in objects]
+    lifted, ids = [o.lifted for o in objects], [o.id for o in objects]
 
     def lookup(attachment: Attachment, heads: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:
         relation = attachment.relation
-        if relation == "between":
-            return between_probabilities(lifted, heads, ends[0], ends[1])
-        if relation in ("closest", "farthest"):
-            return superlative_probabilities(lifted, relation, heads, ends[0], same)
+        if relation in BEYOND_PAIRS:
+            return probabilities_beyond(relation, lifted, heads, ends, same, scores.beyond.get(relation), ids)
         require(
             relation in scores.relations,
             f"the relation scorer has no {relation!r}",

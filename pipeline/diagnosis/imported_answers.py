@@ -113,7 +113,7 @@ def _one_for_both(evidence: FrameEvidence, case: Case, found: OracleScores, diag
 def _misplaced(evidence: FrameEvidence, found: OracleScores, line: Prediction) -> bool:
     """Whether by their boxes no right pair is one, or the answer is, and by true boxes the opposite; by the rule."""
     t, r = found.target.found, found.reference.found
-    theirs, true = found.p_relation[0, 0, :t, :r], found.p_relation[1, 0, :t, :r]
+    theirs, true = found.pair_relations[[0, LIFT], :t, :r]
     right = found.covered[:t, :r]
     denied = bool((theirs[right] < HIT).all() and (true[right] >= HIT).any())
     answer = line.answer
@@ -158,9 +158,9 @@ def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) ->
     winner, right = diagnosis.winner, diagnosis.right
     if diagnosis.evidence.asked_again or winner is None or right is None:
         return list(flips)
+    p = found.pair_relations[[0, SRM]].reshape(2, -1)
     (mine, true_mine), (its, true_its) = (
-        found.p_relation[0, :2, k // found.covered.shape[1], k % found.covered.shape[1]]
-        for k in (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
+        p[:, k] for k in (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
     )
     false = (diagnosis.false_target and winner.p_target > right.p_target) or (
         diagnosis.false_reference and winner.p_reference > right.p_reference

@@ -119,6 +119,11 @@ class OracleScores:
         """A pair of `plain`, with all that a sentence says of it."""
         return self.plain.pair(at)
 
+    @property
+    def pair_relations(self) -> np.ndarray:
+        """(S, T, R) float64: P(relation) of each pair under each subset."""
+        return self.table.p_relation.reshape(-1, *self.covered.shape)
+
     @cached_property
     def plain(self) -> PairTable:
         """The pairs without any oracle, as they were ranked."""

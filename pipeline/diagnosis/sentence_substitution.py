@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import prod
 
@@ -33,7 +33,7 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.cases import HIT, Case, Meant
 from pipeline.language.attributes import Attribute
 from pipeline.language.tree import Attachment
-from pipeline.relations.scorer import between_probabilities, superlative_probabilities
+from pipeline.relations.scorer import probabilities_beyond
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,14 +132,19 @@ class SubstitutedTree:
             there = self._entries[name][: None if recall else role.found]
             candidates[name] = Candidates(there, scores[there])
 
+        objects, known = self._evidence.answers.objects, self._evidence.detections
+        ids = [objects[k].id if k < known else -1 for k in every.index.tolist()]
+        beyond = getattr(self._evidence.answers.source.scorer, "beyond", {})
+
         def lookup(attachment: Attachment, heads: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:
             relation = attachment.relation
             if relation not in self._evidence.truth.states:
-                lifted = [o.lifted for o in self._scene(lift, False, False).objects]
-                if relation == "between":
-                    p = between_probabilities(lifted, heads, ends[0], ends[1])
-                else:
-                    p = superlative_probabilities(lifted, relation, heads, ends[0], self._same[lift])
+                given = beyond.get(relation)
+                # The truth of these is what the rule says of true boxes.
+                true = int(lift or (srm and given is not None))
+                lifted = [o.lifted for o in self._scene(true, False, False).objects]
+                given = None if srm else self._still_given(given, ids) if lift else given
+                p = probabilities_beyond(relation, lifted, heads, ends, self._same[lift], given, ids)
             else:
                 if relation not in self._relations:
                     self._relations[relation] = relation_of(self._evidence, relation, every, every)
@@ -148,11 +153,19 @@ class SubstitutedTree:
             return decided(p, HOLDS) if decide else p
 
         scene = self._scene(lift, bool(attribute), decide)
-        objects, known = self._evidence.answers.objects, self._evidence.detections
-        ids = [objects[k].id if k < known else -1 for k in every.index.tolist()]
         config = self._evidence.answers.source.config.rank.of(ids)
         sizes = self._evidence.mask_sizes[every.index]
         return solve(self._meant.root, candidates, lookup, self._same[lift], sizes, config, scene)
+
+    def _still_given(
+        self, given: Mapping[tuple[int, ...], float] | None, ids: Sequence[int]
+    ) -> Mapping[tuple[int, ...], float] | None:
+        """What was given of things whose boxes are as they truly are: true boxes say nothing else of them."""
+        if not given:
+            return given
+        off = self._evidence.off(self._all.index, self._all.shape_of)
+        wrong = {i for i, gone in zip(ids, off.tolist(), strict=True) if gone}
+        return {row: p for row, p in given.items() if wrong.isdisjoint(row)}
 
     def attribute(self, name: str, attribute: Attribute) -> np.ndarray | None:
         """(K,) float64: what true pixels and boxes say of all that may fill a name; None where nothing can judge it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.features import Appearance
-from pipeline.relations.scorer import RelationScorer, RelationScores
+from pipeline.relations.scorer import Beyond, RelationScorer, RelationScores
 from pipeline.system.errors import InputError, require
 
 Rows = Iterable[Sequence[float]]
@@ -57,7 +58,13 @@ class GivenRelations:
             for a, b, *_, p in self.relations[relation]:
                 if a in at and b in at:
                     probabilities[at[int(a)], at[int(b)], r] = p
-        return replace(found, probabilities=probabilities, scored_by=scored_by)
+        return replace(found, probabilities=probabilities, scored_by=scored_by, beyond=self.beyond)
+
+    @cached_property
+    def beyond(self) -> Beyond:
+        """What is given of relations that are about more than the two of a pair."""
+        others = {relation: self.relations[relation] for relation in self.relations if relation not in PAIRWISE}
+        return {relation: {tuple(map(int, row[:-1])): row[-1] for row in rows} for relation, rows in others.items()}
 
 
 def given_relations(

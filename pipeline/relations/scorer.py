@@ -5,8 +5,8 @@ Relations by rule that involve more than two objects, closest, farthest and betw
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +19,8 @@ from pipeline.relations.relations import PROFILE, F, Indices, T, U, judged_relat
 
 RULE_PROBABILITY = {1: 0.95, 0: 0.50, -1: 0.05}
 """T, U and F as probabilities."""
+Beyond = Mapping[str, Mapping[tuple[int, ...], float]]
+"""Of closest, farthest and between what is given: (candidate, reference ...) -> probability, by objects' numbers."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +36,14 @@ class RelationScores:
         P("a RELATION b") at [a, b].
     scored_by : dict
         Relation -> name of what scored it ("rule" where no network has a head for it).
+    beyond : Beyond
     """
 
     relations: tuple[str, ...]
     states: np.ndarray
     probabilities: np.ndarray
     scored_by: dict[str, str]
+    beyond: Beyond = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<RelationScores of {len(self.probabilities)} objects: {', '.join(self.relations)}>"
@@ -99,6 +103,32 @@ def rule_probabilities(states: np.ndarray) -> np.ndarray:
 def stacked_extents(objects: Sequence[LiftedObject]) -> tuple[np.ndarray, np.ndarray]:
     """lo and hi of all objects, each (N, 3) float64."""
     return np.array([o.lo for o in objects]).reshape(-1, 3), np.array([o.hi for o in objects]).reshape(-1, 3)
+
+
+BEYOND_PAIRS = ("closest", "farthest", "between")
+
+
+def probabilities_beyond(
+    relation: str,
+    objects: Sequence[LiftedObject],
+    heads: Indices,
+    ends: Sequence[Indices],
+    same: np.ndarray | None = None,
+    given: Mapping[tuple[int, ...], float] | None = None,
+    ids: Sequence[int] = (),
+) -> np.ndarray:
+    """closest and farthest (C, R), or between (C, A, B): as they are `given` for these `ids`, else by rule."""
+    if relation == "between":
+        found = between_probabilities(objects, heads, ends[0], ends[1])
+    else:
+        found = superlative_probabilities(objects, relation, heads, ends[0], same)
+    if given:
+        places = [{ids[k]: at for at, k in enumerate(side)} for side in (heads, *ends)]
+        for row, p in given.items():
+            at = tuple(place.get(i) for place, i in zip(places, row, strict=False))
+            if None not in at and len(at) == found.ndim:
+                found[at] = p
+    return found
 
 
 def superlative_probabilities(

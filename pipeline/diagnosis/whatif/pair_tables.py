@@ -8,7 +8,7 @@ numbers that scoring the whole list gives.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -250,7 +250,7 @@ def _by_any(
     states = pairwise_states(lo, hi, clouds, profile)
     ruled = np.array([found.scored_by.get(r) == RuleScorer.name for r in PAIRWISE])
     probabilities = np.where(ruled, rule_probabilities(states), found.probabilities)
-    return RelationScores(PAIRWISE, states, probabilities, found.scored_by)
+    return replace(found, states=states, probabilities=probabilities)
 
 
 def detection_keys(name: str, found: Proposals) -> tuple[str, ...]:
