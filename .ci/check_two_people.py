@@ -103,9 +103,8 @@ class Person:
 
     def resize(self, row: int) -> Iterator[None]:
         page = self.tab.page
-        name = self.tab.poll("row => document.querySelector(`#object-${row} b`)?.textContent", row)
-        entry = page.locator(WIDTH)
-        while page.evaluate(EDITED) != name or not entry.count():
+        entry, name_of = page.locator(WIDTH), "row => document.querySelector(`#object-${row} b`)?.textContent"
+        while page.evaluate(EDITED) != (name := self.tab.poll(name_of, row)) or not entry.count():
             # Choosing what the next item chooses at this moment takes it off again.
             self.tab.send(f"object:{row}")
             for _ in range(100):

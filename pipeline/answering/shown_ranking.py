@@ -18,6 +18,8 @@ LEAST_COMPARED, MOST_COMPARED = 30, 12_000
 MOST_ODD = 0.25
 """A pair is odd whose score stands the wrong way round with more than half of the others of its line; so many may be,
 of those of all lines, whose scores are wrong."""
+FITS = 3
+"""How often a ranking is fitted, each time without the pairs that were odd by the fit before."""
 CONTRADICTED = 0.15
 """A fit stands in that contradicts no more than this of what is said of the others."""
 ALIKE = 0.02
@@ -77,10 +79,14 @@ class ShownRanking:
         every = every[np.unique(np.linspace(0, len(every) - 1, min(MOST_COMPARED, len(every))).astype(int))]
         seen = curves(np.concatenate([factors for factors, _ in lines]))
         x = seen[every[:, 0]] - seen[every[:, 1]]
-        wrong = x @ fitted(x, rising=True) <= 0
-        compared, contradicted = (np.bincount(of.ravel(), minlength=start) for of in (every, every[wrong]))
-        odd = contradicted > compared / 2
-        kept = ~odd[every].any(axis=1)
+        compared, kept = np.bincount(every.ravel(), minlength=start), np.ones(len(every), np.bool_)
+        # Without the pairs that are odd by one fit the next tells better which are.
+        for _ in range(FITS):
+            wrong = x @ fitted(x[kept], rising=True) <= 0
+            odd = np.bincount(every[wrong].ravel(), minlength=start) > compared / 2
+            kept = ~odd[every].any(axis=1)
+            if not kept.any():
+                return None
         if odd.sum() > MOST_ODD * np.count_nonzero(compared) or wrong[kept].mean() > CONTRADICTED:
             return None
         x, every = x[kept], every[kept]

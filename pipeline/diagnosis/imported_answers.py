@@ -143,9 +143,19 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
     )
     ahead = margins_of(replace(table, log_score=regular), found.covered)
     mended = any(found.mends(s) for s in shown)
-    if ahead[0] > rule.unit * LIKELY or (not mended and (ahead[shown] > 0).any()):
+    if ahead[0] > rule.unit * LIKELY or _outdone(diagnosis, rule.unit) or (not mended and (ahead[shown] > 0).any()):
         return replace(diagnosis, verdict="PRM", detail="SCORE", repair=())
     return None if mended else replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=())
+
+
+def _outdone(diagnosis: Diagnosis, unit: float) -> bool:
+    """Whether the right pair was no worse in any factor than the answer, so that no ranking that rises with them, as
+    one does that was fitted, would put it below."""
+    winner, right = diagnosis.winner, diagnosis.right
+    if winner is None or right is None or unit <= 0:
+        return False
+    factors = ("p_target", "p_reference", "p_relation")
+    return all(getattr(right, name) >= getattr(winner, name) for name in factors)
 
 
 def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:

@@ -104,8 +104,9 @@ class Met:
 class OtherPipeline:
     """Its parts: how it lifts, judges a pair and scores it, writes its boxes, and what can be broken in it.
 
-    `planted` gives the same with one fault, None where there is nothing to break; its `known` holds what it moved, by
-    new ids, for an id is one object in all lines of a frame.
+    `asked` gives what its detector gives, `told` its line; by default `clean` and `answered`. `planted` gives the same
+    with one fault, None where there is nothing to break; its `known` holds what it moved, by new ids, for an id is one
+    object in all lines of a frame.
     """
 
     header: Header
@@ -114,6 +115,8 @@ class OtherPipeline:
     pair_score: Callable[[float, float, float], float]
     written: Callable[[Thing], tuple[tuple[float, ...], GivenBox]]
     planted: Callable[[OtherPipeline, str, Met, np.random.Generator], Met | None]
+    asked: Callable[[Case, FrameCases, dict[int, Thing], np.random.Generator], Asked] | None = None
+    told: Callable[[OtherPipeline, Met], Prediction] | None = None
 
 
 def things(frame: Frame) -> list[Thing]:
@@ -190,6 +193,7 @@ def lines(
 ) -> Iterator[Line]:
     """The pipeline on the expressions of labels, some of them with a fault."""
     rng = np.random.default_rng(seed)
+    asked, told = own.asked or clean, own.told or answered
     for truth in read_cases(labels, 0, 2**31 - 1):
         frame = dataset.load(truth.frame)
         context = prepare_frame(dataset, frame)
@@ -197,11 +201,11 @@ def lines(
         for case in truth.cases[seed % every :: every] if known else ():
             if case.target == case.reference:
                 continue
-            met = Met(clean(case, truth, known, rng), truth, known, context.viewer, frame)
-            line = answered(own, met)
+            met = Met(asked(case, truth, known, rng), truth, known, context.viewer, frame)
+            line = told(own, met)
             fault = str(rng.choice(faults)) if rng.random() < share and right(own, line, met) else None
             broken = None if fault is None else own.planted(own, fault, met, rng)
-            wrong = line if broken is None else answered(own, broken)
+            wrong = line if broken is None else told(own, broken)
             yield Line(line, None) if right(own, wrong, met) or fault is None else Line(wrong, fault)
 
 
