@@ -20,6 +20,7 @@ from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import answer, known_truth, pathless_edits
 from pipeline.diagnosis.cases.replay import find_cases, replay_all
 from pipeline.diagnosis.opened import Opened
+from pipeline.diagnosis.whatif import Baseline
 from pipeline.evaluation.run_folder import Run, RunDatabase, open_database
 from pipeline.system.errors import InputError, needed, require
 from spatialviz import cli_ask
@@ -260,9 +261,7 @@ class WhatIf(Verb):
         pipeline = opened.pipeline
         context = pipeline.prepare(resolve_frame(pipeline.dataset, self.frame))
         record, after, floor = whatif_answer(
-            pipeline,
-            context,
-            self.expression,
+            Baseline(pipeline, context, self.expression),
             pathless_edits(self.edits),
             opened.labels,
             cells=MAP_CELLS if self.decision_map else None,

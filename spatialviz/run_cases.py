@@ -20,6 +20,7 @@ from pipeline.diagnosis.cases.saving import open_case, save_case
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
 from pipeline.diagnosis.whatif.asked_pair import asked_pair
 from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
+from pipeline.diagnosis.whatif.edit_words import said_edits
 from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.evaluation.run_folder import RUN_FILE, open_run
 from pipeline.labels.reading import Labels, open_labels
@@ -41,7 +42,9 @@ def run_whatif(command: WhatIf) -> int:
     context = _one_context(source, command.frame)
     labels = None if command.labels is None else open_labels(command.labels)
     cells = None if command.decision_map is None else command.cells
-    record, after, picture = whatif_answer(source, context, command.expression, edits, labels, command.move, cells)
+    baseline = Baseline(source, context, command.expression)
+    edits = said_edits(baseline, edits, command.do, command.on)
+    record, after, picture = whatif_answer(baseline, edits, labels, command.move, cells)
     if command.decision_map is not None and picture is not None:
         write_picture(picture, command.decision_map)
     command.write(record, print_change)
@@ -49,16 +52,14 @@ def run_whatif(command: WhatIf) -> int:
 
 
 def whatif_answer(
-    source: Pipeline,
-    context: PreparedFrame,
-    expression: str,
+    baseline: Baseline,
     edits: Edits,
     labels: Labels | None,
     move: str | None = None,
     cells: int | None = None,
 ) -> tuple[dict[str, Any], Outcome, np.ndarray | None]:
     """All of `whatif --json`, the answer under edits, and the picture of its decision map where `cells` are given."""
-    baseline = Baseline(source, context, expression)
+    source, context = baseline.source, baseline.context
     if unknown := foreign_keys(baseline, edits):
         known = ", ".join(sorted(baseline.all_keys)[:30])
         raise InputError("edits of objects that are not there", got=", ".join(unknown), expected=known)

@@ -10,13 +10,14 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import demo_run
 from pipeline.evaluation.run_folder import Run, open_run
 from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Call
 from spatialviz.app.context import Context, Shared
-from spatialviz.app.frames import FramePictures, FrameStore
+from spatialviz.app.frames import FramePictures
 from spatialviz.app.layout import Page
 
 

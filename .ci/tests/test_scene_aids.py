@@ -9,22 +9,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.whatif.decision_map import decision_map
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.rerun import Baseline
+from pipeline.diagnosis.whatif.shown import shown_objects
+from pipeline.geometry.floor_grid import floor_height
 from pipeline.geometry.palette import depth_ends, palette
 from spatialviz.app.channel import Call
 from spatialviz.app.context import Context, Shared
 from spatialviz.app.edit_scene import OTHERS, map_legend, winner_colors
-from spatialviz.app.frame_cloud import SceneAids, floor_height, grid_lines
-from spatialviz.app.frames import FrameStore
+from spatialviz.app.frame_cloud import SceneAids
 from spatialviz.app.layout import Page
 from spatialviz.app.picture import depth_bar
 from spatialviz.app.scene import Tag
 from spatialviz.app.selection import Pointing
-from spatialviz.app.state import State, shown_objects
+from spatialviz.app.state import State
 from spatialviz.app.view_strings import view_of, with_settings
 
 
@@ -35,7 +37,7 @@ def opened() -> tuple[Pipeline, State]:
     store = FrameStore({"demo": source})
     loaded = store.load("demo", source.dataset.frame_ids[0])
     trace = source.ask(loaded.context, DEMO_EXPRESSION)
-    state = State("demo", loaded.context.frame.id, loaded, text=DEMO_EXPRESSION, trace=trace)
+    state = State("demo", loaded.context.frame.id, loaded=loaded, text=DEMO_EXPRESSION, trace=trace)
     state = replace(state, shown=shown_objects(loaded, trace, trace.exact))
     return source, replace(state, pair=state.at(state.ranked[0]))
 
@@ -104,12 +106,7 @@ def test_one_tool_is_on_at_a_time() -> None:
     assert not desk.pointing.on_pixel(3, 4)
 
 
-def test_the_grid_has_metre_cells_on_the_floor() -> None:
-    cells, fine = grid_lines(np.array([-1.2, 0.4]), np.array([0.7, 2.9]), -1.1)
-    assert (cells[..., 2] == np.float32(-1.1)).all()
-    assert sorted({float(x) for x in cells[cells[:, 0, 0] == cells[:, 1, 0]][:, 0, 0]}) == [-2, -1, 0, 1]
-    assert len(cells) == 4 + 4
-    assert len(fine) == 3 * (3 + 3)
+def test_the_grid_is_drawn_while_it_is_wanted_and_lies_on_the_floor() -> None:
     desk = Desk()
     plain = desk.state
     desk.aided(replace(plain, flags=replace(plain.flags, grid=True)))
@@ -119,7 +116,8 @@ def test_the_grid_has_metre_cells_on_the_floor() -> None:
     loaded = desk.state.loaded
     assert loaded is not None
     heights = loaded.cloud.points[:, 2]
-    assert heights.min() - 0.01 <= floor_height(loaded) <= np.percentile(heights, 25)
+    floor = floor_height(loaded.context.frame, loaded.context.viewer, loaded.cloud.points)
+    assert heights.min() - 0.01 <= floor <= np.percentile(heights, 25)
 
 
 def test_the_scale_is_told_for_the_middle_of_the_pair_else_of_the_cloud() -> None:

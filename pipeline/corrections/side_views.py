@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.corrections.journal.edits import Edits, set_box
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.scene import labelled_box
-from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
+from pipeline.diagnosis.whatif.placement import pulled
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
@@ -146,9 +146,7 @@ def _moved(box: Box3D, axes: np.ndarray, own: np.ndarray, move: Move) -> Box3D:
         x, y, z = direction
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         return Box3D(box.center, (np.eye(3) + np.sin(by) * cross + (1 - np.cos(by)) * cross @ cross) @ box.R, box.size)
-    grown = max(box.size[k] + by, SMALLEST_SIDE) - box.size[k]
-    outwards = box.R[:, k] * (np.sign(box.R[:, k] @ direction) or 1.0) * side[0]
-    return Box3D(box.center + outwards * grown / 2, box.R, box.size + grown * (np.arange(3) == k))
+    return pulled(box, k, float(np.sign(box.R[:, k] @ direction) or 1.0) * side[0], by)
 
 
 def face_to_points(views: SideViews, axis: int, side: int) -> Move:

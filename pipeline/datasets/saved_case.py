@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
@@ -26,6 +25,7 @@ from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.masks import RunLength
 from pipeline.system.door import enter, read_bytes
+from pipeline.system.encoded_pictures import png
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
 
@@ -33,6 +33,7 @@ MANIFEST = "spatialviz-case.json"
 CASE_FORMAT = "spatialviz-case-1"
 DAMAGED = "the case is damaged at {}"
 COLOR = "rgb.png"
+PACKED = 6
 UNITS = (1000.0, 10_000.0, 5000.0, 4000.0, 2000.0, 8000.0, 256.0, 1.0)
 """Depth units in one metre that are tried, so that depth is 16-bit integers to the last bit."""
 
@@ -107,7 +108,7 @@ def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:
             "depth_source": frame.depth_source or None,
         }
     )  # fmt: skip
-    return record, {COLOR: _png(np.ascontiguousarray(frame.rgb[..., ::-1])), depth_file: depth}
+    return record, {COLOR: png(np.ascontiguousarray(frame.rgb[..., ::-1]), PACKED), depth_file: depth}
 
 
 def _annotation_record(a: Annotation) -> dict[str, Any]:
@@ -127,14 +128,10 @@ def _depth_bytes(depth: np.ndarray) -> tuple[str, float | None, bytes]:
         if stored.max(initial=0) < 65536:
             whole = stored.astype(np.uint16)
             if np.array_equal(np.divide(whole, np.float32(units), dtype=np.float32, casting="same_kind"), depth):
-                return "depth.png", units, _png(whole)
+                return "depth.png", units, png(whole, PACKED)
     buffer = io.BytesIO()
     np.save(buffer, depth)
     return "depth.npy", None, buffer.getvalue()
-
-
-def _png(image: np.ndarray) -> bytes:
-    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
 
 
 def read_manifest(root: Path) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +69,28 @@ class Box3D:
 
     def transformed(self, T: np.ndarray) -> Box3D:
         """The box seen from another frame; T is (4, 4), rigid, new-from-old."""
-        return Box3D(T[:3, :3] @ self.center + T[:3, 3], T[:3, :3] @ self.R, self.size)
+        return self.turned(T[:3, :3], T[:3, 3])
+
+    def turned(self, R: np.ndarray, shift: np.ndarray | float = 0.0) -> Box3D:
+        """The box in other axes: R is (3, 3), rows the new axes in the old; then shifted, metres."""
+        return Box3D(R @ self.center + shift, R @ self.R, self.size)
+
+    @property
+    def half_extent(self) -> np.ndarray:
+        """(3,): half of what it takes along the axes of its frame, metres."""
+        return np.ptp(self.corners, axis=0) / 2
+
+
+def edge_lines(boxes: Iterable[Box3D], growth: float = 0.0) -> np.ndarray:
+    """(N, 2, 3) float32: the twelve edges of each box, all of them grown by so many metres."""
+    grown = [Box3D(b.center, b.R, b.size + growth).corners[EDGES] for b in boxes]
+    return np.concatenate([np.zeros((0, 2, 3)), *grown]).astype(np.float32)
+
+
+def boxes_on_ray(boxes: Mapping[int, Box3D], origin: np.ndarray, direction: np.ndarray) -> list[int]:
+    """Those of numbered boxes that a ray passes, the smallest first: a mug is meant rather than the table around it."""
+    hit = (i for i, b in boxes.items() if ray_entry(b, origin, direction) is not None)
+    return sorted(hit, key=lambda i: boxes[i].volume)
 
 
 def _is_rotation(R: np.ndarray) -> bool:

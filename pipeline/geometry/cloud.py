@@ -21,6 +21,10 @@ SPAN = 64
 """More than the bands between a millimetre (-27) and FAR (9)."""
 
 
+NEAREST_M, ASIDE, ASIDE_FROM_M = 0.05, 0.012, 0.3
+"""A ray hits a point that lies beside it by up to this share of its distance, which counts as no less, metres."""
+
+
 @dataclass(frozen=True, eq=False)
 class CloudPart:
     """Points that are sent as one: of one band of depth, either of the first cloud or of the rest.
@@ -73,6 +77,17 @@ class Cloud:
     def painted(self, colors: np.ndarray) -> np.ndarray:
         """(N, 3) uint8 of its points in the colours of the frame's pixels, (H, W, 3)."""
         return colors.reshape(-1, 3).take(self.v * colors.shape[1] + self.u, axis=0)
+
+    def pixel_on_ray(self, origin: np.ndarray, direction: np.ndarray) -> tuple[int, int] | None:
+        """(u, v) of the nearest surface point close to a ray ((3,) each, shown frame); exact: points are pixels."""
+        offset = self.points - origin
+        along = offset @ direction
+        aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
+        index = np.flatnonzero((along > NEAREST_M) & (aside < ASIDE * np.maximum(along, ASIDE_FROM_M)))
+        if not len(index):
+            return None
+        best = index[np.argmin(along[index] + 3 * aside[index])]
+        return int(self.u[best]), int(self.v[best])
 
 
 def drawn_pixels(frame: Frame) -> np.ndarray:

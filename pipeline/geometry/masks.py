@@ -179,6 +179,12 @@ def mask_box(mask: np.ndarray) -> tuple[int, int, int, int]:
     return x, y, x + w, y + h
 
 
+def outlines(mask: np.ndarray) -> list[np.ndarray]:
+    """(N, 2) float64 each: closed outer outlines of a mask's parts ((H, W) bool) through the middles of its pixels."""
+    found, _ = cv2.findContours(np.ascontiguousarray(mask).view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
+    return [line.reshape(-1, 2) + 0.5 for line in found if len(line) > 2]
+
+
 def fill_polygons(size: tuple[int, int], polygons: Sequence[np.ndarray]) -> np.ndarray:
     """(H, W) bool: the pixels inside any of the polygons, (N, 2) x, y within the picture, as the COCO API has them."""
     from pycocotools import mask as coco

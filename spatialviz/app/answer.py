@@ -10,13 +10,14 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
+from pipeline.diagnosis.whatif.answer_view import BothAnswers, OtherAnswer
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
 from spatialviz.app.markup import BAD, Child, Element, button, h, hint_of, named, note, panel, term, with_terms
-from spatialviz.app.state import Edited, OtherAnswer, State, same_thing
+from spatialviz.app.state import State
 from spatialviz.app.toolbar import ground_chips, level_html
 
 HINT = "Type TARGET RELATION REFERENCE above, for example “mug left of the laptop”, and press Enter."
@@ -41,7 +42,7 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     return panel(level_html(state), before, told_, verdict_html(state), under, cls="answer")
 
 
-def before_html(state: State, edited: Edited) -> Element:
+def before_html(state: State, edited: BothAnswers) -> Element:
     """What was answered without the edits, in one line."""
     trace, colors = edited.before.trace, palette(state.dark)
     reason, count = why_no_answer(trace), len(each_edit(state.edits))
@@ -85,7 +86,7 @@ def verdict_html(state: State) -> Element | None:
     return h.div(
         h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why"),
         None if state.task == "explain" and judged.verdict in MODULE_OF else h.p(judged.text, cls="sentence"),
-        None if state.other is None or state.trace is None else _second(state.other, _moved(state, state.trace)),
+        None if state.other is None or state.trace is None else _second(state.other, state.other_pair),
         cls="verdict",
     )
 
@@ -206,17 +207,6 @@ def _second(other: OtherAnswer, moved: str) -> Element:
     return h.button(what, cls="plain", do="stage:LABEL", title=f"{other.name}: both answers")
 
 
-def _moved(state: State, trace: Trace) -> str:
-    """What of the pair is another one in the other run's answer; empty where one of the two has none."""
-    mine, other = state.ranked[0] if state.ranked else None, state.other
-    if mine is None or other is None or other.best is None or other.trace is None:
-        return ""
-    ends = ((mine.target, other.best.target), (mine.reference, other.best.reference))
-    same = [a is not None and b is not None and same_thing(trace, a, other.trace.objects[b]) for a, b in ends]
-    found = {(True, True): "the same pair", (True, False): "the same target, another reference"}
-    return found.get((same[0], same[1]), "another target")
-
-
 def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
     """The other run's answer beside this one: what moved."""
     mine = state.ranked[0] if state.ranked else None
@@ -230,12 +220,11 @@ def _other(state: State, trace: Trace, other: OtherAnswer) -> list[Child]:
             factors = (pair.p_target, pair.p_reference, pair.p_relation)
             cells = [h.td(names, cls="w", title=names), *(h.td(f"{p:.2f}", cls="n") for p in factors)]
         rows.append(h.tr(h.th(name, scope="row"), cells))
-    moved = _moved(state, trace)
     head = h.tr(
         h.td(), h.td(), (h.th(term(f"P({name})", name[:3]), cls="n") for name in ("target", "reference", "relation"))
     )
     return [
-        h.h3("The second run", h.span(f"{other.name}: {moved}" if moved else other.name)),
+        h.h3("The second run", h.span(f"{other.name}: {state.other_pair}" if state.other_pair else other.name)),
         verdict_chip_of(other.judged) if isinstance(other.judged, Diagnosis) else None,
         h.table(h.thead(head), h.tbody(rows), cls="other"),
     ]

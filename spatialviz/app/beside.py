@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.answering.agreement.agreement import MIN_IOU
 from pipeline.answering.agreement.frames import SecondDetections
-from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.boxes import Box3D, edge_lines
 from pipeline.geometry.palette import hex_color, ink, palette
 from spatialviz.app.context import Context, Part, choice, command
 from spatialviz.app.markup import (
@@ -26,7 +26,7 @@ from spatialviz.app.markup import (
     segments,
     term,
 )  # fmt: skip
-from spatialviz.app.scene import GHOST_GROWTH, Tag, edges, half_size
+from spatialviz.app.scene import GHOST_GROWTH, Tag, extent
 from spatialviz.app.state import Layers, State
 from spatialviz.report.picture import dashed
 
@@ -96,7 +96,7 @@ class BesideLayer(Part):
         with self.ctx.client.atomic():
             for name, which, look, width in drawn:
                 # A little larger, so that they do not lie in the very lines of the own boxes.
-                lines = dashed(edges([boxes[j] for j in which], GHOST_GROWTH), DASH)
+                lines = dashed(edge_lines([boxes[j] for j in which], GHOST_GROWTH), DASH)
                 self.ctx.client.lines(f"/beside/{name}", lines, look, width)
             self._tags = [self._tag(state.beside, j, boxes[j]) for j in boxes if state.beside and j == chosen]
         return self._tags
@@ -104,7 +104,7 @@ class BesideLayer(Part):
     def _tag(self, beside: SecondDetections, j: int, box: Box3D) -> Tag:
         anchor, color = self.ctx.client.anchor(ANCHOR, box.center), hex_color(palette(self.state.dark)["second"])
         name, detail = f"B {second_name(beside, j)}", detector_score(beside.objects[j].score)
-        return Tag(anchor, name, detail, color, True, extent=half_size(box))
+        return Tag(anchor, name, detail, color, True, extent=extent(box))
 
 
 def _alike(state: State) -> set[int]:

@@ -10,8 +10,10 @@ from datetime import datetime
 from functools import cached_property
 from typing import Any, TypeVar
 
+from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.label_editors import LabelEditors
 from pipeline.datasets import has_moves
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.whatif.state import ViewState
@@ -19,8 +21,7 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
 from spatialviz.app.channel import Channel, Incoming
-from spatialviz.app.frames import FramePictures, FrameStore
-from spatialviz.app.label_view import LabelEditors
+from spatialviz.app.frames import FramePictures
 from spatialviz.app.layout import Dialog, Page
 from spatialviz.app.place import Place
 from spatialviz.app.scene import SceneView

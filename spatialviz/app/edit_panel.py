@@ -15,13 +15,13 @@ from pipeline.corrections.scene import Moved
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
+from pipeline.diagnosis.whatif.edit_words import PROFILE_SETTINGS, WEIGHTS, partners
 from pipeline.diagnosis.whatif.placement import BoxNumbers, box_numbers
 from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import installed_networks
 from pipeline.relations.relations import Profile, letter
-from spatialviz.app.edit_messages import PROFILE_SETTINGS, WEIGHTS, partners
 from spatialviz.app.markup import (
     BAD,
     DOUBT,

@@ -14,16 +14,17 @@ import viser.transforms as vtf
 from pipeline.diagnosis.whatif import Outcome
 from pipeline.diagnosis.whatif.asked_pair import REACH, asked_pair
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
-from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
+from pipeline.diagnosis.whatif.placement import pulled
 from pipeline.diagnosis.whatif.region import Region
-from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.boxes import Box3D, edge_lines
+from pipeline.geometry.floor_grid import over_floor
 from pipeline.geometry.palette import RGB, Role, palette
 from pipeline.language.relation_names import RELATIONS
 from pipeline.relations.relations import letter
 from spatialviz.app.context import Context, Part
-from spatialviz.app.frame_cloud import over_floor, unlit_glb
+from spatialviz.app.frame_cloud import unlit_glb
 from spatialviz.app.markup import Element, dot, h
-from spatialviz.app.scene import edges, plain_color
+from spatialviz.app.scene import plain_color
 from spatialviz.app.scene_client import Retained, triple
 from spatialviz.app.state import EditMode, State
 
@@ -67,8 +68,8 @@ class EditScene(Part):
             touched = {*edits.boxes, *edits.masks, *(key for _, key in edits.confidences)}
             now = self._boxes(edited.after, touched)
             were = self._boxes(edited.before, {*edits.boxes, *edits.masks, *edits.hidden})
-        self.ctx.client.lines("/edit/now", edges(now, OUTLINE_GROWTH), color, 2.6)
-        self.ctx.client.lines("/edit/before", edges(were), color, 1.0)
+        self.ctx.client.lines("/edit/now", edge_lines(now, OUTLINE_GROWTH), color, 2.6)
+        self.ctx.client.lines("/edit/before", edge_lines(were), color, 1.0)
 
     def _boxes(self, outcome: Outcome, keys: set[str]) -> list[Box3D]:
         """The 3D boxes that objects have in an answer, as they are shown."""
@@ -287,12 +288,9 @@ class BoxGizmo:
             return replace(box, R=vtf.SO3.from_matrix(_matrix(handle) @ was.T).as_matrix() @ box.R)
         if face is None:
             return replace(box, center=np.array(handle.position, np.float64))
-        # One face is pulled, the opposite face stays.
         axis, side = face
-        normal = box.R[:, axis] * side
-        reach = float((np.array(handle.position) - box.center) @ normal) - float(box.size[axis]) / 2
-        pull = max(reach, SMALLEST_SIDE - float(box.size[axis]))
-        return Box3D(box.center + normal * pull / 2, box.R, box.size + pull * (np.arange(3) == axis))
+        reach = float((np.array(handle.position) - box.center) @ box.R[:, axis]) * side
+        return pulled(box, axis, side, reach - float(box.size[axis]) / 2)
 
 
 def _matrix(handle: Retained) -> np.ndarray:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.evaluation.facets import with_value
+from pipeline.evaluation.figures import STANDS_IN, Listing, RunFigures, figures_of
 from pipeline.evaluation.run_notes import MARKS
 from pipeline.evaluation.search import complete
 from pipeline.system.errors import InputError
@@ -26,7 +27,7 @@ from spatialviz.app.evaluate_html import (
 from spatialviz.app.figures_html import CUTS, comparison_html, confusion_html, slices_html, summary_html
 from spatialviz.app.markup import Element
 from spatialviz.app.place import Place
-from spatialviz.app.run_figures import STANDS_IN, Listing, RunFigures, figures_of
+from spatialviz.app.run_pictures import pictures_of
 
 FIRST = ("-verdict:CORRECT,LABEL", "-verdict:CORRECT", "")
 """What is listed first: the first of these that finds something. With LABEL the answer is right, too, or the label was
@@ -177,7 +178,7 @@ class Evaluate(Part):
         self.ctx.page.call("rows", {
             "version": self._version, "first": first, "rows": [row_html(row, self._view).html for row in rows],
         })  # fmt: skip
-        urls = [listing.figures.picture(n, row) for n, row in zip(numbers, rows, strict=True)]
+        urls = [pictures_of(listing.figures).url(n, row) for n, row in zip(numbers, rows, strict=True)]
         self._send_pictures({k: url for k, url in enumerate(urls, first) if url})
         self._make_pictures(listing, [(k, rows[k - first]) for k, url in enumerate(urls, first) if not url])
 
@@ -187,8 +188,8 @@ class Evaluate(Part):
 
         def make() -> None:
             if (version, span) == (self._version, self._span):
-                made = {k: listing.figures.picture(int(listing.found[k]), row, True) for k, row in missing[:FILLED]}
-                self._send_pictures(made)
+                pictures = pictures_of(listing.figures)
+                self._send_pictures({k: pictures.url(int(listing.found[k]), row, True) for k, row in missing[:FILLED]})
                 self._make_pictures(listing, missing[FILLED:])
 
         if missing:

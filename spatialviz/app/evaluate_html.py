@@ -7,13 +7,14 @@ from typing import Any
 
 from pipeline.evaluation.comparing import CHANGES
 from pipeline.evaluation.facets import Facet, FacetValue
+from pipeline.evaluation.figures import Listing
 from pipeline.evaluation.run_notes import MARKS, Notes
-from pipeline.geometry.palette import ON_DARK, hex_color
 from pipeline.geometry.palette import VERDICTS as COLORS
+from pipeline.geometry.palette import hex_color
 from pipeline.language.glossary import glossary
 from spatialviz.app.answer import verdict_chip
 from spatialviz.app.markup import BAD, Child, Element, button, h, joined, note, panel, segments
-from spatialviz.app.run_figures import FAILED, Listing
+from spatialviz.app.run_pictures import STROKES
 
 SHOWN_VALUES, FEW_VALUES = 7, 11
 """Of a facet, before the rest is asked for; of up to so many all are shown."""
@@ -21,13 +22,6 @@ VIEWS = {"grid": "Grid", "table": "Table"}
 EXPLAINED = ("change", "verdict", "second_verdict", "mends")
 """Facets whose values are words of the glossary."""
 TITLES = {"mends": "mended by one module alone"}
-LEGEND = (
-    ("answered target", hex_color(ON_DARK["target"]), "thick"),
-    ("wrong target", hex_color(FAILED), "thick"),
-    ("answered reference", hex_color(ON_DARK["reference"]), "thin"),
-    ("labelled", hex_color(ON_DARK["truth"]), "dashed"),
-)
-SECOND_LEGEND = ("second run", hex_color(ON_DARK["edited"]), "dashed")
 SYNTAX = 'verdict:SRM  class:"trash can",bin  margin<0.1  -lucky  sort:margin'
 SYNTAX_HINT = (
     "All terms must hold; a comma means or, a minus not. field:value, field:none, * for anything; numbers take < <= > "
@@ -159,8 +153,11 @@ def bar_html(
     found = h.h2(h.span(h.b(f"{listing.count:,}"), f" of {total:,} found", role="status"), cls="count")
     if listing.error:
         return h.div(note(listing.error, BAD), cls="foundbar")
-    lines = (*LEGEND, SECOND_LEGEND) if second else LEGEND
-    legend = (h.span(h.i(cls=f"stroke {style}", css={"--c": color}), name) for name, color, style in lines)
+    legend = (
+        h.span(h.i(cls=f"stroke {style}", css={"--c": hex_color(color)}), name)
+        for name, (color, style) in STROKES.items()
+        if second or name != "second run"
+    )
     own: Child = (
         h.div(legend, cls="lines") if view == "grid" else None,
         button(f"select all {listing.count:,}", "choose-all", "all that the search finds (Ctrl+A in the list)")

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGES, Comparison
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
+from pipeline.evaluation.figures import STANDS_IN, RunFigures
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.shared_makers import Share, title_of
 from pipeline.evaluation.slices import Slice, Slices
@@ -22,7 +23,6 @@ from pipeline.metrics.intervals import Estimate
 from spatialviz.app.answer import verdict_chip
 from spatialviz.app.evaluate_html import hint, searches
 from spatialviz.app.markup import Child, Element, h, heading, note, panel, segments
-from spatialviz.app.run_figures import STANDS_IN, RunFigures
 
 CUTS = {
     "relation": "relation", "class": "class", "distance": "distance", "size": "size", "occlusion": "occlusion",

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import viser.transforms as vtf
 
+from pipeline.answering.frame_colors import frame_colors
+from pipeline.answering.frame_store import LoadedFrame
 from pipeline.datasets.scene_mesh import fuse_context
-from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.cloud import CloudPart
-from pipeline.geometry.lifting import Pixel
+from pipeline.geometry.floor_grid import metre_grid
 from pipeline.geometry.measure import surface_point
-from pipeline.geometry.palette import DROPPED, Role, depth_colors, hex_color, instance_colors, palette
+from pipeline.geometry.palette import hex_color
 from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app.context import Context, Part
-from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.scene import Tag, plain_color
 from spatialviz.app.scene_client import triple
 from spatialviz.app.state import State
@@ -49,8 +49,9 @@ class FrameCloud(Part):
             self.ctx.client.clear("/camera")
         elif self._painted != state.paint_key or loaded is not was:
             self._painted = state.paint_key
+            look, frame = (state.roles, state.dark), loaded.context.frame
             self._points = loaded.painted(
-                state.paint_key, lambda: frame_colors(state.colors, loaded, state.roles, state.dark)
+                state.paint_key, lambda: frame_colors(state.colors, frame, loaded.objects, *look)
             )
             with self.ctx.client.atomic():
                 if loaded is not was:
@@ -139,37 +140,6 @@ class FrameCloud(Part):
             self.ctx.client.put("glb", "/context", glb_data=data, cast_shadow=False, receive_shadow=False)
 
 
-def frame_colors(mode: str, loaded: LoadedFrame, roles: Mapping[int, Role], dark: bool) -> np.ndarray:
-    """(H, W, 3) uint8 colours of a frame's pixels: "rgb", "objects", "depth" or "evidence"."""
-    frame, objects = loaded.context.frame, loaded.objects
-    if mode == "depth":
-        return depth_colors(frame.depth)
-    if mode == "rgb" or not objects:
-        return frame.rgb
-    grey = np.repeat(frame.rgb.mean(axis=2, keepdims=True), 3, axis=2)
-    image = (grey * 0.55 + (20 if dark else 110)).astype(np.uint8)
-    order = sorted(range(len(objects)), key=lambda i: -int(objects[i].lifted.quality.mask_pixels))
-    if mode == "objects":
-        calm, role_colors = instance_colors(len(objects)), palette(dark)
-        for i in order:
-            color = role_colors[roles[i]] if i in roles else calm[i]
-            mask = objects[i].mask
-            image[mask] = (image[mask] * 0.35 + np.array(color) * 0.65).astype(np.uint8)
-        return image
-    for i in order:
-        evidence = objects[i].lifted.evidence
-        if evidence is None:
-            continue
-        h, w = evidence.codes.shape
-        window = image[evidence.y0 : evidence.y0 + h, evidence.x0 : evidence.x0 + w]
-        source = frame.rgb[evidence.y0 : evidence.y0 + h, evidence.x0 : evidence.x0 + w]
-        kept = evidence.codes == Pixel.KEPT
-        window[kept] = source[kept]
-        for reason, color in DROPPED.items():
-            window[evidence.codes == reason] = color
-    return image
-
-
 def unlit_glb(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray, opacity: float = 1.0) -> bytes:
     """A binary glTF with one unlit material (KHR_materials_unlit).
 
@@ -209,24 +179,6 @@ def _unlit(tree: dict[str, Any], opacity: float) -> None:
             primitive["material"] = 0
 
 
-FLOOR_NOISE = 0.06
-
-
-def over_floor(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """The height over which nearly none of the floor's points ((N, 3), shown frame) lie, between two of its corners.
-
-    Depth is noisy: what lies in the floor itself shows as specks between its points.
-    """
-    floor, across = low[2], points[:, :2]
-    near = (np.abs(points[:, 2] - floor) < FLOOR_NOISE) & ((across > low[:2]) & (across < high[:2])).all(axis=1)
-    return float(np.percentile(points[near, 2], 98)) if near.any() else float(floor)
-
-
-CELL, FINE = 1.0, 0.25
-"""Distance of the grid's lines, metres."""
-FLOOR_LOW, FLOOR_HIGH = 0.05, 0.1
-"""Points so far below and above the lowest ones are of the floor, metres."""
-GRID_LIFT = 0.008
 GRID_COLORS = {True: ((118, 126, 140), (70, 76, 86)), False: ((150, 158, 170), (200, 205, 212))}
 TAG = "/tags/measured"
 
@@ -277,41 +229,9 @@ class SceneAids(Part):
         wanted = None if loaded is None or not len(loaded.cloud.points) else (loaded.cloud, dark)
         if not self.ctx.client.outdated("/grid/", wanted) or loaded is None or wanted is None:
             return
-        low, high = np.percentile(loaded.cloud.points, [1, 99], axis=0)
-        low[2] = high[2] = floor_height(loaded)
-        height = over_floor(loaded.cloud.points, low, high) + GRID_LIFT
-        for name, color, width, lines in zip(
-            ("cells", "fine"), GRID_COLORS[dark], (1.6, 0.8), grid_lines(low[:2], high[:2], height), strict=True
-        ):
+        grid = metre_grid(loaded.context.frame, loaded.context.viewer, loaded.cloud.points)
+        for name, color, width, lines in zip(("cells", "fine"), GRID_COLORS[dark], (1.6, 0.8), grid, strict=True):
             self.ctx.client.lines(f"/grid/{name}", lines, color, width)
-
-
-def floor_height(loaded: LoadedFrame) -> float:
-    """How high the floor lies, metres along up from the camera: the annotated one, else that of the lowest points."""
-    frame, viewer = loaded.context.frame, loaded.context.viewer
-    for annotation in frame.annotations:
-        if annotation.label == "floor" and annotation.mask is not None:
-            v, u = np.nonzero(annotation.mask & (frame.depth > 0))
-            if len(v):
-                return float(np.median(lift_pixels(frame.depth[v, u], frame.camera, v, u) @ viewer.up))
-    heights = loaded.cloud.points[:, 2]
-    lowest = np.percentile(heights, 1)
-    near = heights[(heights > lowest - FLOOR_LOW) & (heights < lowest + FLOOR_HIGH)]
-    return float(np.median(near))
-
-
-def grid_lines(low: np.ndarray, high: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 2, 3) float32 each: lines at whole metres, and the fine ones between, over the cells from low to high."""
-    first, last = np.floor(low / CELL) * CELL, np.ceil(high / CELL) * CELL
-    made = []
-    for axis in (0, 1):
-        steps = np.arange(round((last[axis] - first[axis]) / FINE) + 1)
-        lines = np.full((len(steps), 2, 3), height, np.float32)
-        lines[..., axis] = (first[axis] + steps * FINE)[:, None]
-        lines[:, 0, 1 - axis], lines[:, 1, 1 - axis] = first[1 - axis], last[1 - axis]
-        made.append((lines, steps % round(CELL / FINE) == 0))
-    cells, fine = (np.concatenate([lines[whole == which] for lines, whole in made]) for which in (True, False))
-    return cells, fine
 
 
 def _rounded(v: np.ndarray) -> list[float]:

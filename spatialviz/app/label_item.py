@@ -8,13 +8,13 @@ from typing import Any
 
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.label_editor import LabelEditor
+from pipeline.corrections.label_view import LabelView
 from pipeline.corrections.review.bulk import Pace
 from pipeline.corrections.review.items import ItemKey
 from pipeline.labels.by_hand import grows
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U, letter
-from spatialviz.app.label_view import LabelView
 from spatialviz.app.markup import Child, Element, button, h, progress
 
 RULE = re.compile(r"^[a-z]+/[a-z-]+: ")

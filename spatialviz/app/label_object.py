@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import xxhash
 
@@ -17,27 +16,26 @@ from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.journal.field_refs import object_ref
+from pipeline.corrections.label_view import LabelView
 from pipeline.corrections.object_card import back_to_automatic, bring_back, judgements, object_card
-from pipeline.corrections.scene import MovingBox, labelled_box
+from pipeline.corrections.scene import MovingBox
 from pipeline.corrections.side_views import SideViews, drag_box, dragged, face_to_points, side_views
 from pipeline.corrections.support import fit_to_points, snap_to_support
 from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
+from pipeline.diagnosis.whatif.edit_words import box_with, number_of
 from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE, box_numbers
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import decode_run_length
+from pipeline.geometry.masks import outlines
 from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.geometry.viewer import viewer_axes
-from pipeline.proposals.annotations import box_mask
 from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command
-from spatialviz.app.edit_messages import box_with, number_of
 from spatialviz.app.edit_panel import STATUS_WORDS, box_command, numbers_said, object_html, rejected_html, saved_html
 from spatialviz.app.edit_scene import BoxGizmo
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_item import UNNAMED, digits_row
 from spatialviz.app.label_part import LabelPart
-from spatialviz.app.label_view import LabelView
 from spatialviz.app.markup import Element, h, panel
 from spatialviz.app.review_html import pair_html
 from spatialviz.report.picture import edges_path
@@ -363,13 +361,9 @@ def crops(ctx: Context, view: LabelView) -> Element | None:
     colors = palette(True)
     now = [(e.mask, e.lifted.box, colors["target" if k == 0 else "reference"]) for k, e in enumerate(entries)]
     found = [_crop(" and ".join(names), "now", frame, around, now)]
-    number, size = view.numbers[state.selected], (frame.height, frame.width)
-    before, after = view.frame.auto.objects.get(number), view.frame.objects[number]
-    if before is not None and any(before[name] != after[name] for name in ("mask", "bbox", "center", "R", "size")):
-        bbox, line = np.array(before["bbox"], np.float32), before["mask"]
-        mask = box_mask(bbox, *size) if line is None else decode_run_length(size, line)
-        was = [(mask, labelled_box(before), colors["other"])]
-        found.insert(0, _crop("before", "as labelled", frame, around, was))
+    before = view.as_labelled(view.numbers[state.selected], (frame.height, frame.width))
+    if before is not None:
+        found.insert(0, _crop("before", "as labelled", frame, around, [(*before, colors["other"])]))
     return h.div(found, cls="crops")
 
 
@@ -407,6 +401,4 @@ def _crop(
 
 
 def _outline(mask: np.ndarray) -> str:
-    lines, _ = cv2.findContours(np.ascontiguousarray(mask).view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
-    kept = (line.reshape(-1, 2) + 0.5 for line in lines if len(line) > 2)
-    return "".join("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line.tolist()) + "Z" for line in kept)
+    return "".join("M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line.tolist()) + "Z" for line in outlines(mask))

@@ -10,12 +10,13 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Saved
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor, Outcome
+from pipeline.corrections.label_view import ANYTHING, LabelView, Target
 from pipeline.corrections.scene import labelled_objects
 from pipeline.corrections.wording import consequences, outcome_text
+from pipeline.diagnosis.whatif.shown import Shown
 from pipeline.system.errors import needed, require
 from spatialviz.app.context import Part
-from spatialviz.app.label_view import ANYTHING, LabelView, Target
-from spatialviz.app.state import Shown, State
+from spatialviz.app.state import State
 
 NO_LABELS = "no labels are open: `spatialviz view DATASET --labels LABELS`"
 
@@ -44,8 +45,8 @@ class LabelPart(Part):
     @property
     def number(self) -> int | None:
         """Of the selected labelled object."""
-        selected, view = self.state.selected, self.state.labels
-        return None if view is None or selected is None else dict(enumerate(view.numbers)).get(selected)
+        view = self.state.labels
+        return None if view is None else view.number(self.state.selected)
 
     def look_at(self, wanted: Target) -> None:
         """Show the labels of a frame, and in it a pair or an object."""

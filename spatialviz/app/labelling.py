@@ -12,8 +12,7 @@ from dataclasses import replace
 
 from pipeline.corrections.confirming import right_objects, right_pair, why_not_kept, words_of
 from pipeline.corrections.journal.events import Event, Saved
-from pipeline.corrections.object_card import expression_cards
-from pipeline.corrections.scene import pair_card
+from pipeline.corrections.label_view import Target
 from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import events_text, outcome_text
 from pipeline.language.tree import Query
@@ -21,7 +20,6 @@ from pipeline.system.errors import InputError, needed, require
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_object import LabelObject, SidePanel
 from spatialviz.app.label_part import LabelPart
-from spatialviz.app.label_view import LabelView, Target
 from spatialviz.app.markup import Element, button, h
 from spatialviz.app.pixels import Pixels
 from spatialviz.app.retrain_panel import RetrainPanel
@@ -71,21 +69,8 @@ class Labelling(LabelPart):
     def detail(self) -> None:
         """The chosen pair, or what is selected, may be another: its card, its expressions and its history follow."""
         state, view = self.state, self.state.labels
-        if view is None:
-            return
-        ends = None if state.pair is None else (view.numbers[state.pair[0]], view.numbers[state.pair[1]])
-        pair = None if ends is None or ends[0] == ends[1] else ends
-        view = replace(view, card=None if pair is None else pair_card(view.frame, *pair))
-        names, sentence = _relations(view), view.sentence
-        relation = view.relation if view.relation in names else next(iter(names), None)
-        about = view.about if pair is None or (sentence is not None and sentence.is_of(pair)) else pair
-        objects = () if self.number is None else (self.number,)
-        lines = self.editor.history(view.frame.frame, objects=objects, pair=pair, expression=view.expression)
-        view = replace(
-            view, relation=relation, about=about, expressions=expression_cards(view.frame, about), history=lines,
-            author=self.editor.author,
-        )  # fmt: skip
-        self.state = replace(state, labels=view)
+        if view is not None:
+            self.state = replace(state, labels=view.detailed(self.editor, state.pair, state.selected))
 
     def follow(self) -> None:
         """Bring everything beside the scene that is of labels up to the state."""
@@ -151,19 +136,15 @@ class Labelling(LabelPart):
     @command("relation-row")
     def focus_relation(self, relation: str) -> None:
         """Look at a relation of the pair."""
-        if relation in _relations(self.view):
+        if relation in self.view.relations:
             self.ctx.show(labels=replace(self.view, relation=relation))
 
     @command("next-row")
     def step_relation(self, step: int) -> None:
         """Look at the next relation of the pair."""
-        names, now = _relations(self.view), self.view.relation
+        names, now = self.view.relations, self.view.relation
         if names:
             self.focus_relation(names[((names.index(now) if now in names else 0) + step) % len(names)])
-
-
-def _relations(view: LabelView) -> list[str]:
-    return [] if view.card is None else [line.relation for line in view.card.lines]
 
 
 PERIOD_SECONDS = 2.0

@@ -24,7 +24,7 @@ from viser._messages import (
 
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
-from spatialviz.app import memory
+from pipeline.system.freed_memory import collect
 from spatialviz.app.channel import Hello, read
 from spatialviz.app.context import Shared
 from spatialviz.app.session import Session
@@ -291,7 +291,7 @@ class Pages:
             self._sessions.pop(key).close()
         if over:
             loop = asyncio.get_running_loop()
-            loop.call_later(FORGOTTEN_SECONDS, loop.run_in_executor, None, memory.collect)
+            loop.call_later(FORGOTTEN_SECONDS, loop.run_in_executor, None, collect)
 
     def log(self, problem: str) -> None:
         """One line a minute, whatever is sent."""

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import cv2
 import numpy as np
 
+from pipeline.answering.frame_colors import frame_colors
+from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.draft import Draft
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
-from pipeline.geometry.masks import decode_crop
+from pipeline.geometry.masks import decode_crop, outlines
 from pipeline.geometry.palette import ON_DARK, RGB, depth_colors, depth_ends, hex_color, instance_colors, palette
 from spatialviz.app.beside import name_tag, second_overlay
 from spatialviz.app.context import Context
-from spatialviz.app.frame_cloud import frame_colors
-from spatialviz.app.frames import LoadedFrame, jpeg_url, png_url
+from spatialviz.app.frames import jpeg_url, png_url, thumb_url
 from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d, edges_path, tinted
@@ -35,7 +35,7 @@ def image_html(state: State) -> Element:
     if state.colors == "rgb":
         picture = tinted(frame.rgb, state.shown.objects, state.roles if state.own_layer else {})
     else:
-        picture = frame_colors(state.colors, state.loaded, state.roles, state.dark)
+        picture = frame_colors(state.colors, frame, state.loaded.objects, state.roles, state.dark)
     step = max(1, round(frame.width / IMAGE_WIDTH))
     alt = (f"frame {frame.id}", *(f"{role} {state.shown.names[i]}" for i, role in state.roles.items()))
     return panel(
@@ -204,7 +204,7 @@ def _row(state: State, i: int, kind: str) -> Element:
 
 def thumb(state: State, i: int) -> Element:
     """The small picture of an object; an empty place where it has none."""
-    url = "" if state.loaded is None else state.loaded.thumb(state.shown.objects[i].bbox)
+    url = "" if state.loaded is None else thumb_url(state.loaded, state.shown.objects[i].bbox)
     return h.img(src=url, alt="", cls="thumb", loading="lazy") if url else h.span(cls="thumb")
 
 
@@ -254,13 +254,12 @@ def mask_url(parts: Sequence[np.ndarray]) -> str:
     return png_url(image)
 
 
-def outlines(objects: Sequence[SceneObject], names: Sequence[str], without: int | None) -> Iterator[dict[str, Any]]:
+def outlined(objects: Sequence[SceneObject], names: Sequence[str], without: int | None) -> Iterator[dict[str, Any]]:
     """The outlines of objects for the editor: lines as x0, y0, x1, y1, ... in pixels."""
     for entry, name in zip(objects, names, strict=True):
         if entry.id != without:
-            lines, _ = cv2.findContours(entry.mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
-            kept = [(line.reshape(-1) + 0.5).tolist() for line in lines if len(line) > 2]
-            yield {"name": name, "size": entry.lifted.quality.mask_pixels, "lines": kept}
+            lines = [line.ravel().tolist() for line in outlines(entry.mask)]
+            yield {"name": name, "size": entry.lifted.quality.mask_pixels, "lines": lines}
 
 
 def around(draft: Draft) -> list[int] | None:

@@ -22,6 +22,7 @@ from pipeline.corrections.drawing.gestures import Canvas, Gesture, gesture_of, r
 from pipeline.corrections.journal.edits import merge_objects, set_class
 from pipeline.corrections.journal.events import Conflict, Event
 from pipeline.corrections.journal.field_refs import same_value
+from pipeline.corrections.label_view import LabelView, paired
 from pipeline.corrections.vocabulary import vocabulary_of
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError, as_input_error, needed, require
@@ -29,8 +30,7 @@ from spatialviz.app.context import Context, command, there
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_item import UNNAMED
 from spatialviz.app.label_part import LabelPart
-from spatialviz.app.label_view import LabelView, paired
-from spatialviz.app.picture import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlines, told_of
+from spatialviz.app.picture import DRAFT, PART_COLORS, around, draw_draft, mask_url, outlined, told_of
 from spatialviz.app.state import State
 from spatialviz.report.picture import box_edges_2d
 
@@ -353,7 +353,7 @@ class Pixels(LabelPart):
             "names": vocabulary_of(self.editor.labels, self.ctx.source.dataset).names if fresh else None,
             "color": hex_color(PART_COLORS[0]),
             "mask": mask_url(parts),
-            "others": list(outlines(state.shown.objects, state.shown.names, draft.number)),
+            "others": list(outlined(state.shown.objects, state.shown.names, draft.number)),
             "edges": [] if box is None else (box_edges_2d(box, frame.camera) + 0.5).reshape(-1, 4).round(1).tolist(),
             "steps": draft.at if draft.changed else int(fresh and known),
             "kept": fresh and known,

@@ -10,12 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, set_status, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, Saved
 from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.label_view import Target
 from pipeline.corrections.review.bulk import MOST, Pace, accept_all, found_items, pace_of, say_of_item
 from pipeline.corrections.review.detector_evidence import second_setup
 from pipeline.corrections.review.items import BLOCK, ItemKey
@@ -26,7 +28,7 @@ from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError, needed
 from spatialviz.app.context import Context, command, there
-from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.frames import thumb_url
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_item import (
     begin_card,
@@ -37,7 +39,6 @@ from spatialviz.app.label_item import (
     upcoming,
 )
 from spatialviz.app.label_part import NO_LABELS, LabelPart
-from spatialviz.app.label_view import Target
 from spatialviz.app.markup import Element, h, heading, panel
 from spatialviz.app.review_html import KINDS, doubt_html, queue_html, said
 
@@ -423,7 +424,7 @@ class ReviewQueue(LabelPart):
         with suppress(InputError):
             row = None if loaded is None else self.editor.corrector.index.rows(key.frame).objects.get(key.a)
             if loaded is not None and row is not None:
-                return loaded.thumb(np.array(row["bbox"], np.float32))
+                return thumb_url(loaded, np.array(row["bbox"], np.float32))
         return self.ctx.shared.pictures.url(self.state.source, key.frame)
 
     def _paced(self) -> Pace | None:

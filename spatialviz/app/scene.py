@@ -15,15 +15,18 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
+from pipeline.diagnosis.whatif.answer_view import Ghost
+from pipeline.diagnosis.whatif.shown import NOTHING, Shown
 from pipeline.diagnosis.whatif.state import CameraView
-from pipeline.geometry.boxes import EDGES, Box3D, ray_entry
+from pipeline.geometry.boxes import Box3D, boxes_on_ray, edge_lines
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.cloud import Cloud
 from pipeline.geometry.palette import RGB, Role, hex_color, palette
+from pipeline.geometry.viewpoints import viewpoint
 from pipeline.system.errors import needed
 from spatialviz.app.markup import detector_score
 from spatialviz.app.scene_client import SceneClient, triple
-from spatialviz.app.state import NOTHING, Ghost, Shown, State
+from spatialviz.app.state import State
 
 CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], np.float32)
 CUBE_FACES = np.array(
@@ -79,7 +82,7 @@ class SceneView:
 
         def clicked(event: Any) -> None:
             ray = np.array(event.ray_origin), np.array(event.ray_direction)
-            on_ray(self._pixel_on_ray(*ray), self._boxes_on_ray(*ray))
+            on_ray(None if self.cloud is None else self.cloud.pixel_on_ray(*ray), boxes_on_ray(self._boxed, *ray))
 
         client.on_click(clicked)
 
@@ -94,13 +97,13 @@ class SceneView:
         with self._client.atomic():
             for role in ("other", "reference", "target"):
                 members = [self._boxed[i] for i in wanted if role_of[i] == role]
-                lines(f"/boxes/{role}", edges(members), colors[role], LINE_WIDTH[role])
+                lines(f"/boxes/{role}", edge_lines(members), colors[role], LINE_WIDTH[role])
             selected = state.selected if state.hovered is None else state.hovered
             chosen = [self._boxed[selected]] if selected in self._boxed else []
-            lines("/boxes/selected", edges(chosen), (255, 255, 255) if state.dark else (20, 22, 26), 2.0)
+            lines("/boxes/selected", edge_lines(chosen), (255, 255, 255) if state.dark else (20, 22, 26), 2.0)
             annotated = () if state.loaded is None or not flags.truth else state.loaded.context.frame.annotations
             truth = [self.shown_box(a.box) for a in annotated if a.box is not None]
-            lines("/boxes/truth", edges(truth), colors["truth"], LINE_WIDTH["truth"])
+            lines("/boxes/truth", edge_lines(truth), colors["truth"], LINE_WIDTH["truth"])
             self._draw_faces(wanted, role_of, colors)
             self._draw_pairs(state.pair_lines if flags.pairs else (), colors)
             tags = self._draw_axes(state) + self._draw_ghosts(state.ghosts if flags.ghosts else (), colors)
@@ -111,20 +114,29 @@ class SceneView:
         tags = []
         for role in ("truth", "edited"):
             members = [self.shown_box(ghost.box) for ghost in ghosts if ghost.role == role]
-            self._client.lines(f"/boxes/ghosts-{role}", edges(members, GHOST_GROWTH), colors[role], 2.4)
+            self._client.lines(f"/boxes/ghosts-{role}", edge_lines(members, GHOST_GROWTH), colors[role], 2.4)
         for ghost in ghosts:
             box = self.shown_box(ghost.box)
             anchor = self._client.anchor(f"/tags/ghost-{ghost.key}", box.center)
-            tags.append(Tag(anchor, ghost.text, "", hex_color(colors[ghost.role]), False, extent=half_size(box)))
+            tags.append(
+                Tag(
+                    anchor,
+                    ghost.text,
+                    "",
+                    hex_color(colors[ghost.role]),
+                    False,
+                    extent=extent(box),
+                )
+            )
         return tags
 
     def shown_box(self, box: Box3D) -> Box3D:
         """A box of the camera frame as it is shown."""
-        return Box3D(self.to_show @ box.center, self.to_show @ box.R, box.size)
+        return box.turned(self.to_show)
 
     def camera_box(self, box: Box3D) -> Box3D:
         """A shown box in the camera frame."""
-        return Box3D(self.to_show.T @ box.center, self.to_show.T @ box.R, box.size)
+        return box.turned(self.to_show.T)
 
     def _draw_faces(self, shown: Sequence[int], role_of: Mapping[int, Role], colors: Mapping[Role, RGB]) -> None:
         self._client.outdated("/boxes/faces", len(shown))
@@ -190,28 +202,9 @@ class SceneView:
                 # The target's name goes from one to the other: a node that moves is less to send than a new one.
                 place = "target" if role_of[i] == "target" else i
                 anchor, color = self._client.anchor(f"/tags/{place}", box.center), hex_color(colors[role_of[i]])
-                tags.append(Tag(anchor, shown.names[i], detail, color, strong, extent=half_size(box)))
+                tags.append(Tag(anchor, shown.names[i], detail, color, strong, extent=extent(box)))
         # Names of the answer are put last so that they lie on top of the others.
         return sorted(tags, key=lambda t: t.strong)
-
-    def _boxes_on_ray(self, origin: np.ndarray, direction: np.ndarray) -> list[int]:
-        """The boxes a ray passes, the smallest first: a mug is meant rather than the table around it."""
-        hit = (i for i, b in self._boxed.items() if ray_entry(b, origin, direction) is not None)
-        return sorted(hit, key=lambda i: self._boxed[i].volume)
-
-    def _pixel_on_ray(self, origin: np.ndarray, direction: np.ndarray) -> tuple[int, int] | None:
-        """(u, v) of the nearest surface point close to a ray; exact, because points are pixels."""
-        if self.cloud is None or not len(self.cloud.points):
-            return None
-        offset = self.cloud.points - origin
-        along = offset @ direction
-        aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
-        close = (along > 0.05) & (aside < 0.012 * np.maximum(along, 0.3))
-        if not close.any():
-            return None
-        index = np.flatnonzero(close)
-        best = index[np.argmin(along[index] + 3 * aside[index])]
-        return int(self.cloud.u[best]), int(self.cloud.v[best])
 
 
 def plain_color(dark: bool) -> RGB:
@@ -219,21 +212,13 @@ def plain_color(dark: bool) -> RGB:
     return (245, 247, 250) if dark else (24, 26, 30)
 
 
-def half_size(box: Box3D) -> tuple[float, float, float]:
-    """Half of what a box takes along the axes of the scene, metres."""
-    return triple(np.round((box.corners.max(axis=0) - box.corners.min(axis=0)) / 2, 4))
-
-
-def edges(boxes: Sequence[Box3D], growth: float = 0.0) -> np.ndarray:
-    """(N, 2, 3) float32: the edges of boxes, grown by so many metres."""
-    grown = [Box3D(b.center, b.R, b.size + growth).corners[EDGES] for b in boxes]
-    return np.concatenate([np.zeros((0, 2, 3)), *grown]).astype(np.float32)
+def extent(box: Box3D) -> tuple[float, float, float]:
+    """Half of what a shown box takes along the axes of the scene, metres, as a tag has it."""
+    return triple(np.round(box.half_extent, 4))
 
 
 SAMPLE, FLIGHT = 20_000, 12
 """Points of a cloud that say where it lies; steps in which the camera moves smoothly."""
-AROUND, NEAREST = 1.12, 0.55
-"""A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
 
 
 class Viewpoint:
@@ -278,7 +263,8 @@ class Viewpoint:
 
         Repeated when the shape of the page changes before anybody has turned the view.
         """
-        eye, look, fov = self._pose(kind)
+        points, lens = needed(self._points, "no cloud is shown"), needed(self._camera, "no cloud is shown")
+        eye, look, fov = viewpoint(kind, points, self._to_show, lens, self._aspect, self._about)
         # The sensor's own up in its view, so that the picture stands as it was taken; the world's elsewhere.
         up = self._to_show @ np.array([0.0, -1.0, 0.0]) if kind == "sensor" else np.array([0.0, 0.0, 1.0])
         camera, self._placed = self._client.camera, None
@@ -327,45 +313,3 @@ class Viewpoint:
         away = np.array(self._client.camera.position) - center
         away *= max(float(np.linalg.norm(box.size)) * 1.9, 0.5) / max(float(np.linalg.norm(away)), 1e-6)
         self._turn(position=center + away, look_at=center)
-
-    def _pose(self, kind: str) -> tuple[np.ndarray, np.ndarray, float]:
-        points, camera = needed(self._points, "no cloud is shown"), needed(self._camera, "no cloud is shown")
-        middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
-        if not len(points):
-            kind = "sensor"
-        forward = self._to_show @ np.array([0.0, 0.0, 1.0])
-        distance = float(np.linalg.norm(middle))
-        if kind == "sensor":
-            # The whole picture is in view, with a little air, whatever the shape of the page.
-            tall, wide = camera.height / 2 / camera.fy, camera.width / 2 / camera.fx / self._aspect
-            return np.zeros(3) - forward * 0.01, forward * distance, float(2 * np.arctan(max(tall, wide) * 1.04))
-        if kind == "top":
-            low, high = np.percentile(points, [3, 97], axis=0)
-            center, span = (low + high) / 2, float((high - low)[:2].max())
-            return center + np.array([0.0, -0.02, span * 1.25]), center, float(np.deg2rad(50))
-        if kind == "pair" and self._about is not None:
-            eye, look, fov = self._fitting_pose(self._about, np.deg2rad(44))
-            # What stands around the pair is in view, too.
-            return look + (eye - look) * max(AROUND, NEAREST / max(float(np.linalg.norm(eye - look)), 1e-6)), look, fov
-        return self._fitting_pose(points, np.deg2rad(44))
-
-    def _fitting_pose(self, points: np.ndarray, fov: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """From the right, above and behind the sensor, as near as shows nearly all of the cloud."""
-        center = np.percentile(points, [2, 98], axis=0).mean(axis=0)
-        toward = np.array([-0.36, 0.84, -0.42])
-        toward /= np.linalg.norm(toward)
-        across = np.cross(toward, [0.0, 0.0, 1.0])
-        across /= np.linalg.norm(across)
-        axes = np.stack([across, np.cross(across, toward), toward])
-        sample = points[:: max(1, len(points) // 4000)]
-        tangent = np.tan(fov / 2)
-        distance = 1.0
-        for _ in range(4):
-            x, y, z = ((sample - center) @ axes.T).T
-            # A point is in view from as far away as its offset over the tangent, less its own depth.
-            needed = np.maximum(np.abs(x) / (tangent * self._aspect), np.abs(y) / tangent) - z
-            distance = max(float(np.percentile(needed, 99.3)) * 1.03, 0.2)
-            seen = np.stack([x, y]) / np.maximum(distance + z, 0.05)
-            shift = np.percentile(seen, [0.7, 99.3], axis=1).mean(axis=0) * distance
-            center = center + axes[0] * shift[0] + axes[1] * shift[1]
-        return center - toward * distance, center, float(fov)

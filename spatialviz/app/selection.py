@@ -8,14 +8,14 @@ from typing import get_args
 
 import numpy as np
 
+from pipeline.answering.frame_store import LoadedFrame, ToldUp
+from pipeline.corrections.label_view import paired
 from pipeline.datasets import write_settings
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.camera import depth_at
 from pipeline.geometry.level_plane import level_normal_at
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, choice, command, there
-from spatialviz.app.frames import LoadedFrame, ToldUp
-from spatialviz.app.label_view import paired
 from spatialviz.app.picture import smallest_at
 from spatialviz.app.place import CameraMode
 from spatialviz.app.scene import FLIGHT

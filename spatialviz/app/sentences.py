@@ -11,6 +11,7 @@ from pipeline.corrections.journal.edits import Edits, set_ambiguous, set_mark, s
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.label_editor import EventLine
+from pipeline.corrections.label_view import LabelView, paired
 from pipeline.corrections.object_card import ExpressionCard, set_answer
 from pipeline.corrections.unsaved import Dispute, disputes
 from pipeline.corrections.wording import ref_text, value_text
@@ -21,7 +22,6 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, needed
 from spatialviz.app.context import command, there
 from spatialviz.app.label_part import LabelPart
-from spatialviz.app.label_view import LabelView, paired
 from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, button, chosen, dot, h, heading, joined, note, panel
 from spatialviz.app.state import State
 from spatialviz.app.toolbar import ground_chips

@@ -17,6 +17,7 @@ from contextlib import redirect_stdout
 import viser
 from viser._messages import ShareUrlDisconnect, ShareUrlRequest
 
+from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
 from pipeline.datasets.demo import DEMO_NAME
@@ -25,11 +26,10 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
+from pipeline.system.freed_memory import return_freed_memory
 from pipeline.system.worker_pool import one_thread
 from spatialviz.app.channel import answering, end_all
 from spatialviz.app.context import Shared
-from spatialviz.app.frames import FrameStore
-from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.pages import MAX_CLIENTS, Pages
 from spatialviz.app.site import Access, Site, served_by
 

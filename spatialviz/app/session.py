@@ -8,10 +8,16 @@ from dataclasses import asdict, replace
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import unused_words
+from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.json_records import holds
+from pipeline.answering.ranking import RankConfig
 from pipeline.answering.suggestions import completions, suggest_expressions
+from pipeline.corrections.judging import Judge
+from pipeline.corrections.label_view import ANYTHING, Target
 from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.whatif.shown import NOTHING, shown_objects
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.language.unreadable import why_unread
@@ -30,14 +36,10 @@ from spatialviz.app.answer import answer_in_words
 from spatialviz.app.browse import Browse
 from spatialviz.app.channel import Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Idle, Shared, command, commands_of, there
-from spatialviz.app.frames import LoadedFrame
-from spatialviz.app.judging import Judge
-from spatialviz.app.label_view import ANYTHING, Target
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
 from spatialviz.app.place import Place
 from spatialviz.app.stages import opened
-from spatialviz.app.state import NOTHING, shown_objects
 
 RECENT = 12
 """Questions that Ask offers again."""
@@ -58,7 +60,7 @@ class Session(Context):
         self._begun = self._correcting = False
         self._pushed: Place | None = None
         self._turning: asyncio.TimerHandle | None = None
-        self._judge = Judge(self, self.editors.corrected)
+        self._judge = Judge(shared.runs, shared.labels, shared.others, self.editors.corrected)
         self.client.camera.on_update(self._turned)
         level = selection.LevelSurface(self)
         pointing = selection.Pointing(self, {"level": level.on_pixel})
@@ -66,7 +68,7 @@ class Session(Context):
         self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
         self._beside = beside.BesideLayer(self)
         self._runs = evaluate.Evaluate(self)
-        self._what_if, self._browse = what_if.WhatIf(self, self._judge.judge), Browse(self)
+        self._what_if, self._browse = what_if.WhatIf(self, self._judged), Browse(self)
         self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs.reveal)
         parts = (
             self,
@@ -357,14 +359,20 @@ class Session(Context):
         if draw:
             self.draw()
 
+    def _judged(self, trace: Trace, rank: RankConfig | None = None) -> Diagnosis | str | None:
+        """The verdict on an answer of the frame that is looked at; `rank` are the weights of an edited one."""
+        state, expression = self.state, self.state.expression_id(trace.query.text)
+        return self._judge.judge(state.source, self.source, there(state.loaded).context, trace, expression, rank)
+
     def _answered(self, loaded: LoadedFrame, trace: Trace) -> None:
         """Take an answer into the state, with its verdict and what the other run says."""
+        name, text = self.state.source, trace.query.text
         self.state = replace(
             self.state,
             trace=trace,
             shown=shown_objects(loaded, trace, trace.exact),
-            judged=self._judge.judge(trace),
-            other=self._judge.other(trace.query.text),
+            judged=self._judged(trace),
+            other=self._judge.other(name, loaded.context, text, self.state.expression_id(text)),
         )
         pair = next(map(self.state.at, self.state.ranked), None)
         self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])

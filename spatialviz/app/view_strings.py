@@ -10,21 +10,18 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
-
-from pipeline.answering.objects import PreparedFrame, SceneObject
+from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
+from pipeline.corrections.judging import Judge
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import answer
 from pipeline.diagnosis.cases.saving import save_case
 from pipeline.diagnosis.whatif import Edits, edits_record
-from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState, decode, encode
 from pipeline.evaluation.shared_makers import shares_of_answer
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
-from spatialviz.app.judging import Judge
 from spatialviz.app.markup import BAD, Element, h, note
 from spatialviz.app.place import Place
 from spatialviz.app.state import ColorMode, State
@@ -184,8 +181,8 @@ def view_of(
     run, expression : str or None
         Folder of the run, and the id of its expression that is asked.
     """
-    selected = None if state.selected is None else object_key(state, source, state.selected)
-    ends = None if state.pair is None else [object_key(state, source, at) for at in state.pair[:2]]
+    selected = None if state.selected is None else state.key_of(state.selected, source.detector)
+    ends = None if state.pair is None else [state.key_of(at, source.detector) for at in state.pair[:2]]
     toggles: dict[str, Toggle] = {**asdict(state.flags), CAMERA: state.camera}
     if camera is not None:
         toggles[FOV] = round(camera[1], 4)
@@ -224,51 +221,12 @@ def with_settings(state: State, view: ViewState) -> State:
 
 def with_objects(state: State, source: Pipeline, view: ViewState) -> State:
     """The state with a view's selected object and chosen pair, as far as they are among its objects."""
-    selected = next((object_place(state, source, key) for key in view.selection), None)
+    selected = next((state.place_of(key, source.detector) for key in view.selection), None)
     pair = state.pair
     if view.pair is not None:
-        ends = tuple(object_place(state, source, key) for key in view.pair)
+        ends = tuple(state.place_of(key, source.detector) for key in view.pair)
         pair = next((at for p in state.ranked if (at := state.at(p))[:2] == ends), pair)
     return replace(state, selected=selected, pair=pair)
-
-
-def object_key(state: State, source: Pipeline, place: int) -> str | None:
-    """The key of a shown object (`whatif.pair_tables.detection_keys`); None where the detector does not find it so."""
-    entry = state.shown.objects[place]
-    key = state.key_at(place, () if state.edited is None else state.edited.after.keys)
-    if key is not None:
-        return key
-    keys, alike = _detections(state, source, entry.label)
-    return next((key for key, same in zip(keys, alike(entry), strict=True) if same), None)
-
-
-def object_place(state: State, source: Pipeline, key: str) -> int | None:
-    """The shown object of a key; None where there is none."""
-    objects = state.shown.objects
-    if key.startswith("#") and "/" not in key:
-        return next((i for i, o in enumerate(objects) if key == f"#{o.id}"), None)
-    if state.edited is not None and key in state.edited.after.keys:
-        return state.shown.place.get(state.edited.after.keys.index(key))
-    name = key.rpartition("/")[0]
-    named = [i for i, o in enumerate(objects) if o.label == name]
-    if all(objects[i].id >= 0 for i in named):
-        return None
-    keys, alike = _detections(state, source, name)
-    return next((i for i in named if key in keys and alike(objects[i])[keys.index(key)]), None)
-
-
-def _detections(
-    state: State, source: Pipeline, name: str
-) -> tuple[tuple[str, ...], Callable[[SceneObject], np.ndarray]]:
-    """Keys of all that the detector finds of a name, and which of them an object is."""
-    if state.loaded is None or source.detector is None:
-        return (), lambda _: np.zeros(0, np.bool_)
-    found = source.detector.detect(state.loaded.context.frame, [name])
-
-    def alike(entry: SceneObject) -> np.ndarray:
-        return (found.boxes == entry.bbox).all(axis=1)
-
-    return detection_keys(name, found), alike
 
 
 CASES = "cases"
@@ -369,9 +327,14 @@ class Keeping(Part):
 
     def _given(self, source: Pipeline, context: PreparedFrame) -> dict[str, Any]:
         """What is known of the truth, and the edits."""
-        known = self._judge.known(truth := self._judge.truth(source, context), self._view().expression_id)
         edits = self.state.edits
-        return {"truth": truth, "edits": edits_record(edits) if edits else None, **known}
+        edited = {"edits": edits_record(edits)} if edits else {}
+        return {**self._known(source, context, self._view().expression_id), **edited}
+
+    def _known(self, source: Pipeline, context: PreparedFrame, expression: str | None) -> dict[str, Any]:
+        name = self.state.source
+        truth = self._judge.truth(name, source, context)
+        return {"truth": truth, **self._judge.known(name, context.frame.id, truth, expression)}
 
     def _subject(self, answered: Answer) -> Subject:
         view, run, string = self._view(), self.ctx.run, None
@@ -380,7 +343,7 @@ class Keeping(Part):
         opened = ["spatialviz", *self.ctx.shared.opened_by, "--state"]
         commands = () if string is None else (shlex.join([*opened, string]),)
         facts = () if view.run is None else (("run", view.run), ("expression", view.expression_id or answered.text))
-        shares = shares_of_answer(self.ctx.source, self._judge.labels) if run is None else run.shares
+        shares = shares_of_answer(self.ctx.source, self._judge.labels(self.state.source)) if run is None else run.shares
         return Subject(view.dataset, view.frame, commands, string, facts, shares)
 
     @command("row-cases")
@@ -411,16 +374,8 @@ class Keeping(Part):
         self.ctx.post(make)
 
     def _save_row(self, folder: Path, row: dict[str, Any]) -> None:
-        here = self.state
-        context = self.ctx.shared.store.load(here.source, row["frame"]).context
-        # What is judged is what is looked at.
-        self.state = replace(here, frame_id=row["frame"])
-        try:
-            truth = self._judge.truth(self.ctx.source, context)
-            known = self._judge.known(truth, row["id"])
-        finally:
-            self.state = here
-        self._save(folder, context, row["text"], row["id"], {"truth": truth, **known})
+        context = self.ctx.shared.store.load(self.state.source, row["frame"]).context
+        self._save(folder, context, row["text"], row["id"], self._known(self.ctx.source, context, row["id"]))
 
     def _tell(self, saved: list[str], refused: list[str], there: int) -> None:
         self.ctx.dialog.show(

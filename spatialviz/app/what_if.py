@@ -6,22 +6,20 @@ from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter
 
-import numpy as np
-
 from pipeline.answering.ask import Trace
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, rerun
+from pipeline.diagnosis.whatif import Baseline, Edits, rerun
+from pipeline.diagnosis.whatif.answer_view import BothAnswers
 from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
+from pipeline.diagnosis.whatif.edit_words import edited_by
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, needed
 from spatialviz.app.context import Context, Part, choice, command
-from spatialviz.app.edit_messages import edited_by
 from spatialviz.app.edit_panel import cost_html, edit_html
 from spatialviz.app.edit_scene import MODES, BoxGizmo, EditScene, map_legend
-from spatialviz.app.state import Edited, Shown, State, shown_objects
 
 UNDOS = 200
 Judge = Callable[[Trace, RankConfig | None], Diagnosis | str | None]
@@ -123,8 +121,8 @@ class WhatIf(Part):
         seconds = perf_counter() - start
         rank = replace(baseline.source.config.rank, **edits.rank) if edits.rank else None
         judged = self._judge(outcome.trace, rank) if edits else self._judged
-        edited = Edited(baseline.outcome, outcome, self._judged, seconds)
-        self.state = _taken(self.state, edits, edited, judged, self.keys(baseline))
+        edited = BothAnswers(baseline.outcome, outcome, self._judged, seconds)
+        self.state = self.state.under(edits, edited, judged, self.keys(baseline))
 
     def keys(self, baseline: Baseline) -> tuple[str, ...]:
         """Keys of the objects of the answer that is shown."""
@@ -200,46 +198,3 @@ class WhatIf(Part):
             trace, editable = state.trace, candidate or hidden
             panel = None if trace is None else edit_html(state, trace, self.ctx.source, editable, self._map)
             self.ctx.page.fill({"map-legend": legend, "edit": panel})
-
-
-def _taken(state: State, edits: Edits, edited: Edited, judged: Diagnosis | str | None, keys: tuple[str, ...]) -> State:
-    """The state with an answer under edits.
-
-    What was selected stays so. The chosen pair stays, too, unless it was the answer: then it is the new one.
-    """
-    assert state.loaded is not None
-    outcome, trace = edited.after, edited.after.trace
-    chosen, named = state.chosen, None
-    # The answer itself is followed by the new one.
-    if chosen is not None and chosen is not state.ranked[0]:
-        named = [keys[i] for i in (chosen.target, chosen.reference, chosen.second_reference) if i is not None]
-    selected = None if state.selected is None else state.key_at(state.selected, keys)
-    changed = replace(
-        state,
-        trace=trace,
-        edits=edits,
-        edited=edited if edits else None,
-        judged=judged,
-        shown=_with_confidences(shown_objects(state.loaded, trace, trace.exact, edited.before.trace), edits, outcome),
-        pair=None,
-        selected=None,
-    )
-    at = {key: changed.shown.place[i] for i, key in enumerate(outcome.keys)}
-    at |= {f"#{o.id}": i for i, o in enumerate(changed.shown.objects) if o.id >= 0 and f"#{o.id}" not in at}
-    pairs = [changed.at(p) for p in changed.ranked]
-    kept = None if named is None else tuple(at.get(key) for key in named)
-    pair = next((pair for pair in pairs if pair == kept), pairs[0] if pairs else None)
-    return replace(changed, pair=pair, selected=None if selected is None else at.get(selected))
-
-
-def _with_confidences(shown: Shown, edits: Edits, outcome: Outcome) -> Shown:
-    """The objects with the scores that edits give them under the name they go by."""
-    objects = list(shown.objects)
-    for (name, key), p in edits.confidences.items():
-        candidates = outcome.trace.candidates.get(name)
-        if candidates is not None and key in outcome.keys:
-            at = outcome.keys.index(key)
-            place, here = shown.place[at], np.flatnonzero(candidates.index == at)
-            if len(here) and candidates.labels[here[0]] == objects[place].label:
-                objects[place] = replace(objects[place], score=p)
-    return replace(shown, objects=tuple(objects))

@@ -16,6 +16,7 @@ MARGIN = 0.14
 LEAST = 0.3
 """How much of a frame's width a picture shows at least."""
 GROUND = (14, 16, 20)
+Stroke = Literal["thick", "thin", "dashed"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Outline:
 
     box: np.ndarray
     color: RGB
-    style: Literal["thick", "thin", "dashed"] = "thick"
+    style: Stroke = "thick"
 
 
 def answer_crop(rgb: np.ndarray, outlines: Sequence[Outline], size: tuple[int, int] = (360, 270)) -> np.ndarray:

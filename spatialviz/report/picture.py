@@ -21,6 +21,7 @@ from pipeline.geometry.camera import Camera, project
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import mask_box
 from pipeline.geometry.palette import ON_DARK, Role
+from pipeline.system.encoded_pictures import jpeg, resized
 from pipeline.system.errors import require
 from pipeline.system.whole_files import write_whole
 
@@ -228,11 +229,8 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
 
 def jpeg_url(rgb: np.ndarray, widest: int | None = None, quality: int = 95) -> str:
     """A picture ((H, W, 3) uint8) as a JPEG in base64, at most so many pixels wide."""
-    if widest is not None and rgb.shape[1] > widest:
-        size = (widest, max(1, round(rgb.shape[0] * widest / rgb.shape[1])))
-        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+    rgb = rgb if widest is None or rgb.shape[1] <= widest else resized(rgb, widest)
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg(rgb, quality)).decode("ascii")
 
 
 def _outline(mask: np.ndarray) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.diagnosis.answer import Answer
-from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.boxes import Box3D, edge_lines
 from pipeline.geometry.cloud import cloud_of, drawn_pixels
 from pipeline.geometry.palette import RGB, Role, palette
 from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
@@ -74,8 +74,8 @@ def _draw_boxes(scene: viser.SceneApi, cast: AnswerRoles, to_show: np.ndarray) -
     by_role: dict[Role, list[Box3D]] = {}
     for index, entry in enumerate(cast.objects):
         if entry.lifted.box is not None:
-            by_role.setdefault(cast.roles.get(index, "other"), []).append(_shown(entry.lifted.box, to_show))
-    truth = {k: _shown(o.lifted.box, to_show) for k, (_, o) in cast.truth.items() if o.lifted.box is not None}
+            by_role.setdefault(cast.roles.get(index, "other"), []).append(entry.lifted.box.turned(to_show))
+    truth = {k: o.lifted.box.turned(to_show) for k, (_, o) in cast.truth.items() if o.lifted.box is not None}
     by_role["truth"] = list(truth.values())
     opacity: Mapping[Role, float] = {**FACE_OPACITY, "truth": GHOST_OPACITY}
     for role, boxes in by_role.items():
@@ -84,7 +84,7 @@ def _draw_boxes(scene: viser.SceneApi, cast: AnswerRoles, to_show: np.ndarray) -
     for index, role in cast.roles.items():
         box = cast.objects[index].lifted.box
         if box is not None:
-            _add_label(scene, f"/names/{index}", f"{role}: {cast.objects[index].label}", _shown(box, to_show), 0.05)
+            _add_label(scene, f"/names/{index}", f"{role}: {cast.objects[index].label}", box.turned(to_show), 0.05)
     for k in truth.keys() - {cast.labelled.get(index) for index in cast.roles}:
         _add_label(scene, f"/names/true/{k}", f"truth: {cast.truth[k][1].label}", truth[k], 0.14)
     pair = [cast.objects[p].lifted.box for p in (cast.target, cast.reference) if p is not None]
@@ -97,7 +97,7 @@ def _draw_boxes(scene: viser.SceneApi, cast: AnswerRoles, to_show: np.ndarray) -
 def _add_boxes(scene: viser.SceneApi, role: Role, boxes: list[Box3D], color: RGB, width: float, faces: float) -> None:
     import viser.transforms as vtf
 
-    edges = np.concatenate([b.corners[EDGES] for b in boxes]).astype(np.float32)
+    edges = edge_lines(boxes)
     scene.add_line_segments(f"/boxes/{role}", edges, color, thickness=width, thickness_units="screen")
     scene.add_batched_meshes_simple(
         f"/faces/{role}", CUBE, CUBE_FACES,
@@ -116,10 +116,6 @@ def _add_label(scene: viser.SceneApi, name: str, text: str, box: Box3D, above: f
         name, text[:60], position=(x, y, float(box.corners[:, 2].max()) + above), font_size_mode="screen",
         font_screen_scale=0.9, anchor="bottom-center", depth_test=False,
     )  # fmt: skip
-
-
-def _shown(box: Box3D, to_show: np.ndarray) -> Box3D:
-    return Box3D(to_show @ box.center, to_show @ box.R, box.size)
 
 
 def _place_camera(server: viser.ViserServer, points: np.ndarray, context: PreparedFrame, to_show: np.ndarray) -> None:

@@ -220,6 +220,13 @@ SMALLEST_SIDE = 0.01
 """Metres; a flatter box could not be taken hold of again."""
 
 
+def pulled(box: Box3D, axis: int, side: float, by: float) -> Box3D:
+    """A box with one face (`side` 1 or -1 of its own `axis`) pulled outwards by so many metres; the opposite stays."""
+    grown = max(box.size[axis] + by, SMALLEST_SIDE) - box.size[axis]
+    outwards = box.R[:, axis] * side
+    return Box3D(box.center + outwards * grown / 2, box.R, box.size + grown * (np.arange(3) == axis))
+
+
 @dataclass(frozen=True)
 class BoxNumbers:
     """A box in the viewer's level axes.

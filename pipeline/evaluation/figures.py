@@ -1,12 +1,11 @@
-"""What is worked out of a run once for all clients: its rows, its figures, and small pictures of its answers."""
+"""What is worked out of a run once for all who look at it: its rows, its figures, what of it a search lists."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -19,17 +18,15 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.evaluation.search import Field, completions
 from pipeline.evaluation.slices import Slices, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
-from pipeline.geometry.palette import ON_DARK
 from pipeline.system.errors import InputError, require
 from pipeline.system.recent import Recent
-from spatialviz.app.frames import IMAGES, jpeg
-from spatialviz.report.crop import Outline, answer_crop
 
 STANDS_IN = "stands_in"
 """The column, and the field of a search, that says in which relation an answer stands."""
-FAILED = (236, 72, 78)
-FRAMES, PICTURES = 8, 3000
-"""Decoded frames, and addresses of pictures, that are kept."""
+FRAMES = 8
+"""Decoded frames that are kept."""
+Drawn = Literal["labelled", "second run", "answered reference", "answered target", "wrong target"]
+"""What a box of an answer's picture is."""
 Found = TypeVar("Found")
 
 
@@ -95,7 +92,6 @@ class RunFigures:
         self.rows = RunRows(run.records, run.folder, None if second is None else second.records)
         self._slices: dict[str, Slices | str] = {}
         self._frames: Recent[str, np.ndarray] = Recent(FRAMES)
-        self._pictures: OrderedDict[int, str] = OrderedDict()
 
     @cached_property
     def summary(self) -> RunSummary | str:
@@ -133,44 +129,29 @@ class RunFigures:
         _ = self.confusion
         return completions(self.rows.records)
 
-    # ---- pictures -------------------------------------------------------------------
-
     @cached_property
     def _labelled(self) -> np.ndarray | str:
         return _or_why(lambda: labelled_boxes(self.run.records, self.run.labels))
 
-    def picture(self, number: int, row: Mapping[str, Any], make: bool = False) -> str:
-        """Where the page finds the picture of a row; "" where it is not made yet, and unless it should be, or where
-        its frame is broken."""
-        kept = self._pictures.get(number)
-        if kept is not None and (not kept or IMAGES.get(kept.rpartition("/")[2]) is not None):
-            return kept
-        if not make:
-            return ""
-        dataset = self.run.source.dataset
-        try:
-            rgb = self._frames.get(row["frame"], lambda: load_picture(dataset, row["frame"]).rgb)
-            url = IMAGES.url(jpeg(answer_crop(rgb, self._outlines(number, row)), 80), "jpg")
-        except InputError:
-            url = ""
-        self._pictures[number] = url
-        while len(self._pictures) > PICTURES:
-            self._pictures.popitem(last=False)
-        return url
+    def colors(self, frame_id: str) -> np.ndarray:
+        """(H, W, 3) uint8 of a frame of the run; raises InputError where it is broken."""
+        return self._frames.get(frame_id, lambda: load_picture(self.run.source.dataset, frame_id).rgb)
 
-    def _outlines(self, number: int, row: Mapping[str, Any]) -> list[Outline]:
-        """The labelled pair where the answer is another one; the answer over it; the second run's where it differs."""
-        found = []
+    def boxes(self, number: int, row: Mapping[str, Any]) -> list[tuple[Drawn, np.ndarray]]:
+        """What is drawn of a row, the top last: (4,) pixels x0, y0, x1, y1 each.
+
+        The labelled pair where the answer is another one; the second run's where it differs; the answer over them.
+        """
+        found: list[tuple[Drawn, np.ndarray]] = []
         if not isinstance(self._labelled, str) and not row["set_correct"]:
-            target, reference = self._labelled[number]
-            found = [Outline(reference, ON_DARK["truth"], "dashed"), Outline(target, ON_DARK["truth"], "dashed")]
+            found.extend(("labelled", box) for box in self._labelled[number][::-1])
         if row.get("change") not in (None, "same"):
             other = (row["second_reference_box"], row["second_box"])
-            found += [Outline(np.array(box), ON_DARK["edited"], "dashed") for box in other if box is not None]
+            found.extend(("second run", np.array(box)) for box in other if box is not None)
         if row["reference_box"] is not None:
-            found.append(Outline(np.array(row["reference_box"]), ON_DARK["reference"], "thin"))
+            found.append(("answered reference", np.array(row["reference_box"])))
         if row["box"] is not None:
-            found.append(Outline(np.array(row["box"]), ON_DARK["target"] if row["set_correct"] else FAILED))
+            found.append(("answered target" if row["set_correct"] else "wrong target", np.array(row["box"])))
         return found
 
 
@@ -183,5 +164,5 @@ def _or_why(find: Callable[[], Found]) -> Found | str:
 
 @lru_cache(maxsize=8)
 def figures_of(run: Run, second: Run | None = None) -> RunFigures:
-    """The figures of a run, the same for every client."""
+    """The figures of a run, the same for all."""
     return RunFigures(run, second)

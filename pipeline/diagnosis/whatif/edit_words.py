@@ -1,4 +1,4 @@
-"""From what the Edit tab sends to edits: every message is a few words between colons, and the core checks them."""
+"""Edits said in a few words between colons, such as "size:1:0.2" or "k:5": what the Edit tab and `whatif --do` take."""
 
 from __future__ import annotations
 
@@ -8,29 +8,33 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif import Edits
+from pipeline.diagnosis.whatif.answer_view import AnswerView, answer_view
+from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.placement import box_numbers, grown, labelled_mask, rectangle, with_numbers
+from pipeline.diagnosis.whatif.rerun import Baseline, rerun
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.relations.installed import installed_network
 from pipeline.system.errors import InputError, as_input_error, needed, require
-from spatialviz.app.frames import LoadedFrame
-from spatialviz.app.state import State
 
 PROFILE_SETTINGS = ("cone", "doubtful_cone", "dead_zone", "dead_zone_depth")
 WEIGHTS = ("target_weight", "reference_weight", "relation_weight")
 
 
-def edited_by(said: str, state: State, source: Pipeline, keys: tuple[str, ...]) -> Edits:
-    """The edits of a state after one more.
+def edited_by(said: str, view: AnswerView, source: Pipeline, keys: tuple[str, ...]) -> Edits:
+    """The edits of an answer that is looked at, after one more.
 
     Parameters
     ----------
     said : str
-        "size:1:0.2" for the height of the selected object, "k:5", "mask:grow:-2".
+        Of the selected object "center:AXIS:METRES" (0 right, 1 forward, 2 up), "size:AXIS:METRES" (0 width, 1 height,
+        2 depth), "yaw:DEGREES", "hide", "confidence:NAME:P" (NAME counted from 0), "mask:grow:PIXELS", "mask:label",
+        "mask:swap", "mask:rectangle:X0,Y0,X1,Y1" (shares of the picture); of the chosen pair "relation:P"; of the
+        settings "set:NAME:VALUE".
     keys : tuple of str
         Of the objects of the answer that is shown.
 
@@ -39,31 +43,55 @@ def edited_by(said: str, state: State, source: Pipeline, keys: tuple[str, ...]) 
     InputError
         For what cannot be done, and why.
     """
-    edits, (what, *rest) = state.edits, said.split(":")
+    edits, (what, *rest) = view.edits, said.split(":")
     match what, rest:
         case "center" | "size" | "yaw", _:
-            key, entry = _selected(state, keys)
+            key, entry = _selected(view, keys)
             box = needed(entry.lifted.box, "the selected object has no 3D box: there is no depth in its pixels")
-            return edits.with_box(key, box_with(box, _loaded(state).context.viewer, what, rest))
+            return edits.with_box(key, box_with(box, _loaded(view).context.viewer, what, rest))
         case "hide", _:
-            entry = None if state.selected is None else state.shown.objects[state.selected]
+            entry = None if view.selected is None else view.shown.objects[view.selected]
             if entry is not None and entry.id >= 0 and f"#{entry.id}" in edits.hidden:
                 return edits.with_shown(f"#{entry.id}")
-            return edits.with_hidden(_selected(state, keys)[0])
+            return edits.with_hidden(_selected(view, keys)[0])
         case "confidence", [number, p]:
-            name = list(needed(state.trace, "nothing is asked").candidates)[int(number)]
-            return edits.with_confidence(name, _selected(state, keys)[0], number_of([p]))
+            names = dict(enumerate(needed(view.trace, "nothing is asked").candidates))
+            name = needed(names.get(int(number_of([number]))), "the question has no such name, counted from 0")
+            return edits.with_confidence(name, _selected(view, keys)[0], number_of([p]))
         case "relation", [*ends, p]:
-            return _relation(state, keys, ends, number_of([p]))
+            return _relation(view, keys, ends, number_of([p]))
         case "mask", [way, *more]:
             # A new mask is lifted anew: a box that was placed by hand would hide what it does.
-            for key, mask in _masks(state, keys, way, more).items():
+            for key, mask in _masks(view, keys, way, more).items():
                 boxes = {k: box for k, box in edits.boxes.items() if k != key}
                 edits = replace(edits, boxes=boxes).with_mask(key, mask)
             return edits
         case "set", [name, value]:
             return _setting(edits, source, name, value)
     raise InputError("there is no such edit", got=said)
+
+
+def said_edits(baseline: Baseline, edits: Edits, said: Sequence[str], key: str | None = None) -> Edits:
+    """The edits of a question after more that are said one after the other.
+
+    Parameters
+    ----------
+    baseline : Baseline
+    edits : Edits
+    said : sequence of str
+        As for `edited_by`; the pair that they are of is the answer.
+    key : str, optional
+        Of the object that they are of. Default: the target of the answer.
+
+    Raises
+    ------
+    InputError
+        As `edited_by`, or where the answer has no such object.
+    """
+    for words in said:
+        outcome = rerun(baseline, edits)
+        edits = edited_by(words, answer_view(baseline.context, outcome, edits, key), baseline.source, outcome.keys)
+    return edits
 
 
 def number_of(words: Sequence[str]) -> float:
@@ -78,7 +106,7 @@ def box_with(box: Box3D, viewer: ViewerAxes, what: str, numbers: Sequence[str]) 
     """A box after "center" AXIS METRES, "size" AXIS METRES or "yaw" DEGREES; InputError where it is none of these."""
     value: Any = number_of(numbers[-1:])
     if what != "yaw":
-        known = what in ("center", "size") and numbers[0] in ("0", "1", "2")
+        known = what in ("center", "size") and len(numbers) == 2 and numbers[0] in ("0", "1", "2")
         require(known, "a box has no such number", got=":".join((what, *numbers)))
         now = getattr(box_numbers(box, viewer), what)
         value = tuple(value if axis == int(numbers[0]) else x for axis, x in enumerate(now))
@@ -86,26 +114,26 @@ def box_with(box: Box3D, viewer: ViewerAxes, what: str, numbers: Sequence[str]) 
     return with_numbers(box, viewer, **changed)
 
 
-def _loaded(state: State) -> LoadedFrame:
-    return needed(state.loaded, "the frame is broken")
+def _loaded(view: AnswerView) -> LoadedFrame:
+    return needed(view.loaded, "the frame is broken")
 
 
-def _selected(state: State, keys: tuple[str, ...]) -> tuple[str, SceneObject]:
+def _selected(view: AnswerView, keys: tuple[str, ...]) -> tuple[str, SceneObject]:
     """The selected object, which must be a candidate."""
-    for trace_place, shown_place in state.shown.place.items():
-        if shown_place == state.selected:
-            return keys[trace_place], state.shown.objects[shown_place]
+    for trace_place, shown_place in view.shown.place.items():
+        if shown_place == view.selected:
+            return keys[trace_place], view.shown.objects[shown_place]
     raise InputError("no candidate of the question is selected")
 
 
-def _relation(state: State, keys: tuple[str, ...], ends: list[str], p: float) -> Edits:
+def _relation(view: AnswerView, keys: tuple[str, ...], ends: list[str], p: float) -> Edits:
     """The probability of the asked relation for two objects by their places; without any for the chosen pair.
 
     A slider names its own pair: what is chosen moves on where the answer does, while the hand still holds the slider.
     """
-    trace, pair = needed(state.trace, "nothing is asked"), state.chosen
+    trace, pair = needed(view.trace, "nothing is asked"), view.chosen
     if ends:
-        at = {str(shown): keys[t] for t, shown in state.shown.place.items()}
+        at = {str(shown): keys[t] for t, shown in view.shown.place.items()}
         require(len(ends) == 2 and set(ends) <= set(at), "the pair is no longer among the candidates")
         a, b = (at[end] for end in ends)
     else:
@@ -113,29 +141,30 @@ def _relation(state: State, keys: tuple[str, ...], ends: list[str], p: float) ->
         if pair is None or pair.reference is None or pair.second_reference is not None:
             raise InputError("no pair of two objects is chosen")
         a, b = (keys[i] for i in (pair.target, pair.reference)[:: -1 if trace.inverse else 1])
-    return state.edits.with_relation(trace.relation, a, b, p)
+    return view.edits.with_relation(trace.relation, a, b, p)
 
 
-def _masks(state: State, keys: tuple[str, ...], way: str, more: list[str]) -> dict[str, np.ndarray]:
+def _masks(view: AnswerView, keys: tuple[str, ...], way: str, more: list[str]) -> dict[str, np.ndarray]:
     """By key: "grow" PIXELS, the "label"'s, the other's by "swap", or "rectangle" x0,y0,x1,y1."""
-    (key, entry), frame = _selected(state, keys), _loaded(state).context.frame
+    (key, entry), frame = _selected(view, keys), _loaded(view).context.frame
     match way:
         case "grow":
             return {key: grown(entry.mask, int(number_of(more)))}
         case "rectangle":
-            corners = [number_of([part]) for part in more[0].split(",")]
-            require(len(corners) == 4, "a rectangle has four numbers", got=more[0])
+            corners = [number_of([part]) for part in ":".join(more).split(",")]
+            require(len(corners) == 4, "a rectangle has four numbers", got=":".join(more))
             return {key: rectangle(frame.height, frame.width, (corners[0], corners[1], corners[2], corners[3]))}
         case "label":
-            truth = state.judged.truth if isinstance(state.judged, Diagnosis) else None
+            truth = view.judged.truth if isinstance(view.judged, Diagnosis) else None
             found = None if truth is None else labelled_mask(truth, entry.bbox, frame.height, frame.width)
             return {key: needed(found, "no labelled object with a mask is where the selected one is")}
-    a, b = partners(state)
-    key_of = {shown: keys[t] for t, shown in state.shown.place.items()}
-    return {key_of[a]: state.shown.objects[b].mask, key_of[b]: state.shown.objects[a].mask}
+    require(way == "swap", "there is no such mask", got=way, expected="grow, rectangle, label or swap")
+    a, b = partners(view)
+    key_of = {shown: keys[t] for t, shown in view.shown.place.items()}
+    return {key_of[a]: view.shown.objects[b].mask, key_of[b]: view.shown.objects[a].mask}
 
 
-def partners(state: State) -> tuple[int, int]:
+def partners(view: AnswerView) -> tuple[int, int]:
     """The two whose masks are swapped: the selected object, and the other end of the chosen pair.
 
     Raises
@@ -143,11 +172,11 @@ def partners(state: State) -> tuple[int, int]:
     InputError
         No pair is chosen, or no candidate selected.
     """
-    if state.pair is None or state.selected is None or state.selected not in state.shown.place.values():
+    if view.pair is None or view.selected is None or view.selected not in view.shown.place.values():
         raise InputError("swapping takes a selected candidate and a chosen pair")
-    other = state.pair[0] if state.selected != state.pair[0] else state.pair[1]
-    require(other != state.selected, "an object cannot swap with itself")
-    return state.selected, other
+    other = view.pair[0] if view.selected != view.pair[0] else view.pair[1]
+    require(other != view.selected, "an object cannot swap with itself")
+    return view.selected, other
 
 
 def _setting(edits: Edits, source: Pipeline, name: str, value: str) -> Edits:

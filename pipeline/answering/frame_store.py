@@ -1,0 +1,294 @@
+"""Frames that several may look at: loaded once with their objects and points, a few kept, the next made ready."""
+
+from __future__ import annotations
+
+import shlex
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TypeAlias
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from pipeline.answering.agreement.frames import SecondDetections, second_detections
+from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
+from pipeline.answering.opening import Pipeline
+from pipeline.datasets import Dataset
+from pipeline.datasets.base import load_picture, scene_of
+from pipeline.datasets.camera_plan import CameraPlan, camera_plan
+from pipeline.datasets.plausible import depth_doubt
+from pipeline.datasets.settings import Vector
+from pipeline.datasets.up import with_frame_up
+from pipeline.geometry.cloud import Cloud, cloud_of
+from pipeline.geometry.frame import Frame
+from pipeline.system.encoded_pictures import jpeg, resized, thumbnail
+from pipeline.system.errors import InputError
+from pipeline.system.freed_memory import trim
+from pipeline.system.recent import Recent
+
+KEPT_FRAMES = 8
+"""The frames used last, of 15 to 25 MB each at 640x480; those that somebody holds are kept beside."""
+AHEAD = 6
+"""Frames that wait to be made ready; a newer wish takes the place of the oldest."""
+YIELD_SECONDS = 0.01
+Key: TypeAlias = tuple[str, str]
+"""Source and frame."""
+
+
+@dataclass(frozen=True)
+class ToldUp:
+    """A surface that somebody says is level: its pixel, and up there in the camera frame."""
+
+    frame_id: str
+    pixel: tuple[int, int]
+    up: Vector
+
+    @property
+    def words(self) -> str:
+        """The same for `--level-at`."""
+        return f"{self.frame_id}:{self.pixel[0]},{self.pixel[1]}"
+
+
+@dataclass(frozen=True)
+class LoadedFrame:
+    """A frame with all its objects.
+
+    Attributes
+    ----------
+    context : PreparedFrame
+    objects : tuple of SceneObject
+        Everything the detector finds in it; empty without a detector.
+    problem : str
+        Why a detector could not be asked about this frame.
+    beside : SecondDetections or None
+        What a second detector finds in it.
+    told : ToldUp or None
+        What was said of up since the program began.
+    doubt : str
+        What speaks against its depth, with the command that looks into it; empty where nothing does.
+    """
+
+    context: PreparedFrame
+    objects: tuple[SceneObject, ...]
+    problem: str = ""
+    beside: SecondDetections | None = None
+    told: ToldUp | None = None
+    doubt: str = ""
+    _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
+    _painted: WeakValueDictionary[Hashable, np.ndarray] = field(
+        default_factory=WeakValueDictionary, repr=False, compare=False
+    )
+
+    def thumb(self, bbox: np.ndarray) -> bytes:
+        """A small picture of an object as JPEG, made when it is first needed; empty where it lies outside."""
+        where = bbox.tobytes()
+        if where not in self._thumbs:
+            self._thumbs[where] = thumbnail(self.context.frame.rgb, bbox)
+        return self._thumbs[where]
+
+    @cached_property
+    def cloud(self) -> Cloud:
+        """Its points, made when they are first needed."""
+        return cloud_of(self.context.frame, self.context.viewer)
+
+    def painted(self, key: Hashable, colors: Callable[[], np.ndarray]) -> np.ndarray:
+        """(N, 3) uint8 of its points in colours ((H, W, 3)) of a key: one array for all who show them."""
+        found = self._painted.get(key)
+        if found is None:
+            found = self._painted[key] = self.cloud.painted(colors())
+        return found
+
+
+def _doubt(frame: Frame, root: Path) -> str:
+    """What speaks against the depth of a frame of the dataset in `root`, with the command that looks into it."""
+    found, command = depth_doubt(frame), "`spatialviz doctor"
+    return "" if found is None else found.text.replace(command, f"{command} {shlex.quote(str(root))}")
+
+
+@dataclass(eq=False)
+class _Making:
+    """A frame that is being made, by whoever asked first; `wanted` where somebody waits for it."""
+
+    opened: Pipeline
+    frame: Future[LoadedFrame] = field(default_factory=Future)
+    wanted: bool = False
+
+
+class FrameStore:
+    """Loads frames of named sources and keeps the latest few; what is likely to be opened next it makes ready ahead.
+
+    Parameters
+    ----------
+    sources : dict of str to Pipeline
+    busy : callable
+        Whether somebody is being answered: nothing is made ahead meanwhile.
+    """
+
+    def __init__(self, sources: dict[str, Pipeline], busy: Callable[[], bool] = lambda: False) -> None:
+        self.sources, self._busy = sources, busy
+        self._loaded: OrderedDict[Key, LoadedFrame] = OrderedDict()
+        self._shown: WeakValueDictionary[Key, LoadedFrame] = WeakValueDictionary()
+        self._making: dict[Key, _Making] = {}
+        self._ahead: OrderedDict[Key, Callable[[LoadedFrame], object] | None] = OrderedDict()
+        self._ahead_runs = False
+        self._lock = threading.Lock()
+        self.told: dict[str, ToldUp] = {}
+        """By source what was said last of its up."""
+        self._untold: dict[str, Dataset] = {}
+
+    def load(self, source: str, frame_id: str) -> LoadedFrame:
+        """The frame, from memory where it is there.
+
+        Raises
+        ------
+        InputError
+            For a broken frame.
+        """
+        return self._load((source, frame_id), wanted=True)
+
+    def kept(self, source: str, frame_id: str) -> LoadedFrame | None:
+        """The frame where it is in memory; None where it would have to be loaded."""
+        with self._lock:
+            return self._loaded.get((source, frame_id)) or self._shown.get((source, frame_id))
+
+    def prepare(
+        self, source: str, frame_ids: Iterable[str], then: Callable[[LoadedFrame], object] | None = None
+    ) -> None:
+        """Make frames ready that may be opened next, the likeliest first, on one thread and while nobody waits."""
+        with self._lock:
+            for frame_id in frame_ids:
+                self._ahead[source, frame_id] = self._ahead.pop((source, frame_id), None) or then
+            while len(self._ahead) > AHEAD:
+                self._ahead.popitem(last=False)
+            if self._ahead_runs or not self._ahead:
+                return
+            self._ahead_runs = True
+        # No daemon: one that is ended in the midst of decoding a picture takes the program down with it.
+        threading.Thread(target=self._make_ahead, daemon=False, name="ahead").start()
+
+    def _make_ahead(self) -> None:
+        while threading.main_thread().is_alive():
+            with self._lock:
+                self._ahead_runs = bool(self._ahead)
+                if not self._ahead_runs:
+                    break
+                key, then = self._ahead.popitem(last=False)
+            # Whoever opens it is told what is wrong with it.
+            with suppress(InputError, KeyError):
+                loaded = self._load(key, wanted=False)
+                self._give_way()
+                _ = loaded.cloud
+                if then is not None:
+                    then(loaded)
+        # Frames were let go for those that came.
+        trim()
+
+    def _load(self, key: Key, wanted: bool) -> LoadedFrame:
+        with self._lock:
+            kept = self._loaded.get(key) or self._shown.get(key)
+            if kept is not None:
+                self._keep(key, kept)
+                return kept
+            making = self._making.get(key)
+            mine = making is None
+            if making is None:
+                making = self._making[key] = _Making(self.sources[key[0]])
+            making.wanted |= wanted
+        if mine:
+            try:
+                making.frame.set_result(self._made(key, making))
+            except BaseException as error:
+                making.frame.set_exception(error)
+            with self._lock:
+                # What was said of up meanwhile may have made it old.
+                if self._making.get(key) is making:
+                    del self._making[key]
+                    if making.frame.exception() is None:
+                        self._keep(key, making.frame.result())
+        return making.frame.result()
+
+    def _keep(self, key: Key, loaded: LoadedFrame) -> None:
+        self._loaded[key] = self._shown[key] = loaded
+        self._loaded.move_to_end(key)
+        while len(self._loaded) > KEPT_FRAMES:
+            self._loaded.popitem(last=False)
+
+    def _made(self, key: Key, making: _Making) -> LoadedFrame:
+        opened = making.opened
+        self._give_way(making)
+        raw = opened.dataset.load(key[1])
+        self._give_way(making)
+        context = prepare_frame(opened.dataset, raw, opened.config.lift)
+        self._give_way(making)
+        objects, problem, second = tuple[SceneObject, ...](), "", None
+        if opened.detector is not None:
+            try:
+                objects = all_objects(context, opened.detector)
+                self._give_way(making)
+                second = second_detections(opened, context, objects)
+            except InputError as error:
+                problem = str(error)
+        doubt = _doubt(context.frame, opened.dataset.root)
+        return LoadedFrame(context, objects, problem, second, self.told.get(key[0]), doubt)
+
+    def _give_way(self, making: _Making | None = None) -> None:
+        """What nobody waits for waits itself while somebody is being answered."""
+        while (making is None or not making.wanted) and self._busy() and threading.main_thread().is_alive():
+            time.sleep(YIELD_SECONDS)
+
+    def tell_up(self, source: str, told: ToldUp | None) -> None:
+        """Take what is said of a source's up, for whoever loads from here; None takes back all that was said."""
+        with self._lock:
+            opened = self.sources[source]
+            if told is None:
+                self.told.pop(source, None)
+                dataset = self._untold.pop(source, opened.dataset)
+            else:
+                self.told[source] = told
+                self._untold.setdefault(source, opened.dataset)
+                dataset = with_frame_up(opened.dataset, told.frame_id, told.up)
+            self.sources[source] = replace(opened, dataset=dataset)
+            for known in (self._loaded, self._shown, self._making):
+                for key in [key for key in list(known) if key[0] == source]:
+                    known.pop(key, None)
+
+
+KEPT_PICTURES, KEPT_PLANS = 600, 16
+
+
+class PicturesBehind:
+    """Small pictures of frames, and plans of cameras, of several sources: made on threads of their own, a few kept.
+
+    Parameters
+    ----------
+    sources : mapping of str to Pipeline
+    """
+
+    def __init__(self, sources: Mapping[str, Pipeline]) -> None:
+        self._sources = sources
+        self._behind = ThreadPoolExecutor(2, "pictures")
+        self._pictures: Recent[tuple[str, str, int], bytes] = Recent(KEPT_PICTURES)
+        self._plans: Recent[tuple[str, str], tuple[CameraPlan | None]] = Recent(KEPT_PLANS)
+
+    def picture(self, source: str, frame_id: str, width: int) -> Future[bytes]:
+        """The picture of a frame as JPEG, so many pixels wide; empty for a broken frame."""
+        key = source, frame_id, width
+        return self._behind.submit(lambda: self._pictures.get(key, lambda: self._draw(*key)))
+
+    def _draw(self, source: str, frame_id: str, width: int) -> bytes:
+        with suppress(InputError):
+            return jpeg(resized(load_picture(self._sources[source].dataset, frame_id).rgb, width))
+        return b""
+
+    def plan(self, source: str, frame_id: str, then: Callable[[CameraPlan | None], object]) -> None:
+        """Find where the cameras of a frame's scene stand, and tell."""
+        dataset = self._sources[source].dataset
+        key = (source, scene_of(dataset, frame_id))
+        self._behind.submit(lambda: then(self._plans.get(key, lambda: (camera_plan(dataset, frame_id),))[0]))

@@ -1,0 +1,323 @@
+"""An answer as somebody looks at it: the names of its objects, the chosen pair, what is selected, what edits do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+
+from pipeline.answering.ask import Trace
+from pipeline.answering.frame_store import LoadedFrame
+from pipeline.answering.objects import PreparedFrame, SceneObject
+from pipeline.answering.pair_table import ScoredPair
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.whatif.changes import PairKeys, pair_keys, ranked_pairs
+from pipeline.diagnosis.whatif.edits import Edits
+from pipeline.diagnosis.whatif.pair_tables import detection_keys
+from pipeline.diagnosis.whatif.rerun import Outcome
+from pipeline.diagnosis.whatif.shown import NOTHING, Shown, shown_objects, with_confidences
+from pipeline.geometry.boxes import Box3D, iou_2d
+from pipeline.geometry.palette import Role
+from pipeline.proposals.base import Detector
+from pipeline.system.errors import require
+
+View = TypeVar("View", bound="AnswerView")
+
+
+@dataclass(frozen=True)
+class OtherAnswer:
+    """What another run answers to the same question about the same frame.
+
+    Attributes
+    ----------
+    name : str
+        Of its system.
+    trace : Trace or None
+    judged : Diagnosis or str or None
+    error : str
+        Why it cannot be asked.
+    """
+
+    name: str
+    trace: Trace | None
+    judged: Diagnosis | str | None = None
+    error: str = ""
+
+    @property
+    def best(self) -> ScoredPair | None:
+        """Its best pair."""
+        if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
+            return None
+        return self.trace.ranking.pairs[0]
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """A box beside the answer's: of the label, or of another run's answer.
+
+    Attributes
+    ----------
+    key, text : str
+    box : Box3D
+        Camera frame.
+    role : str
+        "truth" for the label's, "edited" for the other run's.
+    """
+
+    key: str
+    text: str
+    box: Box3D
+    role: Role
+
+
+def same_thing(trace: Trace | None, place: int | None, other: SceneObject) -> bool:
+    """Whether two answers mean one thing, as the comparison of two runs has it."""
+    if trace is None or place is None:
+        return False
+    return float(iou_2d(trace.objects[place].bbox, other.bbox)[0, 0]) >= 0.5
+
+
+@dataclass(frozen=True)
+class BothAnswers:
+    """An answer without edits and with them.
+
+    Attributes
+    ----------
+    before, after : Outcome
+    judged : Diagnosis or str or None
+        The verdict on the one before.
+    seconds : float
+        What answering again took the core.
+    """
+
+    before: Outcome
+    after: Outcome
+    judged: Diagnosis | str | None
+    seconds: float
+
+    def pair_before(self, pair: ScoredPair) -> tuple[int | None, ScoredPair | None]:
+        """A pair of the answer as it was, after the place that it had, from 1; None where it was no candidate."""
+        return self._ranked.get(pair_keys(self.after, pair), (None, None))
+
+    def relation_before(self, a: int, b: int, relation: str) -> float | None:
+        """P("a RELATION b") as it was, for places in the objects of the answer."""
+        keys, scores = (self.after.keys[a], self.after.keys[b]), self.before.trace.scores
+        if relation not in scores.relations or not set(keys) <= set(self.before.keys):
+            return None
+        return float(scores.of(relation)[tuple(map(self.before.keys.index, keys))])
+
+    @cached_property
+    def _ranked(self) -> dict[PairKeys, tuple[int, ScoredPair]]:
+        return ranked_pairs(self.before)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnswerView:
+    """What somebody looks at: a frame, and an answer of it.
+
+    Attributes
+    ----------
+    loaded : LoadedFrame or None
+        None where the frame is broken.
+    trace : Trace or None
+    shown : Shown
+    pair : tuple of int or None
+        The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank.
+    selected : int or None
+        Place in `shown.objects`.
+    judged : Diagnosis or str or None
+        The verdict on the answer, why there is none, or None where nothing is known of the truth.
+    other : OtherAnswer or None
+        The answer of a run to compare with.
+    edits : Edits
+        Of the question that is asked; they stay when it is asked again.
+    edited : BothAnswers or None
+        `trace` is the answer under the edits, and this has the one without them; None where nothing is edited.
+    """
+
+    loaded: LoadedFrame | None = None
+    trace: Trace | None = None
+    shown: Shown = NOTHING
+    pair: tuple[int, ...] | None = None
+    selected: int | None = None
+    judged: Diagnosis | str | None = None
+    other: OtherAnswer | None = None
+    edits: Edits = field(default_factory=Edits)
+    edited: BothAnswers | None = None
+
+    def name_of(self, i: int) -> str:
+        """The name of an object of the trace."""
+        return self.shown.names[self.shown.place[i]]
+
+    def key_at(self, place: int, keys: tuple[str, ...]) -> str | None:
+        """The key of the object at a place, with `keys` those of the trace's objects; None where they do not have it.
+
+        Keys are those of `pipeline.diagnosis.whatif.pair_tables`.
+        """
+        entry = self.shown.objects[place]
+        found = next((keys[t] for t, at in self.shown.place.items() if at == place and keys), None)
+        return f"#{entry.id}" if entry.id >= 0 else found
+
+    def named(self, key: str) -> str:
+        """The name of an object by its key; the key where it is not shown."""
+        if self.edited is not None and key in self.edited.after.keys:
+            return self.name_of(self.edited.after.keys.index(key))
+        ids = {f"#{o.id}": name for o, name in zip(self.shown.objects, self.shown.names, strict=True) if o.id >= 0}
+        return ids.get(key, key)
+
+    @property
+    def ranked(self) -> tuple[ScoredPair, ...]:
+        """The ranked pairs; without a relation, things alone."""
+        if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
+            return ()
+        return self.trace.ranking.pairs
+
+    def at(self, pair: ScoredPair) -> tuple[int, ...]:
+        """A ranked pair as places in `shown.objects`: target, reference and, with "between", the other end.
+
+        A thing alone stands twice.
+        """
+        ends = (pair.target, pair.target if pair.reference is None else pair.reference, pair.second_reference)
+        return tuple(self.shown.place[i] for i in ends if i is not None)
+
+    @property
+    def chosen(self) -> ScoredPair | None:
+        """The ranked pair that is chosen."""
+        return next((p for p in self.ranked if self.at(p) == self.pair), None)
+
+    @property
+    def roles(self) -> dict[int, Role]:
+        """Roles of the chosen pair's objects, as places in `shown.objects`."""
+        if self.pair is None:
+            return {}
+        roles: dict[int, Role] = {self.pair[1]: "reference"}
+        links = () if self.chosen is None else self.chosen.links
+        ends = [end for link in links for end in (link.a, link.b, link.c) if end is not None]
+        roles |= dict.fromkeys((self.shown.place[end] for end in ends), "reference")
+        roles[self.pair[0]] = "target"
+        return roles
+
+    @property
+    def pair_lines(self) -> list[tuple[int, int]]:
+        """The chosen pair, then the next best few, as places in `shown.objects`."""
+        if self.pair is None:
+            return []
+        chosen = (self.pair[0], self.pair[1])
+        others = dict.fromkeys((self.at(p)[0], self.at(p)[1]) for p in self.ranked[:6])
+        return [ends for ends in (chosen, *(o for o in others if o != chosen)) if ends[0] != ends[1]]
+
+    @property
+    def ghosts(self) -> list[Ghost]:
+        """The labelled target and reference in 3D, and those of the other run where it answers otherwise."""
+        boxes = self.judged.labelled_boxes() if isinstance(self.judged, Diagnosis) else {}
+        found = [Ghost(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
+        other, mine = self.other, self.ranked[0] if self.ranked else None
+        if other is None or other.trace is None or other.best is None:
+            return found
+        ends = (
+            ("target", other.best.target, None if mine is None else mine.target),
+            ("reference", other.best.reference, None if mine is None else mine.reference),
+        )
+        for name, place, own in ends:
+            entry = None if place is None else other.trace.objects[place]
+            if entry is not None and entry.lifted.box is not None and not same_thing(self.trace, own, entry):
+                found.append(Ghost(f"other-{name}", f"{other.name}: {entry.label}", entry.lifted.box, "edited"))
+        return found
+
+    @property
+    def other_pair(self) -> str:
+        """What of the pair is another one in the other run's answer; empty where one of the two has none."""
+        mine, other = self.ranked[0] if self.ranked else None, self.other
+        if mine is None or other is None or other.best is None or other.trace is None:
+            return ""
+        ends = ((mine.target, other.best.target), (mine.reference, other.best.reference))
+        same = [a is not None and b is not None and same_thing(self.trace, a, other.trace.objects[b]) for a, b in ends]
+        found = {(True, True): "the same pair", (True, False): "the same target, another reference"}
+        return found.get((same[0], same[1]), "another target")
+
+    def under(
+        self: View, edits: Edits, edited: BothAnswers, judged: Diagnosis | str | None, keys: tuple[str, ...]
+    ) -> View:
+        """The same with an answer under edits; `keys` are those of the objects of the trace until now.
+
+        What was selected stays so. The chosen pair stays, too, unless it was the answer: then it is the new one.
+        """
+        assert self.loaded is not None
+        outcome, trace = edited.after, edited.after.trace
+        chosen, named = self.chosen, None
+        # The answer itself is followed by the new one.
+        if chosen is not None and chosen is not self.ranked[0]:
+            named = [keys[i] for i in (chosen.target, chosen.reference, chosen.second_reference) if i is not None]
+        selected = None if self.selected is None else self.key_at(self.selected, keys)
+        changed = replace(
+            self,
+            trace=trace,
+            edits=edits,
+            edited=edited if edits else None,
+            judged=judged,
+            shown=with_confidences(shown_objects(self.loaded, trace, trace.exact, edited.before.trace), edits, outcome),
+            pair=None,
+            selected=None,
+        )
+        at = {key: changed.shown.place[i] for i, key in enumerate(outcome.keys)}
+        at |= {f"#{o.id}": i for i, o in enumerate(changed.shown.objects) if o.id >= 0 and f"#{o.id}" not in at}
+        pairs = [changed.at(p) for p in changed.ranked]
+        kept = None if named is None else tuple(at.get(key) for key in named)
+        pair = next((pair for pair in pairs if pair == kept), pairs[0] if pairs else None)
+        return replace(changed, pair=pair, selected=None if selected is None else at.get(selected))
+
+    def key_of(self, place: int, detector: Detector | None) -> str | None:
+        """The key of the object at a place; None where the detector does not find it so."""
+        entry = self.shown.objects[place]
+        key = self.key_at(place, () if self.edited is None else self.edited.after.keys)
+        if key is not None:
+            return key
+        keys, alike = self._detections(detector, entry.label)
+        return next((key for key, same in zip(keys, alike(entry), strict=True) if same), None)
+
+    def place_of(self, key: str, detector: Detector | None) -> int | None:
+        """The place of the object of a key; None where there is none."""
+        objects = self.shown.objects
+        if key.startswith("#") and "/" not in key:
+            return next((i for i, o in enumerate(objects) if key == f"#{o.id}"), None)
+        if self.edited is not None and key in self.edited.after.keys:
+            return self.shown.place.get(self.edited.after.keys.index(key))
+        name = key.rpartition("/")[0]
+        named = [i for i, o in enumerate(objects) if o.label == name]
+        if all(objects[i].id >= 0 for i in named):
+            return None
+        keys, alike = self._detections(detector, name)
+        return next((i for i in named if key in keys and alike(objects[i])[keys.index(key)]), None)
+
+    def _detections(
+        self, detector: Detector | None, name: str
+    ) -> tuple[tuple[str, ...], Callable[[SceneObject], np.ndarray]]:
+        """Keys of all that the detector finds of a name, and which of them an object is."""
+        if self.loaded is None or detector is None:
+            return (), lambda _: np.zeros(0, np.bool_)
+        found = detector.detect(self.loaded.context.frame, [name])
+
+        def alike(entry: SceneObject) -> np.ndarray:
+            return (found.boxes == entry.bbox).all(axis=1)
+
+        return detection_keys(name, found), alike
+
+
+def answer_view(context: PreparedFrame, outcome: Outcome, edits: Edits, key: str | None = None) -> AnswerView:
+    """An answer under edits as one first looks at it: its best pair, and of that the target, or the object of a key.
+
+    Raises
+    ------
+    InputError
+        The answer has no object of the key.
+    """
+    loaded, trace = LoadedFrame(context, ()), outcome.trace
+    view = AnswerView(loaded=loaded, trace=trace, shown=shown_objects(loaded, trace, trace.exact), edits=edits)
+    pair = next(map(view.at, view.ranked), None)
+    known = key is None or key in outcome.keys
+    require(known, "the answer has no such object", got=key, expected=", ".join(outcome.keys[:30]))
+    selected = pair[0] if key is None and pair is not None else None
+    return replace(view, pair=pair, selected=selected if key is None else view.shown.place[outcome.keys.index(key)])

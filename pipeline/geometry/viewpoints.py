@@ -1,0 +1,73 @@
+"""From where a frame's points are looked at: as the sensor does, from above, or so that all or a pair is in view."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.geometry.camera import Camera
+
+AROUND, NEAREST = 1.12, 0.55
+"""A pair is seen from so much farther than would fill the view, and from no nearer than so many metres."""
+TOWARD = np.array([-0.36, 0.84, -0.42])
+"""Where one looks who sees all: from the right, above and behind the sensor."""
+FITTING_FOV, TOP_FOV = float(np.deg2rad(44)), float(np.deg2rad(50))
+Viewed = tuple[np.ndarray, np.ndarray, float]
+"""Where the eye is, what it looks at ((3,) each, shown frame, metres), and how high its field of view is, radians."""
+
+
+def viewpoint(
+    kind: str, points: np.ndarray, to_show: np.ndarray, camera: Camera, aspect: float, about: np.ndarray | None = None
+) -> Viewed:
+    """From where a frame is looked at.
+
+    Parameters
+    ----------
+    kind : str
+        "sensor", "top", "pair", or another for all of the frame; without points it is always the sensor's.
+    points : (N, 3) float
+        Of the frame, shown frame, metres.
+    to_show : (3, 3)
+        From the camera frame into the shown frame.
+    camera : Camera
+    aspect : float
+        Width over height of what is seen.
+    about : (M, 3) float, optional
+        What "pair" shows, shown frame; without it that is all of the frame.
+    """
+    middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
+    if kind == "sensor" or not len(points):
+        forward = to_show @ np.array([0.0, 0.0, 1.0])
+        # The whole picture is in view, with a little air, whatever the shape of the page.
+        tall, wide = camera.height / 2 / camera.fy, camera.width / 2 / camera.fx / aspect
+        ahead = forward * float(np.linalg.norm(middle))
+        return np.zeros(3) - forward * 0.01, ahead, float(2 * np.arctan(max(tall, wide) * 1.04))
+    if kind == "top":
+        low, high = np.percentile(points, [3, 97], axis=0)
+        center, span = (low + high) / 2, float((high - low)[:2].max())
+        return center + np.array([0.0, -0.02, span * 1.25]), center, TOP_FOV
+    if kind == "pair" and about is not None:
+        eye, look, fov = fitting_viewpoint(about, aspect)
+        # What stands around the pair is in view, too.
+        return look + (eye - look) * max(AROUND, NEAREST / max(float(np.linalg.norm(eye - look)), 1e-6)), look, fov
+    return fitting_viewpoint(points, aspect)
+
+
+def fitting_viewpoint(points: np.ndarray, aspect: float) -> Viewed:
+    """As near as shows nearly all of some points ((N, 3), N > 0, shown frame), along TOWARD."""
+    center = np.percentile(points, [2, 98], axis=0).mean(axis=0)
+    toward = TOWARD / np.linalg.norm(TOWARD)
+    across = np.cross(toward, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    axes = np.stack([across, np.cross(across, toward), toward])
+    sample = points[:: max(1, len(points) // 4000)]
+    tangent = np.tan(FITTING_FOV / 2)
+    distance = 1.0
+    for _ in range(4):
+        x, y, z = ((sample - center) @ axes.T).T
+        # A point is in view from as far away as its offset over the tangent, less its own depth.
+        needed = np.maximum(np.abs(x) / (tangent * aspect), np.abs(y) / tangent) - z
+        distance = max(float(np.percentile(needed, 99.3)) * 1.03, 0.2)
+        seen = np.stack([x, y]) / np.maximum(distance + z, 0.05)
+        shift = np.percentile(seen, [0.7, 99.3], axis=1).mean(axis=0) * distance
+        center = center + axes[0] * shift[0] + axes[1] * shift[1]
+    return center - toward * distance, center, FITTING_FOV

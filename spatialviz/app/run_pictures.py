@@ -1,0 +1,56 @@
+"""Small pictures of a run's answers, with their boxes: made once for all clients, and where a page finds them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+from pipeline.evaluation.figures import Drawn, RunFigures
+from pipeline.geometry.palette import ON_DARK, RGB
+from pipeline.system.errors import InputError
+from spatialviz.app.frames import IMAGES, jpeg_url
+from spatialviz.report.crop import Outline, Stroke, answer_crop
+
+STROKES: dict[Drawn, tuple[RGB, Stroke]] = {
+    "answered target": (ON_DARK["target"], "thick"), "wrong target": ((236, 72, 78), "thick"),
+    "answered reference": (ON_DARK["reference"], "thin"), "labelled": (ON_DARK["truth"], "dashed"),
+    "second run": (ON_DARK["edited"], "dashed"),
+}  # fmt: skip
+"""How each box is drawn; the legend says it, too."""
+PICTURES = 3000
+"""Addresses that are kept."""
+
+
+class RunPictures:
+    """Those of one run."""
+
+    def __init__(self, figures: RunFigures) -> None:
+        self._figures = figures
+        self._kept: dict[int, str] = {}
+
+    def url(self, number: int, row: Mapping[str, Any], make: bool = False) -> str:
+        """Where the page finds the picture of a row; "" where it is not made yet, and unless it should be, or where
+        its frame is broken."""
+        kept = self._kept.get(number)
+        if kept is not None and (not kept or IMAGES.get(kept.rpartition("/")[2]) is not None):
+            return kept
+        if not make:
+            return ""
+        self._kept[number] = found = self._made(number, row)
+        while len(self._kept) > PICTURES:
+            del self._kept[next(iter(self._kept))]
+        return found
+
+    def _made(self, number: int, row: Mapping[str, Any]) -> str:
+        outlines = [Outline(box, *STROKES[what]) for what, box in self._figures.boxes(number, row)]
+        try:
+            return jpeg_url(answer_crop(self._figures.colors(row["frame"]), outlines), 80)
+        except InputError:
+            return ""
+
+
+@lru_cache(maxsize=8)
+def pictures_of(figures: RunFigures) -> RunPictures:
+    """The pictures of a run, the same for every client."""
+    return RunPictures(figures)

@@ -1,0 +1,107 @@
+"""Frames that several look at: loaded once, a few kept, the next made ready, pictures made behind."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from waiting import LONG_S
+
+from pipeline.answering.frame_store import KEPT_FRAMES, FrameStore, PicturesBehind, ToldUp
+from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.system.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def source() -> Pipeline:
+    return open_pipeline("demo", srm="rule")
+
+
+def test_a_frame_is_loaded_once_whoever_asks_for_it(source: Pipeline) -> None:
+    store, first = FrameStore({"demo": source}), source.dataset.frame_ids[0]
+    assert store.kept("demo", first) is None
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: store.load("demo", first), range(4)))
+    assert {id(loaded) for loaded in found} == {id(store.kept("demo", first))}
+    loaded = found[0]
+    assert (loaded.problem, loaded.told, loaded.doubt) == ("", None, "")
+    assert len(loaded.objects) == len(loaded.context.frame.annotations)
+    colors = loaded.painted("rgb", lambda: loaded.context.frame.rgb)
+    assert loaded.painted("rgb", lambda: pytest.fail("made twice")) is colors
+    assert colors.shape == loaded.cloud.points.shape
+    box = loaded.objects[0].bbox
+    assert loaded.thumb(box) is loaded.thumb(box)
+
+
+def test_the_frames_used_last_are_kept_and_those_that_somebody_holds(source: Pipeline) -> None:
+    store, ids = FrameStore({"demo": source}), source.dataset.frame_ids[: KEPT_FRAMES + 2]
+    held = store.load("demo", ids[0])
+    for frame_id in ids[1:]:
+        store.load("demo", frame_id)
+    assert store.kept("demo", ids[0]) is held
+    assert store.kept("demo", ids[1]) is None
+    assert store.kept("demo", ids[-1]) is not None
+
+
+def test_what_is_made_ahead_waits_while_somebody_is_answered(source: Pipeline) -> None:
+    busy, ready = threading.Event(), threading.Event()
+    busy.set()
+    store, ids = FrameStore({"demo": source}, busy.is_set), source.dataset.frame_ids
+    store.prepare("demo", ["no such frame", ids[1]], lambda _: ready.set())
+    assert not ready.wait(0.1)
+    assert store.load("demo", ids[0]) is store.kept("demo", ids[0])
+    busy.clear()
+    assert ready.wait(LONG_S)
+    assert store.kept("demo", ids[1]) is not None
+
+
+def test_a_broken_frame_is_told_every_time(source: Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    store, first = FrameStore({"demo": source}), source.dataset.frame_ids[0]
+
+    def broken(frame_id: str) -> Any:
+        raise InputError("the picture is damaged", path="x.png")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(source.dataset, "load", broken)
+        for _ in range(2):
+            with pytest.raises(InputError, match="damaged"):
+                store.load("demo", first)
+    assert store.load("demo", first).context.frame.id == first
+
+
+def test_up_that_was_told_holds_for_all_until_it_is_taken_back(source: Pipeline) -> None:
+    store, first = FrameStore({"demo": source}), source.dataset.frame_ids[0]
+    before = store.load("demo", first)
+    told = ToldUp(first, (12, 34), (0.0, -1.0, 0.0))
+    assert told.words == f"{first}:12,34"
+    store.tell_up("demo", told)
+    after = store.load("demo", first)
+    assert after.told == told
+    assert after.context.viewer.up_source == "given"
+    np.testing.assert_allclose(after.context.viewer.up, [0, -1, 0], atol=1e-6)
+    store.tell_up("demo", None)
+    np.testing.assert_array_equal(store.load("demo", first).context.viewer.up, before.context.viewer.up)
+
+
+def test_pictures_and_plans_are_made_behind(source: Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    behind, ids, told = PicturesBehind({"demo": source}), source.dataset.frame_ids, list[Any]()
+    done = threading.Event()
+    behind.plan("demo", ids[0], lambda plan: (told.append(plan), done.set()))
+    data = behind.picture("demo", ids[0], 160).result(LONG_S)
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    rgb = source.dataset.load(ids[0]).rgb
+    assert picture.shape[:2] == (round(160 * rgb.shape[0] / rgb.shape[1]), 160)
+    assert done.wait(LONG_S)
+    assert told[0] is None or ids[0] in told[0].frame_ids
+    monkeypatch.setattr("pipeline.answering.frame_store.load_picture", _broken)
+    assert behind.picture("demo", ids[0], 160).result(LONG_S) == data, "kept"
+    assert behind.picture("demo", ids[1], 160).result(LONG_S) == b""
+
+
+def _broken(*_: object) -> Any:
+    raise InputError("the picture is damaged")

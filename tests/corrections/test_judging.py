@@ -1,0 +1,78 @@
+"""Answers judged by what is known of their frames: labels before annotations, corrected ones before both."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from journal_world import FRAME, an_expression
+
+from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.corrections.journal.edits import set_mark, set_status
+from pipeline.corrections.journal.field_refs import FieldRef
+from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.judging import Judge
+from pipeline.corrections.label_editor import LabelEditor
+from pipeline.datasets.demo import demo_run
+from pipeline.diagnosis.asking import annotated_truth, judge_trace
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.evaluation.run_folder import open_run
+from pipeline.labels.reading import Labels
+
+
+@pytest.fixture(scope="module")
+def source() -> Pipeline:
+    return open_pipeline("demo", srm="rule")
+
+
+def nobody(name: str, frame: str) -> None:
+    """Nobody has corrected anything."""
+
+
+def test_without_labels_the_annotations_say_what_is_true_and_are_worked_out_once(source: Pipeline) -> None:
+    judge, context = Judge({}, {}, {}, nobody), source.prepare(FRAME)
+    trace = source.ask(context, "mug left of the laptop")
+    found, truth = judge.judge("demo", source, context, trace), annotated_truth(context, source)
+    assert truth is not None
+    expected = judge_trace(trace, source, context, truth)
+    told = [d.verdict if isinstance(d, Diagnosis) else d for d in (found, expected)]
+    assert told[0] == told[1]
+    assert judge.truth("demo", source, context) is judge.truth("demo", source, context)
+    assert judge.labels("demo") is None
+    bare = source.prepare(replace(context.frame, annotations=()))
+    assert judge.judge("demo", source, bare, trace) is not None, "the frame's truth is known already"
+    assert Judge({}, {}, {}, nobody).judge("demo", source, bare, trace) is None
+
+
+def test_corrected_labels_come_first(source: Pipeline, demo_labels: Labels, tmp_path: Path) -> None:
+    editor = LabelEditor(demo_labels, JournalLocation(demo_labels, tmp_path / "j.sqlite"), "ann", source.dataset)
+    judge = Judge({}, {"demo": demo_labels}, {}, lambda name, frame: editor.corrected(frame))
+    context, labelled = source.prepare(FRAME), an_expression(editor.frame(FRAME))
+    trace, name = source.ask(context, labelled["text"]), labelled["id"]
+    before, truth = judge.judge("demo", source, context, trace, name), judge.truth("demo", source, context)
+    assert isinstance(before, Diagnosis)
+    assert judge.known("demo", FRAME, truth, name)["case"].id == name
+    editor.save(set_mark(editor.frame(FRAME), name, "BAD_LABEL"))
+    assert judge.known("demo", FRAME, truth, name)["mark"] == "BAD_LABEL"
+    rejected = FieldRef("expression", FRAME, name, "status")
+    editor.save(set_status(editor.frame(FRAME), rejected, "rejected", author="ann"))
+    assert judge.judge("demo", source, context, trace, name) == "the expression was rejected by ann"
+    assert judge.truth("demo", source, context) is not truth
+
+
+def test_a_second_run_answers_too_and_is_judged_by_the_same_truth(source: Pipeline) -> None:
+    run = open_run(demo_run())
+    judge, context = Judge({"demo": run}, {}, {"demo": run}, nobody), source.prepare(FRAME)
+    assert judge.labels("demo") is run.labels
+    text = "mug left of the laptop"
+    other = judge.other("demo", context, text)
+    assert other is not None
+    assert other.trace is not None
+    trace = run.source.ask(context, text)
+    assert other.best == next(iter(trace.ranking.pairs if trace.ranking else ()), None)
+    assert judge.other("nothing", context, text) is None
+    refused = judge.other("demo", context, "no such thing as this")
+    assert refused is not None
+    assert refused.error
+    assert (refused.trace, refused.best) == (None, None)

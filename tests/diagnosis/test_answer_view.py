@@ -1,0 +1,156 @@
+"""An answer as somebody looks at it: what is chosen and selected stays by its object, and edits are said in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from whatif_scenes import ScoringDetector, context_of, source
+
+from pipeline.answering.frame_store import LoadedFrame
+from pipeline.answering.objects import all_objects
+from pipeline.diagnosis.whatif import Baseline, Edits, rerun
+from pipeline.diagnosis.whatif.answer_view import AnswerView, BothAnswers, OtherAnswer, answer_view
+from pipeline.diagnosis.whatif.edit_words import edited_by, said_edits
+from pipeline.diagnosis.whatif.shown import shown_objects
+from pipeline.system.errors import InputError
+
+ASKED = "mug left of the laptop"
+
+
+@pytest.fixture(scope="module")
+def baseline() -> Baseline:
+    return Baseline(source(scorer="rule"), context_of(), ASKED)
+
+
+@pytest.fixture(scope="module")
+def scored() -> Baseline:
+    return Baseline(source(ScoringDetector(), scorer="rule"), context_of(), ASKED)
+
+
+def looked_at(baseline: Baseline, edits: Edits | None = None) -> AnswerView:
+    edits = edits or Edits()
+    return answer_view(baseline.context, rerun(baseline, edits), edits)
+
+
+def after(view: AnswerView, baseline: Baseline, edits: Edits) -> AnswerView:
+    """The view with edits, as one goes on looking at it."""
+    outcome = rerun(baseline, edits)
+    keys = baseline.outcome.keys if view.edited is None else view.edited.after.keys
+    return view.under(edits, BothAnswers(baseline.outcome, outcome, None, 0.0), None, keys)
+
+
+def test_the_best_pair_is_chosen_with_its_roles_and_the_next_ones_beside(baseline: Baseline) -> None:
+    view = looked_at(baseline)
+    assert view.pair is not None
+    assert view.chosen is view.ranked[0]
+    assert view.roles == {view.pair[0]: "target", view.pair[1]: "reference"}
+    assert view.pair_lines[0] == view.pair
+    assert len(view.pair_lines) == len(set(view.pair_lines)) > 1
+    assert view.shown.names[view.pair[1]] == "laptop·3"
+    assert replace(view, pair=None).roles == {}
+
+
+def test_all_objects_of_the_frame_are_shown_those_of_the_question_as_it_found_them(baseline: Baseline) -> None:
+    objects = all_objects(baseline.context, baseline.detector)
+    trace = baseline.outcome.trace
+    shown = shown_objects(LoadedFrame(baseline.context, objects), trace, trace.exact)
+    assert [o.id for o in shown.objects] == [o.id for o in objects]
+    assert [shown.objects[place].id for place in shown.place.values()] == [o.id for o in trace.objects]
+
+
+def test_what_is_selected_and_chosen_stays_by_its_object_when_the_answer_moves(baseline: Baseline) -> None:
+    view = looked_at(baseline)
+    other = replace(view, pair=view.at(view.ranked[1]), selected=view.at(view.ranked[1])[0])
+    kept = {other.shown.objects[place].id for place in other.pair or ()}
+    best = baseline.outcome.keys[view.ranked[0].target]
+    hidden = after(other, baseline, Edits().with_hidden(best))
+    assert {hidden.shown.objects[place].id for place in hidden.pair or ()} == kept
+    # The answer itself is followed by the new one; what was hidden is none of its objects any more.
+    moved = after(view, baseline, Edits().with_hidden(best))
+    assert moved.chosen is moved.ranked[0]
+    assert moved.edited is not None
+    assert moved.edited.pair_before(moved.ranked[0])[0] == 2
+    back = after(moved, baseline, Edits())
+    assert back.edited is None
+    assert [o.id for o in back.shown.objects] == [o.id for o in view.shown.objects]
+
+
+def test_a_confidence_is_seen_at_the_object_and_a_relation_beside_what_it_was(scored: Baseline) -> None:
+    view = looked_at(scored)
+    key = scored.outcome.keys[view.ranked[0].target]
+    seen = after(view, scored, Edits().with_confidence("mug", key, 0.07))
+    place = seen.place_of(key, scored.detector)
+    assert place is not None
+    assert seen.shown.objects[place].score == pytest.approx(0.07)
+    pair = view.ranked[0]
+    assert pair.reference is not None
+    ends = scored.outcome.keys[pair.target], scored.outcome.keys[pair.reference]
+    again = after(view, scored, Edits().with_relation("left", *ends, 0.05))
+    assert again.edited is not None
+    a, b = (again.edited.after.keys.index(end) for end in ends)
+    assert again.edited.relation_before(a, b, "left") == pytest.approx(pair.p_relation)
+    assert again.edited.relation_before(a, b, "no relation") is None
+
+
+def test_objects_are_found_again_by_their_keys(baseline: Baseline, scored: Baseline) -> None:
+    for asked in (baseline, scored):
+        view = looked_at(asked)
+        keys = [view.key_of(place, asked.detector) for place in range(len(view.shown.objects))]
+        assert {key for key in keys if key is not None} == set(asked.outcome.keys)
+        assert [view.place_of(key or "", asked.detector) for key in keys] == list(range(len(keys)))
+    assert looked_at(baseline).place_of("#99", baseline.detector) is None
+
+
+def test_the_other_runs_answer_is_told_by_what_of_it_is_another_thing(baseline: Baseline) -> None:
+    view = looked_at(baseline)
+    assert view.other_pair == ""
+    assert view.ghosts == []
+    same = replace(view, other=OtherAnswer("second", baseline.outcome.trace))
+    assert (same.other_pair, same.ghosts) == ("the same pair", [])
+    hidden = rerun(baseline, Edits().with_hidden(baseline.outcome.keys[view.ranked[0].target]))
+    another = replace(view, other=OtherAnswer("second", hidden.trace))
+    assert another.other_pair == "another target"
+    assert [(g.key, g.role) for g in another.ghosts] == [("other-target", "edited")]
+    assert replace(view, other=OtherAnswer("second", None, error="no")).other_pair == ""
+
+
+def test_edits_are_said_in_words_one_after_the_other(baseline: Baseline) -> None:
+    view, keys = looked_at(baseline), baseline.outcome.keys
+    target = keys[view.ranked[0].target]
+    made = said_edits(baseline, Edits(), ["size:1:0.3", "set:target_weight:2", "relation:0.2"])
+    assert made.boxes[target].size[1] == pytest.approx(0.3)
+    assert made.rank == {"target_weight": 2.0}
+    assert list(made.relations.values()) == [0.2]
+    grown = said_edits(baseline, made, ["mask:grow:2"], target)
+    assert (list(grown.masks), grown.boxes) == ([target], {})
+    laptop = next(key for key, o in zip(keys, baseline.outcome.trace.objects, strict=True) if o.label == "laptop")
+    assert said_edits(baseline, Edits(), ["hide"], laptop).hidden == {laptop}
+    assert said_edits(baseline, Edits(), ["set:scorer:own", f"set:k:{baseline.source.config.k}"]) == Edits()
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [("size:1", "no such number"), ("size:7:0.2", "no such number"), ("yaw:wide", "must be a number"),
+     ("center:0:nan", "must be a number"), ("confidence:9:0.5", "no such name"), ("mask:blow", "no such mask"),
+     ("mask:rectangle:1,2", "four numbers"), ("set:colour:1", "no such setting"), ("dance", "no such edit"),
+     ("set:scorer:magic", "no such relation scorer"), ("mask:label", "no labelled object"),
+     ("relation:2", "probability")],
+)  # fmt: skip
+def test_what_is_no_edit_is_refused_in_a_line(baseline: Baseline, said: str, why: str) -> None:
+    with pytest.raises(InputError, match=why):
+        said_edits(baseline, Edits(), [said])
+    with pytest.raises(InputError, match="no such object"):
+        said_edits(baseline, Edits(), ["hide"], "#99")
+
+
+def test_masks_are_swapped_between_the_two_of_the_pair(baseline: Baseline) -> None:
+    view = looked_at(baseline)
+    assert view.pair is not None
+    made = edited_by("mask:swap", view, baseline.source, baseline.outcome.keys)
+    keys = [baseline.outcome.keys[i] for i in (view.ranked[0].target, view.ranked[0].reference or 0)]
+    assert list(made.masks) == keys
+    size = baseline.context.frame.depth.shape
+    found = made.masks[keys[0]].decoded((size[0], size[1]), "mask")
+    np.testing.assert_array_equal(found, view.shown.objects[view.pair[1]].mask)
