@@ -1,5 +1,4 @@
 /* The editor of pixels: it draws at once what a hand does, and sends each movement when it ends.
-
 The mask that counts is the core's: it comes back as a picture, and what was sent but is not answered yet is drawn
 on top of it. It lies over the scene; while one draws by clicks in the scene only its bar does. */
 
