@@ -161,7 +161,8 @@ class Session(Context):
 
     def _begin(self, place: Place) -> None:
         """Show what the address says, else what the server was started with, else the first failure or frame."""
-        if place.frame is not None or place.text is not None or place.task == "evaluate":
+        task = place.task == "evaluate" or (place.task == "label" and self.state.correctable)
+        if place.frame is not None or place.text is not None or task:
             if place.text is None and place.task is None and self.state.correctable:
                 self.editors.wanted = ANYTHING
             self.go(place, restoring=True)
