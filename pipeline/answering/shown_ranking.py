@@ -80,6 +80,7 @@ class ShownRanking:
         seen = curves(np.concatenate([factors for factors, _ in lines]))
         x = seen[every[:, 0]] - seen[every[:, 1]]
         compared, kept = np.bincount(every.ravel(), minlength=start), np.ones(len(every), np.bool_)
+        wrong, odd = ~kept, np.zeros(start, np.bool_)
         # Without the pairs that are odd by one fit the next tells better which are.
         for _ in range(FITS):
             wrong = x @ fitted(x[kept], rising=True) <= 0

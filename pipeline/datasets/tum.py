@@ -90,8 +90,8 @@ class TumDataset(Recording):
         require(frame_id in self._depths, f"no depth image within 20 ms of {frame_id}", path=self.root / "depth.txt")
         notes += self._pose_notes
         pose = self._pose(color.time, notes)
-        names = color.name, self._depths[frame_id].name
-        return Listed(*(self.root / name for name in names), pose=pose, documented=self._camera)
+        depth = self.root / self._depths[frame_id].name
+        return Listed(self.root / color.name, depth, pose=pose, documented=self._camera)
 
     def _pose(self, time: float, notes: list[str]) -> np.ndarray | None:
         path = self._path

@@ -64,8 +64,8 @@ def kept(tmp_path_factory: pytest.TempPathFactory, labels: Labels, asked: list[t
     return folder
 
 
-def replayed(folder: Path, **options: Path) -> Iterator[Result]:
-    return replay_all(sorted((folder / "cases").iterdir()), **options)
+def replayed(folder: Path, predictions: Path | None = None) -> Iterator[Result]:
+    return replay_all(sorted((folder / "cases").iterdir()), predictions=predictions)
 
 
 def test_a_case_holds_what_its_verdict_was_found_by(kept: Path, asked: list[tuple[Line, Line]]) -> None:

@@ -414,7 +414,7 @@ def of_three(
         )
         for name, found in things.items()
     }
-    rows = tuple((*row, p(row)) for row in product(*([a.index for a in found] for found in things.values())))
+    rows: Any = tuple((*row, p(row)) for row in product(*([a.index for a in found] for found in things.values())))
     line = Prediction(frame.id, text, proposals=proposals, relations={relation: rows})
     write_predictions(path, Header(ranking="product", exact=True), [line])
     return path
