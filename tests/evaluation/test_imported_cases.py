@@ -112,10 +112,8 @@ def test_a_later_file_in_other_coordinates_is_refused(
 ) -> None:
     file = tmp_path / "wrong.jsonl"
     write_predictions(file, replace(CENTRES.header, **wrong), [y.line for _, y in asked])  # type: ignore[arg-type]
-    (name,) = wrong
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError, match=next(iter(wrong.values()))):
         list(replayed(kept, predictions=file))
-    assert str(getattr(CENTRES.header, name)) in str(told.value)
 
 
 def test_what_cannot_be_run_again_is_told(kept: Path, labels: Labels, tmp_path: Path) -> None:
