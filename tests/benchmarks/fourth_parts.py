@@ -14,22 +14,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import cast
 
 import cv2
 import numpy as np
 
+from pipeline.answering.placing import box_3d
 from pipeline.answering.predictions import GivenBox, Header, Prediction, Weights
 from pipeline.datasets.base import Dataset
 from pipeline.datasets.up import resolved_camera
-from pipeline.geometry.boxes import CORNER_SIGNS
+from pipeline.geometry.boxes import CORNER_SIGNS, iou_3d
 from pipeline.geometry.camera import backproject
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import RunLength
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.cases import Case, FrameCases
+from pipeline.relations.relations import F
 
 from . import third_parts
-from .other_pipeline import AXES, Met, OtherPipeline, Thing
+from .other_pipeline import AXES, Met, OtherPipeline, Pair, Thing, right_ids
 from .planted_parts import share
 from .third_parts import Seen
 
@@ -211,3 +214,101 @@ def graph_pipeline(name: str, dataset: Dataset, planted: Callable[..., Met | Non
         lambda *given: asked(graph, *given),
         told,
     )
+
+
+def right_pair(line: Prediction, met: Met) -> bool:
+    given = line.answer and (line.answer.object, line.answer.reference)
+    return given in true_pairs(met)
+
+
+def true_pairs(met: Met) -> set[Pair]:
+    rows = met.truth.numbers[np.argwhere(met.truth.acceptable_pairs(met.asked.case))]
+    return {(int(a), int(b)) for a, b in rows}
+
+
+def false_pairs(met: Met) -> set[Pair]:
+    """Of all things, whatever their class: what the labels say the relation does not hold of."""
+    states = met.truth.states[met.asked.case.relation]
+    rows = met.truth.numbers[np.argwhere(met.truth.judged & (states == F))]
+    return {(int(a), int(b)) for a, b in rows}
+
+
+def edges(own: OtherPipeline, met: Met, relation: str) -> dict[Pair, float]:
+    """P of every pair of candidates, as the pipeline has it."""
+    known = met.known
+    every = [(a, b) for a in met.asked.targets for b in met.asked.references if a != b]
+    return {(a, b): own.probability(relation, known[a], known[b], met.viewer) for a, b in every}
+
+
+def truly_wrong(own: OtherPipeline, module: str, met: Met, broken: Met) -> bool:
+    """Whether boxes are more than a little off; whether right edges are less likely, or the answer's false one more."""
+    if module == "LIFT":
+        new = [t for i, t in broken.known.items() if i not in met.known]
+        was = {t.box: t for t in met.known.values()}
+        pairs = [[box_3d(own.written(t)[1], own.header, None) for t in (t, was[t.box])] for t in new]
+        return all(iou_3d(a, b) < 0.5 for a, b in pairs)
+    if module != "SRM" or own.told is None:
+        return True
+    before, after = edges(own, met, met.asked.case.relation), broken.asked.relations
+    rise = {pair: after.get(pair, p) - p for pair, p in before.items()}
+    answer = own.told(own, broken).answer
+    assert answer is not None
+    given = cast(Pair, (answer.object, answer.reference))
+    lowered = all(d < -0.05 for pair, d in rise.items() if pair in true_pairs(met))
+    return lowered or (rise[given] > 0.05 and given in false_pairs(met))
+
+
+def alone(own: OtherPipeline, module: str, met: Met, broken: Met) -> bool:
+    """Whether nothing but the module is wrong in what decides: no other module had the answer's pair above the true
+    ones, or a box far off, before the fault; and the answer is more than one of equal pairs."""
+    assert own.told is not None
+    answer = own.told(own, broken).answer
+    true = true_pairs(met)
+    if answer is None:
+        return True
+    given = cast(Pair, (answer.object, answer.reference))
+    if _ties(own, broken, given):
+        return False
+    new = {t.box: t.id for t in met.known.values()}
+    a, b = (new.get(broken.known[i].box, -1) for i in given)
+    seen, case = met.asked, met.asked.case
+    good, ends = right_ids(met)
+    for one, example, scores, ids in (
+        (a, case.target_object, seen.targets, good),
+        (b, case.reference_object, seen.references, ends),
+    ):
+        named = met.truth.numbers[met.truth.alike[example]]
+        surer = ids and scores.get(one, 0.0) > max(scores[i] for i in ids)
+        if module != "OPM-CONF" and one not in named and surer:
+            return False
+    p = edges(own, met, case.relation)
+    most = max((q for pair, q in p.items() if pair in true), default=0.0)
+    if module != "SRM" and (a, b) in false_pairs(met) and p.get((a, b), 0.0) > most:
+        return False
+    used = {a, b, *(i for pair in p if pair in true for i in pair)} - {-1}
+    return module == "LIFT" or not any(_off(met, i) for i in used)
+
+
+def _ties(own: OtherPipeline, met: Met, given: Pair) -> bool:
+    """Whether a true pair scores as the answer's does."""
+    scores = {pair: score for pair, (_, score) in scored(own, met).items()}
+    return any(abs(scores[pair] - scores[given]) < 1e-6 for pair in scores if pair in true_pairs(met))
+
+
+def scored(own: OtherPipeline, met: Met) -> dict[Pair, tuple[float, float]]:
+    """P and score of every pair of candidates, as the line has them."""
+    seen, every = met.asked, edges(own, met, met.asked.case.relation) | met.asked.relations
+    return {
+        (a, b): (p, seen.scores.get((a, b), own.pair_score(seen.targets[a], seen.references[b], p)))
+        for (a, b), p in every.items()
+    }
+
+
+def _off(met: Met, i: int) -> bool:
+    """Whether the box of a thing is off by .15 m and by a quarter of its extent."""
+    place = np.flatnonzero(met.truth.numbers == i)
+    if not len(place):
+        return False
+    center, size = (met.truth.geometry[n][place[0]] for n in ("center", "size"))
+    away = float(np.linalg.norm(met.known[i].center - center))
+    return away > 0.15 and away > 0.25 * float(np.max(size))

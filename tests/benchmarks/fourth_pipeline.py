@@ -13,7 +13,8 @@ PRM       the ranking leaves a factor out, or takes one for its opposite; pairs 
           another relation; a wrong pair comes first
 
 What follows in the pipeline follows from the fault. It counts where the pipeline answers right without it, by a right
-reference, and wrong with it. Rates are told by module and by kind.
+reference, and wrong with it, and where no other module is wrong in what decides (`alone`). Rates are told by module and
+by kind.
 
     python -m benchmarks.fourth_pipeline --also FOLDER        (from tests/; FOLDER: another dataset with annotations)
 """
@@ -32,15 +33,27 @@ from typing import Any, cast
 import numpy as np
 
 from pipeline.answering.opening import open_pipeline
-from pipeline.answering.placing import box_3d
-from pipeline.answering.predictions import Prediction
 from pipeline.datasets.synthetic import render_dataset
-from pipeline.geometry.boxes import iou_2d, iou_3d
+from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.job import label
 from pipeline.labels.reading import Labels
-from pipeline.relations.relations import F
 
-from .fourth_parts import COARSE, GRAPHS, Graph, Oriented, graph_pipeline, least_box, points_of
+from .fourth_parts import (
+    COARSE,
+    GRAPHS,
+    Graph,
+    Oriented,
+    alone,
+    edges,
+    false_pairs,
+    graph_pipeline,
+    least_box,
+    points_of,
+    right_pair,
+    scored,
+    true_pairs,
+    truly_wrong,
+)
 from .other_pipeline import (
     AXES,
     FAULTS,
@@ -76,32 +89,16 @@ def planted(
     graph: Graph, own: OtherPipeline, fault: str, met: Met, rng: np.random.Generator
 ) -> Met | None:
     """With the fault, where the answer was right by a right reference, and the fault makes it wrong."""
-    if own.told is None or not _right_pair(own.told(own, met), met):
+    if own.told is None or not right_pair(own.told(own, met), met):
         return None
     module, kind = fault.split()
     for _ in range(TRIES):
         broken = planted_once(graph, own, module, kind, met, rng)
-        if broken is not None and not right(own, own.told(own, broken), met) and truly_wrong(own, module, met, broken):
+        if broken is None or right(own, own.told(own, broken), met):
+            continue
+        if truly_wrong(own, module, met, broken) and alone(own, module, met, broken):
             return broken
     return None
-
-
-def truly_wrong(own: OtherPipeline, module: str, met: Met, broken: Met) -> bool:
-    """Whether boxes are more than a little off; whether right edges are less likely, or the answer's false one more."""
-    if module == "LIFT":
-        new = [t for i, t in broken.known.items() if i not in met.known]
-        was = {t.box: t for t in met.known.values()}
-        pairs = [[box_3d(own.written(t)[1], own.header, None) for t in (t, was[t.box])] for t in new]
-        return all(iou_3d(a, b) < 0.5 for a, b in pairs)
-    if module != "SRM" or own.told is None:
-        return True
-    before, after = _pairs(own, met, met.asked.case.relation), broken.asked.relations
-    rise = {pair: after.get(pair, p) - p for pair, p in before.items()}
-    answer = own.told(own, broken).answer
-    assert answer is not None
-    given = cast(Pair, (answer.object, answer.reference))
-    lowered = all(d < -0.05 for pair, d in rise.items() if pair in _true_pairs(met))
-    return lowered or (rise[given] > 0.05 and given in _false_pairs(met))
 
 
 def planted_once(
@@ -118,30 +115,6 @@ def planted_once(
         return put(met, new, rng) if len(new) == len(ids) else None
     change = scored_wrong if module == "OPM-CONF" else partial(proposed_wrong, own)
     return change(graph, kind, met, of_target, ids, rng)
-
-
-def _right_pair(line: Prediction, met: Met) -> bool:
-    given = line.answer and (line.answer.object, line.answer.reference)
-    return given in _true_pairs(met)
-
-
-def _true_pairs(met: Met) -> set[Pair]:
-    rows = met.truth.numbers[np.argwhere(met.truth.acceptable_pairs(met.asked.case))]
-    return {(int(a), int(b)) for a, b in rows}
-
-
-def _false_pairs(met: Met) -> set[Pair]:
-    """Of all things, whatever their class: what the labels say the relation does not hold of."""
-    states = met.truth.states[met.asked.case.relation]
-    rows = met.truth.numbers[np.argwhere(met.truth.judged & (states == F))]
-    return {(int(a), int(b)) for a, b in rows}
-
-
-def _pairs(own: OtherPipeline, met: Met, relation: str) -> dict[Pair, float]:
-    """P of every pair of candidates, as the pipeline has it."""
-    known = met.known
-    every = [(a, b) for a in met.asked.targets for b in met.asked.references if a != b]
-    return {(a, b): own.probability(relation, known[a], known[b], met.viewer) for a, b in every}
 
 
 def lifted_wrong(kind: str, i: int, met: Met, rng: np.random.Generator) -> Thing | None:
@@ -179,14 +152,14 @@ def lifted_wrong(kind: str, i: int, met: Met, rng: np.random.Generator) -> Thing
 def judged_wrong(own: OtherPipeline, kind: str, met: Met, rng: np.random.Generator) -> Met | None:
     """With wrong probabilities of edges."""
     case, known = met.asked.case, met.known
-    p = _pairs(own, met, case.relation)
-    true, false = ([pair for pair in p if pair in of] for of in (_true_pairs(met), _false_pairs(met)))
+    p = edges(own, met, case.relation)
+    true, false = ([pair for pair in p if pair in of] for of in (true_pairs(met), false_pairs(met)))
     another = str(rng.choice([r for r in AXES if AXES[r][0] != AXES[case.relation][0]]))
     if kind == "claimed" and not false:
         return None
     said: dict[Pair, float] = {
         "swapped": lambda: {(a, b): own.probability(case.relation, known[b], known[a], met.viewer) for a, b in p},
-        "another": lambda: _pairs(own, met, another),
+        "another": lambda: edges(own, met, another),
         "yes": lambda: dict.fromkeys(p, 0.9),
         "chance": lambda: {pair: float(rng.choice(COARSE)) for pair in p},
         "denied": lambda: dict.fromkeys(true, 0.1),
@@ -198,14 +171,14 @@ def judged_wrong(own: OtherPipeline, kind: str, met: Met, rng: np.random.Generat
 def ranked_wrong(own: OtherPipeline, kind: str, met: Met, rng: np.random.Generator) -> Met | None:
     """With wrong scores of pairs."""
     case, targets, references = met.asked.case, met.asked.targets, met.asked.references
-    p = _pairs(own, met, case.relation)
+    p = edges(own, met, case.relation)
     factors = {(a, b): (targets[a], references[b], q) for (a, b), q in p.items()}
     scores = {pair: own.pair_score(*f) for pair, f in factors.items()}
-    wrong = [pair for pair in p if pair not in _true_pairs(met)]
+    wrong = [pair for pair in p if pair not in true_pairs(met)]
     if kind == "shifted":
         said = dict(zip(p, np.roll(list(scores.values()), int(rng.choice([-1, 1]))).tolist(), strict=True))
     elif kind == "stale":
-        other = _pairs(own, met, str(rng.choice([r for r in AXES if r != case.relation])))
+        other = edges(own, met, str(rng.choice([r for r in AXES if r != case.relation])))
         said = {pair: own.pair_score(f[0], f[1], other[pair]) for pair, f in factors.items()}
     elif kind == "first":
         if not wrong:
@@ -328,18 +301,13 @@ def as_told(own: OtherPipeline, met: Met) -> dict[str, Any]:
     """A line for people: answer, scores by id, centres and sizes (metres), and pairs with P and score."""
     assert own.told is not None
     line, seen = own.told(own, met), met.asked
-    p = {(a, b): q for rows in (line.relations or {}).values() for a, b, q in cast("Sequence[Any]", rows)}
-    scored = {
-        (a, b): seen.scores.get((a, b), own.pair_score(seen.targets[a], seen.references[b], q))
-        for (a, b), q in p.items()
-    }
     used = {**seen.targets, **seen.references}
     return {
         "answer": line.answer and (line.answer.object, line.answer.reference),
         "targets": {i: round(s, 3) for i, s in seen.targets.items()},
         "references": {i: round(s, 3) for i, s in seen.references.items()},
         "things": {t.id: [t.name, *np.round([*t.center, *t.size], 2).tolist()] for t in map(met.known.get, used) if t},
-        "pairs": [[a, b, round(q, 3), round(scored[a, b], 4)] for (a, b), q in p.items()],
+        "pairs": [[*pair, round(p, 3), round(score, 4)] for pair, (p, score) in scored(own, met).items()],
     }
 
 
@@ -374,7 +342,7 @@ def _write_misses(
                 continue
             met, broken = mets[line.line.frame, line.line.text]
             told = {"in": where, "frame": line.line.frame, "text": line.line.text, "fault": fault, "verdict": verdict,
-                    "detail": detail, "true": sorted(_true_pairs(met)),
+                    "detail": detail, "true": sorted(true_pairs(met)),
                     "before": as_told(own, met), "after": as_told(own, broken)}  # fmt: skip
             file.write(json.dumps(told) + "\n")
 
@@ -383,7 +351,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--also", type=Path)
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--first", type=int, default=0, help="the first seed of what is planted")
+    parser.add_argument("--first", type=int, default=0, help="the first seed of what is planted, and of rooms")
     parser.add_argument("--every", type=int, default=6)
     parser.add_argument("--apart", type=int, default=16)
     parser.add_argument("--only", choices=GRAPHS, action="append")
@@ -391,7 +359,7 @@ if __name__ == "__main__":
     given = parser.parse_args()
     with TemporaryDirectory() as folder:
         rooms = Path(folder, "rooms")
-        render_dataset(rooms, rooms=8, views=3, seed=2718, width=480, height=360)
+        render_dataset(rooms, rooms=8, views=3, seed=2718 + given.first, width=480, height=360)
         main(rooms, Path(folder, "labels"), given.only or list(GRAPHS), given, given.every, given.apart)
         if given.also is not None:
             main(given.also, Path(folder, "also"), given.only or list(GRAPHS), given, 1, 2)
