@@ -38,7 +38,7 @@ NASTY = (
 
 def label_demo(folder: Path) -> Labels:
     """Labels of the built-in dataset, all relations."""
-    label_dataset(SourceSpec("demo"), folder, LabelConfig(vocabulary="all"), limit=12, frames_a_shard=4)
+    label_dataset(SourceSpec("demo"), folder, LabelConfig(vocabulary="all"), limit=6, frames_a_shard=4)
     return open_labels(folder)
 
 

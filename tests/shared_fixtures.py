@@ -32,7 +32,7 @@ for _variable in THREAD_VARIABLES:
 
 # No test is about time: on a busy machine one example may well take a second. Half of hypothesis's own number of
 # examples keeps five thousand tests under five minutes; each run draws others.
-settings.register_profile("untimed", deadline=None, max_examples=50)
+settings.register_profile("untimed", deadline=None, max_examples=30)
 settings.load_profile("untimed")
 
 
