@@ -180,19 +180,23 @@ def test_points_in_another_unit_are_refused(folder: Path, tmp_path: Path, unit: 
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_an_answer_without_its_ranking_is_shown_as_it_was_given(folder: Path, level: int) -> None:
     source = open_imported(at_level(folder, level), "demo")
-    seen = set()
-    for (frame, text), line in source.predictions.lines.items():
-        if line.unknown:
-            continue
-        (answer,) = ask_and_judge(source, frame, [text], open_run(folder / "run").labels)
-        given = None if line.answer is None else line.answer.object
-        if answer.trace is not None:
-            assert (None if answer.target is None else answer.target.id) == given
-            assert "less" in answer.sentence
-            assert "product" not in answer.sentence
-            with pytest.raises(InputError, match="do not tell what ranked it"):
-                edited_trace(source, source.prepare(frame), text, {"k": 1})
-            seen.add(text)
+    labels, seen = open_run(folder / "run").labels, set()
+    asked: dict[str, list[Prediction]] = {}
+    for line in source.predictions.lines.values():
+        if not line.unknown:
+            asked.setdefault(line.frame, []).append(line)
+    for frame, lines in asked.items():
+        context = source.prepare(frame)
+        answers = ask_and_judge(source, frame, [line.text for line in lines], labels)
+        for line, answer in zip(lines, answers, strict=True):
+            given = None if line.answer is None else line.answer.object
+            if answer.trace is not None:
+                assert (None if answer.target is None else answer.target.id) == given
+                assert "less" in answer.sentence
+                assert "product" not in answer.sentence
+                with pytest.raises(InputError, match="do not tell what ranked it"):
+                    edited_trace(source, context, line.text, {"k": 1})
+                seen.add(line.text)
     assert len(seen) > 30
 
 
