@@ -181,22 +181,20 @@ def test_points_in_another_unit_are_refused(folder: Path, tmp_path: Path, unit: 
 def test_an_answer_without_its_ranking_is_shown_as_it_was_given(folder: Path, level: int) -> None:
     source = open_imported(at_level(folder, level), "demo")
     labels, seen = open_run(folder / "run").labels, set()
-    asked: dict[str, list[Prediction]] = {}
-    for line in source.predictions.lines.values():
-        if not line.unknown:
-            asked.setdefault(line.frame, []).append(line)
-    for frame, lines in asked.items():
-        context = source.prepare(frame)
-        answers = ask_and_judge(source, frame, [line.text for line in lines], labels)
-        for line, answer in zip(lines, answers, strict=True):
+    known = [line for line in source.predictions.lines.values() if not line.unknown]
+    for frame in dict.fromkeys(line.frame for line in known):
+        lines = [line for line in known if line.frame == frame]
+        context, texts = source.prepare(frame), [line.text for line in lines]
+        for line, answer in zip(lines, ask_and_judge(source, frame, texts, labels), strict=True):
+            if answer.trace is None:
+                continue
             given = None if line.answer is None else line.answer.object
-            if answer.trace is not None:
-                assert (None if answer.target is None else answer.target.id) == given
-                assert "less" in answer.sentence
-                assert "product" not in answer.sentence
-                with pytest.raises(InputError, match="do not tell what ranked it"):
-                    edited_trace(source, context, line.text, {"k": 1})
-                seen.add(line.text)
+            assert (None if answer.target is None else answer.target.id) == given
+            assert "less" in answer.sentence
+            assert "product" not in answer.sentence
+            with pytest.raises(InputError, match="do not tell what ranked it"):
+                edited_trace(source, context, line.text, {"k": 1})
+            seen.add(line.text)
     assert len(seen) > 30
 
 
