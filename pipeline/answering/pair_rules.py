@@ -28,6 +28,8 @@ Pair = tuple[int, int]
 Factors = dict[Pair, tuple[float, float, float]]
 """P(target), P(reference) and P(relation) by the ids of a pair."""
 Model = Callable[[np.ndarray, np.ndarray], np.ndarray]
+STEP = 1e-6
+"""By so much, or this share, the pair that was answered stands above others that scored the same."""
 
 
 def factors_of(line: Prediction) -> Factors:
@@ -251,16 +253,31 @@ def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore 
         model = run.shown and partial(_shown, run.shown)
         rule = PairRule(told, factors, model, run.shown.unit if run.shown else 0.0, true_scores=run.true_scores)
     if header.ranking == "pair_scores":
-        return rule
+        return replace(rule, given=_answered_first(line, told, 0.0))
     if rule.model is None or 1.0 not in told.values():
         return rule if told else None
     # Of the answer it is known that it stands above all others, and no more.
     pairs = list(factors)
     scores = dict(zip(pairs, rule.model(np.array(pairs), np.array(list(factors.values()))).tolist(), strict=True))
-    best, first = max(scores.values()), max((p for p in pairs if told[p]), key=scores.__getitem__)
-    if header.ranking == "product" and scores[first] >= best - 1e-6:
-        return None
-    return replace(rule, given={**scores, first: best + (scores[first] < best)})
+    first = _answered_first(line, scores, 1.0)
+    return None if header.ranking == "product" and first == scores else replace(rule, given=first)
+
+
+def _answered_first(line: Prediction, scores: dict[Pair, float], ahead: float) -> dict[Pair, float]:
+    """Scores by which the answer stands first: as they are, or that of its best pair raised over a tie, and by so much
+    `ahead` where it stood below others. Which of equal pairs was answered only the system knows."""
+    answer = line.answer
+    if answer is None or answer.object is None:
+        return scores
+    own = [p for p in scores if p[0] == answer.object and answer.reference in (None, p[1])]
+    others = [s for p, s in scores.items() if p not in own]
+    if not own or not others:
+        return scores
+    first, best = max(own, key=scores.__getitem__), max(others)
+    over = STEP * max(1.0, abs(best))
+    if scores[first] > best + over:
+        return scores
+    return {**scores, first: best + over + (ahead if scores[first] < best - over else 0.0)}
 
 
 def _product(header: Header, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:

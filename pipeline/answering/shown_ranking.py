@@ -26,8 +26,8 @@ ALIKE = 0.02
 """Scores are fitted as they stand where that contradicts no more comparisons than this beyond a fit to their order."""
 FAR = 4.0
 """A difference of scores is left out of the last fit that is off by so many times the median."""
-LEAST_NOISE = 0.01
-"""No fit is surer than this share of all that it spans."""
+LEAST_NOISE = 0.0001
+"""No fit is surer than this share of all that it spans: what lies within is told by rounding."""
 _RIDGE = 0.5
 _BENDS = (0.25, 0.5, 0.75)
 

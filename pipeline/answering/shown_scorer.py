@@ -36,14 +36,21 @@ _SURE = 0.99
 
 def described(boxes: Sequence[Box3D], viewer: ViewerAxes) -> np.ndarray:
     """(N, N, K) float64: where each box lies from each other along the viewer's axes: in metres, in their own extents,
-    by how they look from the camera, and how far apart."""
+    by how they look from the camera, in which direction, how far aside of each axis, and how far apart. What has one
+    bound saturates: far to the left is not more to the left."""
     center = np.array([box.center for box in boxes]).reshape(-1, 3) @ viewer.matrix.T
     half = np.array([np.abs(viewer.matrix @ box.R) @ box.size / 2 for box in boxes]).reshape(-1, 3)
     seen = np.array([box.center / max(float(box.center[2]), 0.1) for box in boxes]).reshape(-1, 3)[:, :2]
     apart, reach, bearing = center[:, None] - center[None], half[:, None] + half[None], seen[:, None] - seen[None]
     gap = np.abs(apart) - reach
-    one = np.ones_like(apart[..., :1])
-    return np.concatenate([apart, apart / (reach + 0.05), bearing, gap, np.maximum(gap, 0), one], axis=2)
+    far = np.linalg.norm(apart, axis=2, keepdims=True)
+    aside = np.sqrt(np.maximum(far**2 - apart**2, 0))
+    inside = reach + 0.05
+    most = np.tanh(apart / inside), np.sign(apart) * np.tanh((np.abs(apart) - aside / 2) / inside)
+    return np.concatenate(
+        [apart, apart / inside, bearing, gap, np.maximum(gap, 0), np.ones_like(far), apart / np.maximum(far, 1e-6), far,
+         aside, aside / inside, *most], axis=2,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +104,8 @@ class ShownScorer:
         others = ~np.eye(len(boxed), dtype=np.bool_)
         for r, relation in enumerate(found.relations):
             if (weights := self.weights.get(relation)) is not None:
-                told = np.clip(1 / (1 + np.exp(-away @ weights)), 1 - _SURE, _SURE)
+                # Cases of before were kept with the first columns only.
+                told = np.clip(1 / (1 + np.exp(-away[..., : len(weights)] @ weights)), 1 - _SURE, _SURE)
                 here = probabilities[boxed[:, None], boxed, r]
                 probabilities[boxed[:, None], boxed, r] = np.where(others, told, here)
         return replace(found, probabilities=probabilities)

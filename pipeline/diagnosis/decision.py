@@ -37,7 +37,7 @@ from math import prod
 import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.imported_answers import by_rule, decided_given, to_blame
+from pipeline.diagnosis.imported_answers import against, by_rule, decided_given, to_blame
 from pipeline.diagnosis.missed import not_proposed
 from pipeline.diagnosis.needed import Needed, needed_changes
 from pipeline.diagnosis.oracles import ATTRIBUTE, CONF, LIFT, RECALL, SRM, CandidateSet, OracleScores, names_of
@@ -161,7 +161,12 @@ def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tup
                 return "SRM", "CHOICE", 0
         if smallest is None:
             return "PRM", "DEGENERATE", 0
-        return "COMPOUND", "+".join(names_of(smallest)), smallest
+        alone = against(found, diagnosis, [bit for bit in FLIPS if bit & smallest])
+        if len(alone) != 1:
+            return "COMPOUND", "+".join(names_of(smallest)), smallest
+        flips, repair = alone, smallest
+    else:
+        repair = 0
     chosen = flips[0]
     if len(flips) > 1:
         margin = {bit: found.decided_margin(bit) for bit in to_blame(found, diagnosis, flips)}
@@ -169,8 +174,8 @@ def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tup
         chosen = next(bit for bit, m in margin.items() if m >= farthest - SAME_MARGIN)
     if chosen == CONF:
         real = not (diagnosis.false_target or diagnosis.false_reference)
-        return ("PRM" if real else "OPM-CONF"), None, CONF
-    return FLIPS[chosen], None, chosen
+        return ("PRM" if real else "OPM-CONF"), None, repair or CONF
+    return FLIPS[chosen], None, repair or chosen
 
 
 def _smallest(found: OracleScores, subsets: range | list[int]) -> int | None:

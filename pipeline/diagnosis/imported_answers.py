@@ -158,6 +158,31 @@ def _outdone(diagnosis: Diagnosis, unit: float) -> bool:
     return all(getattr(right, name) >= getattr(winner, name) for name in factors)
 
 
+def against(found: OracleScores, diagnosis: Diagnosis, bits: Sequence[int]) -> list[int]:
+    """Of the oracles that only together mend an answer of an imported ranking those that may name a module: not the
+    confidences where they spoke for the right pair, nor what gave its relation where that did. Of geometry and relation
+    the first.
+
+    The truth is at times less sure of a right pair than a scorer (.50 where the label says U), and so takes true
+    confidences, too, to mend what the scorer alone did.
+    """
+    winner, right = diagnosis.winner, diagnosis.right
+    if diagnosis.evidence.asked_again or winner is None or right is None:
+        return list(bits)
+    surer = winner.p_target > right.p_target or winner.p_reference > right.p_reference
+    related = [bit for bit in bits if bit in (LIFT, SRM)] if _denied(found) else []
+    return related[:1] + [bit for bit in bits if bit == CONF and surer]
+
+
+def _denied(found: OracleScores) -> bool:
+    """Whether the relation spoke for the answer, or is wrong of the right pair or of the answer."""
+    p = found.pair_relations[[0, SRM]].reshape(2, -1)
+    (mine, true_mine), (its, true_its) = (
+        p[:, k] for k in (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
+    )
+    return bool(mine > its or mine > HIT > true_mine or its < HIT < true_its)
+
+
 def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) -> list[int]:
     """Of the oracles that alone mend an answer those that may name the module; of an imported ranking one.
 
@@ -168,13 +193,9 @@ def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) ->
     winner, right = diagnosis.winner, diagnosis.right
     if diagnosis.evidence.asked_again or winner is None or right is None:
         return list(flips)
-    p = found.pair_relations[[0, SRM]].reshape(2, -1)
-    (mine, true_mine), (its, true_its) = (
-        p[:, k] for k in (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
-    )
     false = (diagnosis.false_target and winner.p_target > right.p_target) or (
         diagnosis.false_reference and winner.p_reference > right.p_reference
     )
-    related = bool(mine > its or mine > HIT > true_mine or its < HIT < true_its)
+    related = _denied(found)
     chain = [(CONF, false), (LIFT, related), (SRM, related), (CONF, True)]
     return [bit for bit, spoke in chain if spoke and bit in flips][:1] or list(flips)

@@ -152,9 +152,10 @@ class OracleScores:
         return np.array([w >= 0 and bool(flat[w]) for w in self.winners])
 
     def mends(self, subset: int) -> bool:
-        """Whether an acceptable pair wins under a subset, or nearly ties by a ranking that was only fitted."""
-        rule = self.table.config.rule
-        return bool(self.accepted[subset] or (rule is not None and self.margins[subset] > -NEARLY * rule.unit))
+        """Whether an acceptable pair wins under a subset, or comes to nearly tie by a ranking that was only fitted."""
+        rule, behind = self.table.config.rule, self.margins[0]
+        near = rule is not None and self.margins[subset] > max(-NEARLY * rule.unit, behind / 2)
+        return bool(self.accepted[subset] or near)
 
     @cached_property
     def right_target(self) -> np.ndarray:

@@ -294,6 +294,11 @@ def _flipped(d: Diagnosis, case: Case) -> str:
             f"other pairs of the file score enough to win. Verdict: PRM."
         )
     text = _said_of_both(d.verdict, winner, right, case)
+    if len(d.repair) > 1 and d.verdict in ("LIFT", "SRM"):
+        why = "The confidences spoke for the right pair, but the truth is less sure of it than a scorer."
+        return f"{text[0].upper()}{text[1:]}. {why} {_repaired(d)} Verdict: {d.verdict}."
+    if len(d.repair) > 1 and d.verdict in ("OPM-CONF", "PRM"):
+        return f"{text[0].upper()}{text[1:]}: it spoke for the right pair. {_repaired(d)} Verdict: {d.verdict}."
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""
         by = ", by estimated depth" if d.evidence.answers.context.frame.depth_source else ""

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,7 +33,7 @@ from pipeline.datasets.base import Dataset
 from pipeline.datasets.synthetic import render_dataset
 from pipeline.labels.job import label
 
-from .other_pipeline import AXES, FAULTS, PLANTED_SHARE, Met, OtherPipeline, Row, lines, right, verdicts
+from .other_pipeline import AXES, FAULTS, PLANTED_SHARE, Met, OtherPipeline, Row, Thing, lines, right, verdicts
 from .third_parts import (
     TWIN,
     Mapped,
@@ -89,7 +89,7 @@ def planted_once(own: OtherPipeline, fault: str, met: Met, rng: np.random.Genera
     return proposed_wrong(module, kind, met, of_target, good if of_target else ends, rng)
 
 
-def put(met: Met, new: dict[int, Mapped], rng: np.random.Generator) -> Met:
+def put(met: Met, new: Mapping[int, Thing], rng: np.random.Generator) -> Met:
     """With other things in the place of these, under new ids: an id is one object in all lines of a frame."""
     ids = {i: 10_000 + 100 * int(rng.integers(10**9)) + k for k, i in enumerate(new)}
     targets, references = (
@@ -199,14 +199,14 @@ def proposed_wrong(
     return replace(met, asked=replace(seen, **{side: kept}, dropped={name: gone}))
 
 
-def told_rows(words: str, rows: Sequence[Row]) -> None:
+def told_rows(words: str, rows: Sequence[Row], kinds_of: Mapping[str, Sequence[str]] = KINDS) -> None:
     """Print n and rate by module and by kind, and what was named for what is not."""
     faults = [(*fault.split(), f"{v} {d}" if v in ("UNEXPLAINED", "COMPOUND") else v) for fault, v, d in rows if fault]
     hits = sum(module == verdict for module, _, verdict in faults)
     print(f"{words}: named {hits} of {len(faults)}, {hits / max(1, len(faults)):.1%}")
     for module in FAULTS:
         own = [(kind, verdict) for m, kind, verdict in faults if m == module]
-        by = {k: [verdict == module for kind, verdict in own if kind == k] for k in KINDS[module]}
+        by = {k: [verdict == module for kind, verdict in own if kind == k] for k in kinds_of[module]}
         kinds = ", ".join(f"{k} {sum(v)}/{len(v)}" for k, v in by.items())
         wrong = Counter(verdict for _, verdict in own if verdict != module)
         hit, n = len(own) - wrong.total(), len(own)

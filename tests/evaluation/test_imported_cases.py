@@ -114,6 +114,16 @@ def test_a_file_that_lacks_a_case_is_told(kept: Path, asked: list[tuple[Line, Li
         list(replayed(kept, predictions=kept / "cases" / "000" / MANIFEST))
 
 
+@pytest.mark.parametrize("wrong", [{"coordinates": "camera_opengl"}, {"length": "mm"}, {"boxes": "xywh"}])
+def test_a_later_file_in_other_coordinates_is_refused(
+    kept: Path, asked: list[tuple[Line, Line]], wrong: dict[str, str], tmp_path: Path
+) -> None:
+    file = tmp_path / "wrong.jsonl"
+    write_predictions(file, replace(CENTRES.header, **wrong), [y.line for _, y in asked])  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=next(iter(wrong.values()))):
+        list(replayed(kept, predictions=file))
+
+
 def test_what_cannot_be_run_again_is_told(kept: Path, labels: Labels, tmp_path: Path) -> None:
     opened = open_case(kept / "cases" / "000")
     with pytest.raises(InputError, match="--predictions FILE"):

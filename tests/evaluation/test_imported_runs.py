@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.answering.given_places import check_places
 from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.pair_rules import factors_of
@@ -26,7 +27,7 @@ from pipeline.answering.predictions import (
 from pipeline.diagnosis.answer import answer_record
 from pipeline.diagnosis.asking import ask_and_judge, edited_trace
 from pipeline.diagnosis.cases.saving import open_case, save_case
-from pipeline.evaluation.importing import check_places, export_run, import_run
+from pipeline.evaluation.importing import export_run, import_run
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import Run, open_run
@@ -282,7 +283,7 @@ def test_boxes_of_another_convention_are_refused_with_its_name(
     declared[0] |= {k.strip('"'): v.strip('"') for k, v in given.items()}
     path.write_text("".join(json.dumps(line) + "\n" for line in declared))
     source = open_imported(path, "demo")
-    check_places(source, sorted({line.frame for line in source.predictions.lines.values()}))
+    check_places([(source, frame) for frame in sorted({line.frame for line in source.predictions.lines.values()})])
 
 
 def test_boxes_in_another_order_are_refused(folder: Path, tmp_path: Path) -> None:

@@ -14,8 +14,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pipeline.answering.given_places import check_places
+from pipeline.answering.imported import ImportedPipeline
 from pipeline.answering.objects import SAME_BOX_IOU
-from pipeline.answering.predictions import read_predictions
+from pipeline.answering.predictions import Predictions, read_predictions
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
 from pipeline.diagnosis.cases.manifest import Expected, ExpectedObject, checked_expected
@@ -224,6 +226,23 @@ class Result:
     problem: str | None = None
 
 
+def _check_places(folders: Sequence[Path], predictions: Predictions) -> None:
+    """`check_places` of the cases that these predictions have lines for."""
+    found = {}
+    for folder in folders:
+        try:
+            opened = open_case(folder).with_predictions(predictions)
+        except InputError:
+            # Told when its turn comes.
+            continue
+        assert isinstance(opened.source, ImportedPipeline)
+        frame = opened.context.frame.id
+        if predictions.of_frame(frame):
+            found.setdefault(frame, (opened.source, frame))
+    if found:
+        check_places(list(found.values()))
+
+
 def replay_all(
     folders: Sequence[Path],
     *,
@@ -255,12 +274,15 @@ def replay_all(
     Raises
     ------
     InputError
-        The relation scorer that was asked for cannot be used with any case, or the predictions cannot be read.
+        The relation scorer that was asked for cannot be used with any case; the predictions cannot be read, or are not
+        in the coordinates that their header says.
     """
     read = None if predictions is None else read_predictions(predictions)
     if srm is not None:
         # Said once, and not of every case: none of them is damaged by it.
         make_scorer(srm, vectors)
+    if read is not None:
+        _check_places(folders, read)
     for folder in folders:
         try:
             opened = open_case(folder, srm=srm, vectors=vectors)
