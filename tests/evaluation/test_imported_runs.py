@@ -183,14 +183,13 @@ def test_an_answer_without_its_ranking_is_shown_as_it_was_given(folder: Path, le
     source = open_imported(at_level(folder, level), "demo")
     labels, seen = open_run(folder / "run").labels, set()
     known = [line for line in source.predictions.lines.values() if not line.unknown]
-    for frame in dict.fromkeys(line.frame for line in known):
-        lines = [line for line in known if line.frame == frame]
+    for frame in dict.fromkeys(x.frame for x in known):
+        lines = [x for x in known if x.frame == frame]
         context, texts = source.prepare(frame), [line.text for line in lines]
         for line, answer in zip(lines, ask_and_judge(source, frame, texts, labels), strict=True):
             if answer.trace is None:
                 continue
-            given = None if line.answer is None else line.answer.object
-            assert (None if answer.target is None else answer.target.id) == given
+            assert (answer.target and answer.target.id) == (line.answer and line.answer.object)
             assert "less" in answer.sentence
             assert "product" not in answer.sentence
             with pytest.raises(InputError, match="do not tell what ranked it"):
