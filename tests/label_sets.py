@@ -36,9 +36,9 @@ NASTY = (
 )  # fmt: skip
 
 
-def label_demo(folder: Path) -> Labels:
-    """Labels of the built-in dataset, all relations."""
-    label_dataset(SourceSpec("demo"), folder, LabelConfig(vocabulary="all"), limit=12, frames_a_shard=4)
+def label_demo(folder: Path, frames: int = 12) -> Labels:
+    """Labels of the first frames of the built-in dataset, of all of them by default; all relations."""
+    label_dataset(SourceSpec("demo"), folder, LabelConfig(vocabulary="all"), limit=frames, frames_a_shard=4)
     return open_labels(folder)
 
 

@@ -1,4 +1,4 @@
-"""Accuracy and verdicts of parts of a run: by relation, class, distance and so on, summed by DuckDB."""
+"""Accuracy and verdicts of parts of a run: by relation, class, distance and so on."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
 from pipeline.evaluation.grounding_tables import clusters_of
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.summary import has_verdicts
-from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, ratio
 from pipeline.metrics.tables import Cell, Row, Table
@@ -224,36 +223,48 @@ def _sums(
     system: str, records: pa.Table, clusters: np.ndarray, cut: Dimension, judged: bool
 ) -> tuple[list[Any], list[str], list[str | None], np.ndarray]:
     """Values, their names and searches, and (C, V, 1 + measures + verdicts) float64 sums by cluster."""
-    import duckdb
-
     _, index = np.unique(clusters, return_inverse=True)
-    columns = ["set_correct", "correct", *(["lucky", "verdict"] if judged else [])]
-    rows = records.select(columns).append_column("cluster", [index.astype(np.int32)])
-    value, parameters = "''", []
-    if cut.column:
-        rows = rows.append_column("value", records.column(cut.column))
-        value = '"value"'
+    keys, place = _parts(records, cut)
+    none = np.zeros(records.num_rows, np.bool_)
+    flags = [_is_true(records.column(m)) if judged or m != "lucky" else none for m in MEASURES]
+    said = records.column("verdict").to_numpy(zero_copy_only=False) if judged else None
+    flags += [none if said is None else said == v for v in VERDICTS]
+    count = int(index.max()) + 1
+    # One cell for each cluster and value, counted over all rows and over those with each flag.
+    cell = index * len(keys) + place
+    sums = [np.bincount(cell, flag, count * len(keys)) for flag in (None, *flags)]
+    parts = [part_of(cut, key, system) for key in keys]
+    found = np.stack(sums, axis=1).reshape(count, len(keys), len(sums)).astype(np.float64)
+    return keys, [name for name, _ in parts], [query for _, query in parts], found
+
+
+def _is_true(flags: pa.ChunkedArray) -> np.ndarray:
+    """(N,) bool: null is not true."""
+    return flags.fill_null(False).to_numpy(zero_copy_only=False).astype(np.bool_)
+
+
+def _parts(records: pa.Table, cut: Dimension) -> tuple[list[Any], np.ndarray]:
+    """The values that occur, in order, the unknown one last, and the index of that of each row: (N,) int64.
+
+    Of numbers the value is the bin, -1 for unknown ones.
+    """
+    if not cut.column:
+        return [""], np.zeros(records.num_rows, np.int64)
+    column = records.column(cut.column)
     if cut.edges:
         # An edge means the number nearest to it that the column can hold, as in a search.
-        parameters = [float(np.float32(e)) for e in cut.edges]
-        whens = " ".join(f"WHEN v < ? THEN {k}" for k in range(len(cut.edges)))
-        rows = rows.set_column(rows.num_columns - 1, "value", rows.column("value").cast("float64"))
-        value = f"CASE WHEN v IS NULL OR isnan(v) THEN -1 {whens} ELSE {len(cut.edges)} END"
-    flags = [f"{quoted(m)} IS TRUE" if m in columns else "false" for m in MEASURES]
-    flags += [f"verdict = '{v}'" if judged else "false" for v in VERDICTS]
-    kinds = ", ".join(f"count(*) FILTER ({flag}) AS n{k}" for k, flag in enumerate(flags))
-    v = "value AS v," if cut.edges else ""
-    sql = f"SELECT cluster, {value} AS part, count(*) AS n, {kinds} FROM (SELECT {v} * FROM run) GROUP BY ALL"
-    with duckdb.connect(":memory:", config={"threads": 1}) as connection:
-        connection.register("run", rows)
-        found = connection.execute(sql, parameters).fetchall()
-    keys = sorted({row[1] for row in found}, key=lambda k: (k is None, k))
-    at = {key: k for k, key in enumerate(keys)}
-    sums = np.zeros((int(index.max()) + 1, len(keys), 1 + len(flags)))
-    for cluster, key, *numbers in found:
-        sums[cluster, at[key]] = numbers
-    parts = [part_of(cut, key, system) for key in keys]
-    return keys, [name for name, _ in parts], [query for _, query in parts], sums
+        edges = np.array(cut.edges, np.float32).astype(np.float64)
+        numbers = column.cast("float64").fill_null(np.nan).to_numpy(zero_copy_only=False)
+        bins = np.where(np.isnan(numbers), -1, np.searchsorted(edges, numbers, side="right"))
+        keys, place = np.unique(bins, return_inverse=True)
+        return keys.tolist(), place
+    coded = column.cast("string").combine_chunks().dictionary_encode()
+    values = coded.dictionary.to_pylist()
+    order = sorted(range(len(values)), key=values.__getitem__)
+    rank = np.empty(len(values) + 1, np.int64)
+    rank[[*order, -1]] = np.arange(len(values) + 1)
+    place = rank[coded.indices.fill_null(len(values)).to_numpy(zero_copy_only=False)]
+    return [*(values[k] for k in order), *([None] if column.null_count else [])], place
 
 
 def part_of(cut: Dimension, key: Any, system: str) -> tuple[str, str]:

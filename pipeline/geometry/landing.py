@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -67,6 +68,25 @@ class Views:
         """Height and width, pixels."""
         return self.depth.shape[1], self.depth.shape[2]
 
+    @cached_property
+    def _lifted(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What is the same for every camera, unit and pose: (P, N) depths of the points, the (N, B) block of each, and
+        (P, B) float64 how many have a depth."""
+        height, width = self.size
+        block = (self.v * BLOCKS // height) * BLOCKS + self.u * BLOCKS // width
+        one_hot = np.eye(BLOCKS * BLOCKS, dtype=np.float32)[block]
+        per_view = (self.z > 0).astype(np.float32) @ one_hot
+        first = self.pairs[:, 0]
+        return self.z[first], one_hot, per_view[first]
+
+    @cached_property
+    def _own_detail(self) -> tuple[np.ndarray, np.ndarray]:
+        """(P, N) detail at the points, and how much it counts, 0 to 1."""
+        assert self.detail is not None
+        own = self.detail[:, self.v, self.u]
+        first = self.pairs[:, 0]
+        return own[first], (np.abs(own) / (np.abs(own) + TEXTURED))[first]
+
     def of_pairs(self, pairs: np.ndarray) -> Views:
         """The same views, with other pairs."""
         return replace(self, pairs=pairs)
@@ -120,7 +140,7 @@ def land(
     # Depths stay as read, so that the scale acts on the way between the views alone.
     t = (np.einsum("pij,pj->pi", R_b, poses[a, :3, 3] - poses[b, :3, 3]) / scale).astype(np.float32)
     K = K.astype(np.float32)
-    z = views.z[a]
+    z, one_hot, lifted = views._lifted
     x = (views.u[None] - K[a, 0, 2, None]) / K[a, 0, 0, None] * z
     y = (views.v[None] - K[a, 1, 2, None]) / K[a, 1, 1, None] * z
     moved = [R[:, k, 0, None] * x + R[:, k, 1, None] * y + R[:, k, 2, None] * z + t[:, k, None] for k in range(3)]
@@ -136,9 +156,6 @@ def land(
     off = (moved[2] - other) / np.where(met, tolerance * other, 1.0)
     near = np.where(met, 1 / (1 + off * off), 0.0)
     if colour and views.detail is not None:
-        own, there = views.detail[:, views.v, views.u][a], views.detail[b[:, None], row, column]
-        textured = np.abs(own) / (np.abs(own) + TEXTURED)
+        (own, textured), there = views._own_detail, views.detail[b[:, None], row, column]
         near *= 1 - textured + textured / (1 + ((own - there) / ALIKE) ** 2)
-    block = (views.v * BLOCKS // height) * BLOCKS + views.u * BLOCKS // width
-    one_hot = np.eye(BLOCKS * BLOCKS, dtype=np.float32)[block]
-    return Landing(*(part.astype(np.float32) @ one_hot for part in (near, met, z > 0)))
+    return Landing(near.astype(np.float32) @ one_hot, met.astype(np.float32) @ one_hot, lifted)

@@ -2,10 +2,36 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import warnings
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from functools import lru_cache
+from importlib import metadata
+from importlib.metadata import EntryPoints, PackageNotFoundError, version
 from typing import Any
+
+
+def entry_points(group: str) -> EntryPoints:
+    """The entry points of a group, as `importlib.metadata` finds them.
+
+    That reads a file of every installed package, which takes longer than to open a small dataset. It is done once,
+    and again where a folder of the search path has changed: whatever is installed or removed changes its folder.
+    """
+    return _entry_points(group, tuple((folder, _last_change(folder)) for folder in sys.path))
+
+
+@lru_cache(maxsize=16)
+def _entry_points(group: str, _folders: tuple[tuple[str, int], ...]) -> EntryPoints:
+    return metadata.entry_points(group=group)
+
+
+def _last_change(folder: str) -> int:
+    """When anything was put into a folder, or taken out of it, nanoseconds; -1 where there is none."""
+    try:
+        return os.stat(folder or ".").st_mtime_ns
+    except OSError:
+        return -1
 
 
 def load_plugins(group: str, what: str, kind: Any) -> tuple[tuple[str, Any], ...]:

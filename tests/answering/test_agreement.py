@@ -69,7 +69,7 @@ def by_trial(overlap: np.ndarray, same: np.ndarray, min_iou: float) -> tuple[int
     ),
     st.sampled_from([0.1, 0.3, 0.5, 0.75]),
 )
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_the_matching_is_the_best_of_all(found: tuple[np.ndarray, np.ndarray], min_iou: float) -> None:
     overlap, same = found
     pairs = matched(overlap, same, min_iou)
@@ -92,7 +92,7 @@ COUNTS = ("both", "otherwise", "only_a", "only_b", "beyond_a", "beyond_b", "a", 
 
 
 @given(layers(), layers(), st.randoms(use_true_random=False))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_neither_order_nor_side_matters(a: Layer, b: Layer, random: Any) -> None:
     there, back = figures([agree(a, b)]), figures([turned(agree(b, a))])
     order = list(range(len(a)))
@@ -109,7 +109,7 @@ def test_neither_order_nor_side_matters(a: Layer, b: Layer, random: Any) -> None
 
 
 @given(layers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_a_detector_agrees_with_itself(a: Layer) -> None:
     solid = [i for i in range(len(a)) if iou_2d(a.boxes[i], a.boxes[i])[0, 0] == 1]
     a = Layer(a.boxes[solid], a.scores[solid], tuple(a.labels[i] for i in solid), (None,) * len(solid))

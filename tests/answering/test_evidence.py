@@ -115,7 +115,7 @@ def test_nothing_that_is_all_of_it_does_not_hold(row: Frame) -> None:
     assert not best.holds
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.floats(-5, 5), st.floats(0, 1)), min_size=1, max_size=6), st.integers(1, 4))
 def test_the_kth_of_uncertain_things_is_counted_right(things: list[tuple[float, float]], rank: int) -> None:
     keys = np.array([k for k, _ in things]) + 1e-6 * np.arange(len(things))

@@ -86,7 +86,7 @@ def painted(answers: Any, config: RankConfig) -> tuple[int, int]:
 
 
 @given(SEEDS, CONFIGS)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_the_pair_that_is_shown_recorded_judged_and_painted_is_one(seed: int, config: RankConfig) -> None:
     evidence, case = world(seed, config)
     answers = evidence.answers
@@ -125,7 +125,7 @@ def test_the_pair_that_is_shown_recorded_judged_and_painted_is_one(seed: int, co
 
 
 @given(SEEDS, CONFIGS)
-@settings(max_examples=75, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_a_margin_has_the_sign_of_who_comes_first(seed: int, config: RankConfig) -> None:
     evidence, case = world(seed, config)
     found = substitute(evidence, case)

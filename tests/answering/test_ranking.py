@@ -109,7 +109,7 @@ CONFIGS = st.sampled_from([RankConfig(), RankConfig(0.25, 0.5, 2.0)])
 
 
 @given(SEEDS, CONFIGS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_max_product_is_the_best_of_all_assignments(seed: int, config: RankConfig) -> None:
     problem, root = random_problem(seed)
     found = problem.rank(root, config=config)
@@ -132,7 +132,7 @@ def test_max_product_is_the_best_of_all_assignments(seed: int, config: RankConfi
 
 
 @given(SEEDS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_the_posterior_is_a_distribution_that_falls_along_the_ranking(seed: int) -> None:
     problem, root = random_problem(seed)
     found = problem.rank(root)
@@ -152,7 +152,7 @@ def test_the_posterior_is_a_distribution_that_falls_along_the_ranking(seed: int)
 
 
 @given(SEEDS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_the_links_of_a_pair_are_all_its_relations(seed: int) -> None:
     problem, root = random_problem(seed)
     relations = sum(len(n.attachments) for n in root.walk())

@@ -79,8 +79,13 @@ class SentenceOutcome:
     given: Diagnosis
 
 
-def sentences(source: Pipeline, context: PreparedFrame, truth: FrameCases, every: int) -> Iterator[AskedSentence]:
-    """Each so-manieth sentence with an attribute that tells things of one class apart, where it is answered rightly."""
+def sentences(
+    source: Pipeline, context: PreparedFrame, truth: FrameCases, every: int, every_bare: int = 1
+) -> Iterator[AskedSentence]:
+    """Each so-manieth sentence with an attribute that tells things of one class apart, where it is answered rightly.
+
+    `every_bare` is for those without a relation, of which there are few.
+    """
     classes = sorted(set(truth.labels))
     several = [c for c in classes if truth.labels.count(c) > 1]
     ends = [c for c in classes if truth.labels.count(c) == 1]
@@ -89,7 +94,7 @@ def sentences(source: Pipeline, context: PreparedFrame, truth: FrameCases, every
             phrases = [f"the {word} {name}"]
             phrases += [f"the {word} {name} {PHRASE[r]} the {end}" for r in RELATIONS for end in ends]
             for text in phrases:
-                if share(truth.frame, text) * (1 if text == phrases[0] else every) >= 1:
+                if share(truth.frame, text) * (every_bare if text == phrases[0] else every) >= 1:
                     continue
                 try:
                     trace = source.ask(context, text)
@@ -157,6 +162,7 @@ def planted_sentence_failures(
     kinds: dict[str, tuple[str, ...]] | None = None,
     frames: slice = slice(None),
     every: int = 20,
+    every_bare: int = 1,
     seed: int = 0,
 ) -> Iterator[SentenceOutcome]:
     """Plant every fault (of KINDS) in the sentences of some frames, and give those that cause a failure."""
@@ -165,7 +171,7 @@ def planted_sentence_failures(
         context = prepare_frame(clean.dataset, clean.dataset.load(frame_id), clean.config.lift)
         truth = annotated_truth(context, clean)
         assert truth is not None
-        for asked in sentences(clean, context, truth, every):
+        for asked in sentences(clean, context, truth, every, every_bare):
             for module, ways in (KINDS if kinds is None else kinds).items():
                 for kind in ways:
                     found = broken(module, kind, clean, context, truth, asked, seed)

@@ -52,7 +52,7 @@ def distance_to(line: np.ndarray) -> np.ndarray:
     return found
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(line=near_points, radius=st.floats(0, 15))
 def test_a_stroke_is_what_lies_within_its_radius(line: np.ndarray, radius: float) -> None:
     mask, far = stroke_mask(line, radius, HEIGHT, WIDTH), distance_to(line)
@@ -61,7 +61,7 @@ def test_a_stroke_is_what_lies_within_its_radius(line: np.ndarray, radius: float
     assert not mask[far > radius + 1e-6].any()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(line=near_points, radius=st.floats(0, 12), seed=st.integers(0, 2**16))
 def test_what_a_stroke_paints_the_same_stroke_erases(line: np.ndarray, radius: float, seed: int) -> None:
     mask = np.random.default_rng(seed).random((HEIGHT, WIDTH)) < 0.4
@@ -75,7 +75,7 @@ def test_what_a_stroke_paints_the_same_stroke_erases(line: np.ndarray, radius: f
     np.testing.assert_array_equal(painted[~covered], mask[~covered])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(corners=st.lists(st.tuples(st.floats(-30, WIDTH + 30), st.floats(-30, HEIGHT + 30)), min_size=3, max_size=9))
 def test_a_polygon_is_filled_as_point_in_polygon_has_it(corners: list[tuple[float, float]]) -> None:
     points = np.array(corners)
@@ -93,7 +93,7 @@ def test_a_polygon_is_filled_as_point_in_polygon_has_it(corners: list[tuple[floa
     np.testing.assert_array_equal(mask[off_edge], inside[off_edge])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     x=st.floats(25, 55), y=st.floats(20, 40), radii=st.lists(st.floats(5, 18), min_size=5, max_size=12),
     turn=st.floats(0, 6),
@@ -138,7 +138,7 @@ def steps(seed: int) -> np.ndarray:
     return depth
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**16), x=st.floats(0, WIDTH - 0.01), y=st.floats(0, HEIGHT - 0.01),
     tolerance=st.sampled_from([0.001, 0.005, 0.01, 0.03, 0.05]),
@@ -219,7 +219,7 @@ def check_parts(mask: np.ndarray, parts: tuple[np.ndarray, ...]) -> None:
     assert sizes[0] == max(sizes)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     line=st.lists(st.tuples(st.floats(0, WIDTH), st.floats(0, HEIGHT)), min_size=2, max_size=12).map(np.array),
     seed=st.integers(0, 2**16),
@@ -235,7 +235,7 @@ def test_cut_parts_share_no_pixel_and_leave_none_out(line: np.ndarray, seed: int
         check_parts(mask, parts)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(angle=st.floats(0, 2 * np.pi), offset=st.floats(-12, 12), wobble=st.floats(0, 1.5))
 def test_a_straight_cut_has_each_half_on_its_side(angle: float, offset: float, wobble: float) -> None:
     """A short line in the middle of a disc cuts all of it: its ends go on."""

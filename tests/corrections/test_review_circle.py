@@ -37,21 +37,21 @@ CONFIG = RetrainConfig(TrainConfig(epochs=4, batch=64, seed=2), bootstrap=Bootst
 
 
 @pytest.fixture(scope="module")
-def held_out(demo_labels: Labels) -> set[str]:
+def held_out(label_sets: dict[str, Labels]) -> set[str]:
     """The frames that no network learns from."""
-    keys = [f.key for f in read_label_data(demo_labels, "rel14", DIRECTIONAL).frames]
+    keys = [f.key for f in read_label_data(label_sets["demo"], "rel14", DIRECTIONAL).frames]
     plan = split_frames(keys, "scene", CONFIG.train.seed)
     return {keys[k].frame for k in plan.indices(TEST)}
 
 
 @pytest.fixture(scope="module")
-def planted(demo_labels: Labels, held_out: set[str], tmp_path_factory: pytest.TempPathFactory) -> Labels:
+def planted(label_sets: dict[str, Labels], held_out: set[str], tmp_path_factory: pytest.TempPathFactory) -> Labels:
     """The demo's labels with "in front of" and "behind" the wrong way round, but for the frames held out."""
-    relations = demo_labels.relations
+    relations = label_sets["demo"].relations
     wrong = ~np.isin(relations.column("frame").to_numpy(zero_copy_only=False), list(held_out))
     front, behind = (relations.column(name).to_numpy() for name in ("front", "behind"))
     columns = {"front": np.where(wrong, behind, front), "behind": np.where(wrong, front, behind)}
-    labels = with_relations(demo_labels, tmp_path_factory.mktemp("planted") / "labels", columns)
+    labels = with_relations(label_sets["demo"], tmp_path_factory.mktemp("planted") / "labels", columns)
     # Nothing here is about sentences with other relations, and answering all of them would take longest.
     asked = labels.expressions.filter(pc.field("relation").isin(["front", "behind"]))
     write_table(asked, labels.root / "expressions.parquet")

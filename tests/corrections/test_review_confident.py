@@ -64,7 +64,7 @@ def test_probabilities_are_frequencies_and_find_the_errors() -> None:
     assert is_wrong[worst].mean() >= is_wrong[best].mean() - 0.01
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=80))
 def test_a_less_probable_label_is_never_less_probably_wrong(cells: list[tuple[float, bool]]) -> None:
     p, says = np.array([c[0] for c in cells]), np.array([c[1] for c in cells])

@@ -19,7 +19,7 @@ def keys(scenes: list[int], positions: np.ndarray | None = None) -> list[FrameKe
     return [FrameKey(f"{name}/{k}", name, k, at[k]) for k, name in enumerate(names)]  # pyright: ignore[reportArgumentType]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(1, 7), min_size=3, max_size=12), st.integers(2, 8), st.integers(0, 5))
 def test_scenes_are_held_out_whole(scenes: list[int], count: int, seed: int) -> None:
     frames = keys(scenes)
@@ -36,7 +36,7 @@ def test_scenes_are_held_out_whole(scenes: list[int], count: int, seed: int) -> 
     np.testing.assert_array_equal(folds.held, again.held)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(2, 60), st.integers(2, 6), st.integers(0, 99), st.floats(0.5, 20))
 def test_blocks_of_one_scene_are_apart(count: int, folds: int, seed: int, room: float) -> None:
     positions = np.random.default_rng(seed).uniform(0, room, (count, 3)) * (1, 0.2, 0.05)

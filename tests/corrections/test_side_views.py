@@ -59,7 +59,7 @@ def test_the_axes_are_the_boxs_own(made: tuple[Box3D, np.ndarray]) -> None:
     assert {k for pair in VIEWS.values() for k in pair} == {0, 1, 2}
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(boxes(), st.integers(0, 2), st.sampled_from([-1, 1]), st.floats(-4, 4))
 def test_a_face_goes_where_it_is_drawn_and_the_others_stay(
     made: tuple[Box3D, np.ndarray], axis: int, side: int, by: float
@@ -78,7 +78,7 @@ def test_a_face_goes_where_it_is_drawn_and_the_others_stay(
             assert new_lo == pytest.approx(min(lo - by, hi - SMALLEST_SIDE))
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(boxes(), st.integers(0, 2), angles, st.floats(-2, 2))
 def test_a_box_that_is_moved_and_turned_keeps_its_size_and_comes_back(
     made: tuple[Box3D, np.ndarray], axis: int, angle: float, by: float

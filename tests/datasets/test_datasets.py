@@ -151,7 +151,7 @@ def test_settings_are_kept_and_read_back(tmp_path: Path) -> None:
     refused(lambda: write_settings(tmp_path / "absent", None, 1000), "cannot be written")
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     numbers=st.tuples(*[st.floats(1e-6, 1e6)] * 5),
 )
@@ -181,7 +181,7 @@ def test_malformed_settings_are_told(tmp_path: Path, content: str, words: list[s
     refused(lambda: open_dataset(tmp_path, **FOLDER), *words)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), decimals=st.integers(3, 8))
 def test_a_rounded_rotation_becomes_a_rotation_again(seed: int, decimals: int) -> None:
     R = random_rotation(np.random.default_rng(seed))

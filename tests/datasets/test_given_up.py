@@ -251,7 +251,7 @@ def test_up_is_kept_beside_the_data(tmp_path: Path) -> None:
     assert (tmp_path / "spatialviz.toml").read_text().count("[generator]\nseed = 3") == 1
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     vector=st.tuples(*[st.floats(-1e6, 1e6)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-6),
     frame=st.sampled_from([None, "world", "camera"]),

@@ -239,7 +239,7 @@ def test_lists_of_different_length_are_refused(tmp_path: Path) -> None:
 # The fit of the pose
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["literal", "proper", "opengl", "inverse", "metres"]))
 def test_any_scene_of_blobs_gives_the_true_pose(seed: int, how: Written) -> None:
     """Twelve objects anywhere in the scene: no convention but the true one puts all of them onto themselves."""

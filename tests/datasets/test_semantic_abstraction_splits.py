@@ -181,7 +181,7 @@ def test_a_pickle_that_is_no_table_of_lists_is_refused(tmp_path: Path, data: byt
     refused(lambda: read_split(tmp_path / "ssc_split.pkl"), "ssc_split.pkl")
 
 
-@settings(max_examples=75, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.binary(max_size=60))
 def test_any_bytes_are_a_table_or_refused(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "any_split.pkl"

@@ -192,7 +192,7 @@ def test_tum_colour_without_depth_within_20_ms_is_a_broken_frame(
     refused(lambda: open_dataset(tmp_path), "within 20 ms", "depth.txt")
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(
     a=st.lists(st.integers(0, 200), unique=True, max_size=12),
     b=st.lists(st.integers(0, 200), unique=True, max_size=12),

@@ -48,7 +48,7 @@ def subset_of(names: tuple[str, ...]) -> int:
 
 
 @given(SEEDS, WEIGHTS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 def test_without_oracles_it_is_the_ranking(seed: int, weights: RankConfig) -> None:
     evidence, case = world(seed, weights)
     answers, found = evidence.answers, substitute(evidence, case)
@@ -82,7 +82,7 @@ def test_without_oracles_it_is_the_ranking(seed: int, weights: RankConfig) -> No
 
 
 @given(SEEDS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 def test_each_oracle_replaces_one_thing(seed: int) -> None:
     evidence, case = world(seed)
     found, truth = substitute(evidence, case), evidence.truth
@@ -117,7 +117,7 @@ def test_each_oracle_replaces_one_thing(seed: int) -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 def test_margins(seed: int) -> None:
     evidence, case = world(seed)
     found = substitute(evidence, case)
@@ -135,7 +135,7 @@ def test_margins(seed: int) -> None:
 
 
 @given(SEEDS, WEIGHTS, st.booleans(), st.sampled_from([None, *MARKS]))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_verdicts_are_exclusive_and_hold_what_they_say(
     seed: int, weights: RankConfig, parse_ok: bool, mark: str | None
 ) -> None:
@@ -201,7 +201,7 @@ def test_all_verdicts_of_ranking_occur_in_the_worlds(diagnosed: Diagnosed) -> No
 @given(SEEDS, WEIGHTS)
 @example(16646785, RankConfig(0.0, 0.0, 0.05, aggregate="marginal"))
 @example(509932391, RankConfig(0.5, 1.0, 2.0, aggregate="marginal"))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 def test_a_needed_change_and_no_smaller_one_puts_the_right_pair_first(seed: int, weights: RankConfig) -> None:
     evidence, case = world(seed, weights)
     d = diagnose(evidence, case, parse_ok=True)
@@ -278,7 +278,7 @@ def test_true_masks_tell_two_objects_apart(diagnosed: Diagnosed) -> None:
 
 
 @given(st.lists(st.integers(0, 2**16 - 1), min_size=1, max_size=60))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_shapley_adds_up(right_with: list[int]) -> None:
     found = oracle_deltas(np.array(right_with), np.arange(len(right_with)))
     total = sum(e.value for e in found.shapley.values())

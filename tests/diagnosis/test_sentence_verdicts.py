@@ -208,7 +208,7 @@ def test_a_label_of_a_run_is_judged_as_it_was(weak: Pipeline) -> None:
 
 
 @given(st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=40))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_shapley_with_attributes_adds_up(right_with: list[int]) -> None:
     found = oracle_deltas(np.array(right_with), np.arange(len(right_with)), oracles=ALL_ORACLES)
     total = sum(e.value for e in found.shapley.values())

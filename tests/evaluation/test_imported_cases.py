@@ -39,11 +39,19 @@ def labels() -> Labels:
 def asked(labels: Labels) -> list[tuple[Line, Line]]:
     """Lines of a few frames as the pipeline gives them with one module broken, and those of a version without."""
     dataset = open_pipeline("demo", srm="rule").dataset
-    broken, whole = (list(lines(CENTRES, dataset, labels, 4, every=10, share=s)) for s in (0.7, 0.0))
+    broken, whole = (list(_of_frames(lines(CENTRES, dataset, labels, 4, every=10, share=s))) for s in (0.7, 0.0))
     clean = {(x.line.frame, x.line.text): x for x in whole}
-    both = [(x, clean[x.line.frame, x.line.text]) for x in broken]
-    frames = list(dict.fromkeys(x.line.frame for x, _ in both))[:FRAMES]
-    return [pair for pair in both if pair[0].line.frame in frames]
+    return [(x, clean[x.line.frame, x.line.text]) for x in broken]
+
+
+def _of_frames(found: Iterator[Line]) -> Iterator[Line]:
+    """Those of the first frames; what comes after them is not asked for."""
+    frames: set[str] = set()
+    for line in found:
+        frames.add(line.line.frame)
+        if len(frames) > FRAMES:
+            return
+        yield line
 
 
 def written(path: Path, found: list[Prediction]) -> Path:

@@ -181,19 +181,20 @@ def test_points_in_another_unit_are_refused(folder: Path, tmp_path: Path, unit: 
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_an_answer_without_its_ranking_is_shown_as_it_was_given(folder: Path, level: int) -> None:
     source = open_imported(at_level(folder, level), "demo")
-    seen = set()
-    for (frame, text), line in source.predictions.lines.items():
-        if line.unknown:
-            continue
-        (answer,) = ask_and_judge(source, frame, [text], open_run(folder / "run").labels)
-        given = None if line.answer is None else line.answer.object
-        if answer.trace is not None:
-            assert (None if answer.target is None else answer.target.id) == given
+    labels, seen = open_run(folder / "run").labels, set()
+    known = [line for line in source.predictions.lines.values() if not line.unknown]
+    for frame in dict.fromkeys(x.frame for x in known):
+        lines = [x for x in known if x.frame == frame]
+        context, texts = source.prepare(frame), [line.text for line in lines]
+        for line, answer in zip(lines, ask_and_judge(source, frame, texts, labels), strict=True):
+            if answer.trace is None:
+                continue
+            assert (answer.target and answer.target.id) == (line.answer and line.answer.object)
             assert "less" in answer.sentence
             assert "product" not in answer.sentence
             with pytest.raises(InputError, match="do not tell what ranked it"):
-                edited_trace(source, source.prepare(frame), text, {"k": 1})
-            seen.add(text)
+                edited_trace(source, context, line.text, {"k": 1})
+            seen.add(line.text)
     assert len(seen) > 30
 
 

@@ -25,7 +25,7 @@ def test_the_verdict_names_the_planted_module(truth: str, outcomes: list) -> Non
 @pytest.fixture(scope="module")
 def outcomes() -> list:
     source = open_pipeline("demo", srm="rule")
-    return list(planted_sentence_failures(source, frames=slice(3, 4), every=40))
+    return list(planted_sentence_failures(source, frames=slice(3, 4), every=40, every_bare=2))
 
 
 def test_a_wrong_attribute_is_never_the_relations_fault(outcomes: list) -> None:

@@ -37,7 +37,7 @@ from pipeline.system.errors import InputError
 QUICK = BootstrapConfig(resamples=100)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.lists(st.integers(0, 2**16 - 1), min_size=1, max_size=40))
 def test_shapley_values_sum_to_what_all_oracles_gain(bits: list[int]) -> None:
     found = oracle_deltas(np.array(bits), np.arange(len(bits)) % 3, BootstrapConfig(resamples=5))

@@ -72,7 +72,7 @@ def terms(draw: st.DrawFn) -> tuple[str, Any]:
     return ("-" + text, lambda row: not holds(row)) if negated else (text, holds)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, len(TABLES) - 1), st.lists(terms(), max_size=4))
 def test_a_search_finds_what_a_plain_filter_finds(number: int, asked: list[tuple[str, Any]]) -> None:
     rows = TABLES[number].to_pylist()
@@ -80,7 +80,7 @@ def test_a_search_finds_what_a_plain_filter_finds(number: int, asked: list[tuple
     assert find_rows(TABLES[number], " ".join(text for text, _ in asked)).tolist() == expected
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.text(max_size=30))
 def test_a_quoted_value_means_itself_whatever_it_holds(name: str) -> None:
     (term,) = read_terms(f"class={quote(name)}")
@@ -91,7 +91,7 @@ def test_a_quoted_value_means_itself_whatever_it_holds(name: str) -> None:
     assert find_rows(table, f"class={quote(name)}").tolist() == expected
 
 
-@settings(max_examples=75, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.text(alphabet="abverdict:<>=!-,\"\\'; *%_()0.1\n", max_size=25))
 def test_anything_that_is_typed_is_found_or_refused_in_one_line(text: str) -> None:
     refused = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import shutil
 from collections.abc import Callable
@@ -81,15 +80,15 @@ def read_rows(root: Path) -> Tables:
 def damage(root: Path, change: Callable[[Tables], Any]) -> Any:
     """Let `change` edit the rows, and write the tables that it changed; what `change` returned."""
     tables = read_rows(root)
-    before = copy.deepcopy(tables)
+    # Compared as text: NaN is not equal to itself.
+    before = {name: repr(rows) for name, rows in tables.items()}
     told = change(tables)
     for name in TABLES:
-        # Compared as text: NaN is not equal to itself.
-        if repr(tables[name]) != repr(before[name]):
+        if repr(tables[name]) != before[name]:
             # As libraries write that do not keep whether a column may be null.
             fields = [field.with_nullable(True) for field in arrow_schema(name)]
             schema = pa.schema(fields, metadata=arrow_schema(name).metadata)
             pq.write_table(pa.Table.from_pylist(tables[name], schema=schema), root / f"{name}.parquet")
-    if tables["manifest"] != before["manifest"]:
+    if repr(tables["manifest"]) != before["manifest"]:
         (root / MANIFEST_FILE).write_text(json.dumps(tables["manifest"][0]))
     return told

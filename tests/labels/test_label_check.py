@@ -35,6 +35,8 @@ CONFIGS = {
     "published-directions": LabelConfig(vocabulary="avd", profile="semantic-abstraction-published"),
 }
 ALL_DAMAGES = [*DAMAGES, *PAIR_DAMAGES]
+FIRST = {rule: change for rule, _, change in reversed(ALL_DAMAGES)}
+"""Of each rule the first damage that it finds."""
 
 
 @pytest.fixture(scope="module")
@@ -98,8 +100,9 @@ def test_a_damage_is_found_where_it_is(
     assert new == {(frame, objects, severity) for frame, objects in expected}
     if rule == "profile/changed":
         assert not [f for f in findings if f.rule == "relation/geometry"]
-    # Asked for alone, the rule says the same.
-    assert {(f.frame, f.objects, f.severity) for f in check(root, rules=[rule])} == found
+    # Asked for alone, the rule says the same: of one damage for each rule.
+    if change is FIRST[rule]:
+        assert {(f.frame, f.objects, f.severity) for f in check(root, rules=[rule])} == found
 
 
 def test_every_rule_has_a_damage() -> None:

@@ -32,7 +32,7 @@ from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.relations import T
 
 
-@settings(max_examples=75, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 40), st.integers(1, 40), st.floats(0, 1))
 def test_runs_of_any_mask(seed: int, height: int, width: int, share: float) -> None:
     mask = np.random.default_rng(seed).random((height, width)) < share
@@ -53,7 +53,7 @@ def test_runs_of_large_blocks() -> None:
     assert isinstance(read_mask(encode_run_length(mask), 480, 641), str)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(st.text(st.characters(min_codepoint=0, max_codepoint=300), max_size=40))
 def test_a_code_is_read_as_pycocotools_reads_it_or_refused(code: str) -> None:
     """Whatever is accepted decodes, without a byte written beyond the mask, to the area that was said."""
@@ -67,7 +67,7 @@ def test_a_code_is_read_as_pycocotools_reads_it_or_refused(code: str) -> None:
 VALUES = [None, -2, -1, 0, 1, 2, 0.5, 1.5, "x", "plane", [0.0] * 3, [0.0] * 9, [1.0, None, 2.0], [1, 2], [], True]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.data())
 def test_constraints_agree_with_the_models(data: st.DataObject) -> None:
     """A cell is refused where, and only where, pydantic refuses it, for every column that can hold the value at all."""
@@ -118,7 +118,7 @@ def test_a_good_row_breaks_nothing(table: str) -> None:
     assert violations(rows, table) == []
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from(list(PROFILES)))
 def test_directions_never_lead_back(seed: int, name: str) -> None:
     """T of a direction orders centres along its axis: no cycle, however objects lie; so a cycle is always an error."""
@@ -134,7 +134,7 @@ def test_directions_never_lead_back(seed: int, name: str) -> None:
             assert not (np.tril(holds) if relation in ("left", "below", "front") else np.triu(holds)).any()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.integers(3, 9))
 def test_a_shortest_cycle_is_a_cycle_and_none_is_shorter(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
@@ -182,7 +182,7 @@ def rows_of_lengths(label: str, lengths: np.ndarray) -> Rows:
     return Rows(columns, (), n)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10**6), st.integers(9, 60))
 def test_the_survey_knows_the_median_to_a_step(seed: int, n: int) -> None:
     lengths = np.exp(np.random.default_rng(seed).normal(-1, 0.4, n))
@@ -229,7 +229,7 @@ def test_what_is_worded_for_several_never_says_the(several: tuple[bool, bool]) -
         assert not any(x and y for x, y in zip(said, several, strict=True)), text
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.integers(0, 10**7), st.sampled_from(["scene", "class", "label"]))
 def test_only_one_thing_is_singular(count: int, what: str) -> None:
     number, noun = counted(count, what).split()

@@ -21,7 +21,7 @@ def random_extents(seed: int, n: int = 7) -> tuple[np.ndarray, np.ndarray]:
     return center - half, center + half
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from(NAMES))
 def test_the_margin_has_the_sign_of_the_state(seed: int, name: str) -> None:
     lo, hi = random_extents(seed)
@@ -46,7 +46,7 @@ def test_geometry_decides_nothing_of_what_the_dataset_gives() -> None:
     np.testing.assert_array_equal(judged.distance, measured.distance)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10**6), st.integers(0, 10**6))
 def test_a_shift_smaller_than_the_margin_leaves_a_direction_as_it_is(seed: int, shift: int) -> None:
     """Moving one object by less than half the margin cannot turn left into not-left.

@@ -31,7 +31,7 @@ configs = st.builds(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 600), configs)
 def test_the_choice_does_not_depend_on_the_order(seed: int, n: int, config: SelectConfig) -> None:
     rows = candidates(seed, n)
@@ -41,7 +41,7 @@ def test_the_choice_does_not_depend_on_the_order(seed: int, n: int, config: Sele
     np.testing.assert_array_equal(select(*rows, config)[order], shuffled)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 600), configs)
 def test_limits_hold(seed: int, n: int, config: SelectConfig) -> None:
     ids, frame, relation, target, reference = candidates(seed, n)

@@ -128,7 +128,7 @@ def trees(draw: st.DrawFn) -> Node:
     return replace(draw(nouns()), attachments=() if alone else attachments, choices=choices)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(trees(), st.sets(st.integers(0, 2)), st.integers(0, 2**64 - 1))
 def test_a_tree_in_words_is_read_as_that_tree(tree: Node, several: set[int], key: int) -> None:
     names = ("mug", "coffee table", "book", "armchair", "potted plant", "scissors")

@@ -103,9 +103,9 @@ def check_all(names: list[str], keys: range) -> None:
 # ---- read back ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("names", [["mug", "laptop"], BRIEF], ids=["plain", "brief"])
-def test_every_sentence_of_ordinary_names_is_read_back(names: list[str]) -> None:
-    check_all(names, range(80))
+@pytest.mark.parametrize(("names", "keys"), [(["mug", "laptop"], 80), (BRIEF, 24)], ids=["plain", "brief"])
+def test_every_sentence_of_ordinary_names_is_read_back(names: list[str], keys: int) -> None:
+    check_all(names, range(keys))
 
 
 @pytest.mark.parametrize("kind", ["coco", "avd", "semantic-abstraction"])
@@ -143,7 +143,7 @@ def sentences(target: str, relation: str, reference: str, key: int, style: str, 
     st.data(), st.sampled_from(sorted(SETS)), st.sampled_from(PAIRWISE), st.integers(0, 2**64 - 1),
     st.sampled_from(STYLES), st.booleans(),
 )  # fmt: skip
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_any_names_any_relation_any_key_is_read_back(
     data: st.DataObject, kind: str, relation: str, key: int, style: str, told: bool
 ) -> None:
@@ -185,7 +185,7 @@ NAMES = st.one_of(
 @example("box (left)", "couch's left", [], "left", 0)
 @example("000:000", "000%000", [], "left", 0)
 @example("mug left", "laptop", ["mug"], "left", 0)
-@settings(max_examples=125, deadline=None)
+@settings(max_examples=62, deadline=None)
 def test_any_text_as_a_name_is_read_back_or_refused(
     target: str, reference: str, others: list[str], relation: str, key: int
 ) -> None:
@@ -330,7 +330,7 @@ def test_a_thing_beside_its_like_is_beside_another() -> None:
     st.sampled_from([*COCO, *AVD, *BRIEF]), st.sampled_from([*COCO, *AVD, *BRIEF]), st.sampled_from(PAIRWISE),
     st.integers(0, 2**64 - 1), st.sampled_from(("varied", "plain")), st.tuples(st.booleans(), st.booleans()),
 )  # fmt: skip
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 def test_the_is_said_only_of_what_is_alone(
     target: str, reference: str, relation: str, key: int, style: str, several: tuple[bool, bool]
 ) -> None:

@@ -168,7 +168,7 @@ MORE = ["of", "on", "the", "and", "is", "not", "left", "corner", "side", "second
 
 
 @given(st.lists(st.sampled_from(CONTENT + GRAMMAR + MORE), min_size=1, max_size=18))
-@settings(max_examples=200)
+@settings(max_examples=100)
 def test_no_word_is_dropped_in_silence(words: list[str]) -> None:
     text = " ".join(words)
     try:

@@ -240,7 +240,7 @@ def test_no_names_and_one_string(vec: Path) -> None:
         open_vectors(vec).phrases("mug")
 
 
-@settings(max_examples=50)
+@settings(max_examples=30)
 @given(st.lists(st.text(max_size=20), max_size=5))
 def test_any_names_are_found_or_reported(names: list[str]) -> None:
     vectors = TextVectors(VectorTable("t", "word", WORDS, np.stack(list(VECTORS.values()))))

@@ -69,7 +69,7 @@ def test_a_model_cut_anywhere_is_refused(tmp_path: Path) -> None:
             FastTextBinary.open(written(tmp_path / "model.bin", content[:size]))
 
 
-@settings(max_examples=100)
+@settings(max_examples=50)
 @given(st.integers(0, 170), st.integers(0, 255))
 def test_a_model_with_a_wrong_byte_is_refused_or_read(
     tmp_path_factory: pytest.TempPathFactory, at: int, b: int

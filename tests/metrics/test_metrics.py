@@ -118,7 +118,7 @@ def test_tuned_thresholds_at_the_ends() -> None:
     np.testing.assert_array_equal(near > cut, [[False], [True]])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(seed=SEEDS)
 def test_order_of_pairs_and_masked_cells_do_not_matter(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -344,7 +344,7 @@ def test_mcnemar_by_hand() -> None:
     assert mcnemar(second, first).p_value == found.p_value
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(b=st.integers(0, 400), c=st.integers(0, 400))
 def test_mcnemar_is_the_binomial_test(b: int, c: int) -> None:
     found = mcnemar([True] * b + [False] * c, [False] * b + [True] * c)

@@ -42,7 +42,7 @@ def test_seeds_part_scenes_differently_and_in_proportion() -> None:
     assert (parts[0] != parts[1]).any()
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(10, 120), st.floats(0.5, 40))
 def test_blocks_of_cameras_are_apart(seed: int, n: int, extent: float) -> None:
     rng = np.random.default_rng(seed)

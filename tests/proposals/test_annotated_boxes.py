@@ -95,7 +95,7 @@ def test_a_detectors_2d_box_is_never_cut_by_an_annotated_3d_box() -> None:
     assert found.mask.sum() == 80 * 80
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     rotation=st.tuples(*[st.floats(-3, 3)] * 3),
     center=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(1, 3)),

@@ -50,7 +50,7 @@ def detectron2_paste(masks: np.ndarray, boxes: np.ndarray, height: int, width: i
     return (found[:, 0] >= 0.5).numpy()
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     height=st.integers(5, 60),

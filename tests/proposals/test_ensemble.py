@@ -66,7 +66,7 @@ def many_boxes(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @given(many_boxes(), st.integers(1, 4), st.randoms(use_true_random=False))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_fused_boxes_lie_in_the_hull_of_their_members(found: Any, detectors: int, random: Any) -> None:
     boxes, scores, classes = found
     could = np.full(3, detectors)

@@ -37,7 +37,7 @@ def uncompressed(mask: np.ndarray) -> dict[str, Any]:
 
 
 @given(SEEDS)
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_both_run_length_codings_decode_to_the_mask(seed: int) -> None:
     rng = np.random.default_rng(seed)
     mask = cv2.resize(rng.random((6, 7)), (40, 30)) > rng.uniform(0, 1)

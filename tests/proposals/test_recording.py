@@ -31,7 +31,7 @@ OTHER = replace(SHELF, id="scene/1")
 
 
 @given(SEEDS, st.integers(1, 40), st.integers(1, 40), st.floats(0, 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_a_mask_comes_back_from_its_code(seed: int, height: int, width: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     mask = rng.random((height, width)) < share

@@ -260,7 +260,7 @@ def test_annotations_without_masks_make_a_detector_of_boxes() -> None:
 
 
 @given(SEEDS, st.floats(0, 0.5), st.booleans())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_every_box_lies_in_the_picture(seed: int, jitter: float, masks: bool) -> None:
     rng = np.random.default_rng(seed)
     low = np.array([[-3, -3], [W - 4, H - 4], [0, 0]]) + rng.uniform(-3, 3, (3, 2))
@@ -324,7 +324,7 @@ def test_options_come_from_toml_and_json(tmp_path: Path) -> None:
 
 
 @given(SEEDS, st.integers(-4, 4), st.floats(0, 6.3), st.floats(0.5, 0.9))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_damage_does_what_it_says(seed: int, pixels: int, angle: float, share: float) -> None:
     rng = np.random.default_rng(seed)
     mask = np.zeros((60, 80), np.bool_)

@@ -42,7 +42,7 @@ def dining(shared_data: Path) -> list[Frame]:
 @pytest.fixture(scope="module")
 def kitchen(shared_data: Path) -> list[Frame]:
     dataset = open_dataset(shared_data / "real" / "7scenes-redkitchen")
-    return [dataset.load(f) for f in dataset.frame_ids[3:9]]
+    return [dataset.load(f) for f in dataset.frame_ids[3:9:2]]
 
 
 def names_in(found: Proposals) -> list[str]:
@@ -55,9 +55,7 @@ def test_the_network_finds_what_is_there(yolo: Detector, dining: list[Frame], ki
         assert found.count("chair") >= 2
         assert "dining table" in found
     for frame in kitchen:
-        assert "cup" in names_in(yolo.detect(frame, ["cup"]))
-        assert "chair" in names_in(yolo.detect(frame, ["chairs"]))
-        assert len(yolo.detect(frame, ["zebra"])) == 0
+        assert set(names_in(yolo.detect(frame, ["cup", "chairs", "zebra"]))) == {"cup", "chair"}
 
 
 def test_masks_lie_in_their_boxes_and_scores_fall(yolo: Detector, dining: list[Frame], kitchen: list[Frame]) -> None:

@@ -259,7 +259,7 @@ def test_a_mirrored_scene_swaps_left_and_right_only(seed: int) -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=50)
+@settings(max_examples=30)
 def test_moving_the_scene_aside_or_up_changes_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     # A grid of eighths is exact in binary, so that no rounding can cross a threshold.

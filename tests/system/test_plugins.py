@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -53,3 +57,36 @@ def test_a_plugin_adds_a_model_and_a_broken_one_takes_nothing_away(
         make("yolo-seg")
     with pytest.warns(UserWarning, match="no module"), pytest.raises(InputError, match=f"no {what} 'broken'.*ours"):
         make("broken")
+
+
+def test_what_is_installed_while_running_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is installed is read once, until a folder of the search path changes."""
+    read: list[str] = []
+
+    def counted(group: str) -> Any:
+        read.append(group)
+        return found(group=group)
+
+    found = metadata.entry_points
+    monkeypatch.setattr(metadata, "entry_points", counted)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def names() -> list[str]:
+        return [point.name for point in plugins.entry_points("spatialviz.tested")]
+
+    def changed(when: int) -> None:
+        """Clocks of file systems tick slowly: two changes may be of one time."""
+        os.utime(tmp_path, (when, when))
+
+    changed(1)
+    assert names() == names() == []
+    package = tmp_path / "ours-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: ours\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text("[spatialviz.tested]\nmine = somewhere:made\n")
+    changed(2)
+    assert names() == names() == ["mine"]
+    shutil.rmtree(package)
+    changed(3)
+    assert names() == []
+    assert read == ["spatialviz.tested"] * 3

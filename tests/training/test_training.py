@@ -136,6 +136,13 @@ def test_rooms_are_split_from_rooms() -> None:
         make_samples([1], views=0)
 
 
+@pytest.fixture
+def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cameras are the best of few and not of many: choosing them costs most."""
+    monkeypatch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", 4)
+
+
+@pytest.mark.usefixtures("few_candidates")
 def test_progress_counts_all_rooms() -> None:
     seen = []
     train, calibration, test = make_split(
@@ -188,6 +195,7 @@ def test_equal_seeds_give_equal_bytes(samples: tuple[FrameSamples, ...], tmp_pat
     assert not torch.are_deterministic_algorithms_enabled()
 
 
+@pytest.mark.usefixtures("few_candidates")
 def test_a_training_job_does_not_depend_on_the_threads_it_finds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -84,7 +84,7 @@ def test_roaming_cameras_are_low_and_high_steep_and_rolled(rooms: list[Room]) ->
     assert cut > len(pitches) / 2
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     kind=st.sampled_from(["box", "cylinder", "ball"]),
     seed=st.integers(0, 1000),

@@ -68,6 +68,22 @@ def pillow(size: Vec, at: Vec, material: Material) -> Part:
     return Part(v + np.array([at[0], at[1], at[2] + size[2] / 2]), faces, material)
 
 
+@lru_cache(maxsize=64)
+def _turned_faces(rows: int, sections: int) -> np.ndarray:
+    """(F, 3) triangles between each ring of `sections` points and the next of `rows` rings."""
+    row, column = np.meshgrid(np.arange(rows - 1), np.arange(sections), indexing="ij")
+    after = (column + 1) % sections
+    a, b = row * sections + column, row * sections + after
+    c, d = (row + 1) * sections + after, (row + 1) * sections + column
+    return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(..., 3): what `np.cross` gives, which takes most of its time to look at the shapes of so few numbers."""
+    (ax, ay, az), (bx, by, bz) = (np.moveaxis(v, -1, 0) if v.ndim > 1 else v for v in (a, b))
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+
+
 def lathe(profile: Sequence[tuple[float, float]], at: Vec, material: Material, sections: int = 28) -> Part:
     """A body of revolution about the z axis at `at`; `profile` lists (radius, height), metres."""
     rz = np.asarray(profile, dtype=np.float64)
@@ -76,14 +92,10 @@ def lathe(profile: Sequence[tuple[float, float]], at: Vec, material: Material, s
     points[..., 0] = rz[:, :1] * np.cos(angles)
     points[..., 1] = rz[:, :1] * np.sin(angles)
     points[..., 2] = rz[:, 1:]
-    row, column = np.meshgrid(np.arange(len(rz) - 1), np.arange(sections), indexing="ij")
-    after = (column + 1) % sections
-    a, b = row * sections + column, row * sections + after
-    c, d = (row + 1) * sections + after, (row + 1) * sections + column
-    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    faces = _turned_faces(len(rz), sections)
     flat = points.reshape(-1, 3)
-    edge = flat[faces]
-    area = np.linalg.norm(np.cross(edge[:, 1] - edge[:, 0], edge[:, 2] - edge[:, 0]), axis=1)
+    first, second, third = flat[faces.T]
+    area = np.linalg.norm(_cross(second - first, third - first), axis=1)
     return Part(flat + np.asarray(at, dtype=np.float64), faces[area > 1e-12].astype(np.int32), material)
 
 
@@ -108,9 +120,9 @@ def rod(start: Vec, end: Vec, radius: float, material: Material, end_radius: flo
     last = radius if end_radius is None else end_radius
     part = lathe([(0, 0), (radius, 0), (last, length), (0, length)], (0, 0, 0), material, sections=14)
     z = (b - a) / length
-    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
+    x = _cross(np.array([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0]), z)
     x /= np.linalg.norm(x)
-    return Part(part.vertices @ np.stack([x, np.cross(z, x), z]) + a, part.faces, material)
+    return Part(part.vertices @ np.stack([x, _cross(z, x), z]) + a, part.faces, material)
 
 
 def ball(radius: float, at: Vec, material: Material, squash: Vec = (1, 1, 1)) -> Part:

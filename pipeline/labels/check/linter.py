@@ -70,6 +70,10 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
     return (finding for finding in found if finding.rule in chosen and not _settled(finding, by_people))
 
 
+OF_ROWS = frozenset({"row", "frame", "file", "object"})
+"""Groups of rules that look at the rows of a frame one by one."""
+
+
 def _settled(finding: Finding, by_people: Corrections) -> bool:
     """Whether a finding only tells that a person set something else than the rules say."""
     if finding.frame is None or len(finding.objects) != 2:
@@ -83,7 +87,8 @@ def _settled(finding: Finding, by_people: Corrections) -> bool:
 
 def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:
     manifest = labels.manifest
-    streams = {name: TableStream(labels.root / f"{name}.parquet", name) for name in TABLES}
+    checked = bool(groups & OF_ROWS)
+    streams = {name: TableStream(labels.root / f"{name}.parquet", name, checked) for name in TABLES}
     if "file" in groups:
         yield from check_files(labels, streams)
     if "profile" in groups:
@@ -92,7 +97,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
     expected_of = EXPECTED[profile] if profile_problem(manifest) is None else None
     background = frozenset(normal_form(str(b)) for b in manifest.config.get("background", ()))
     relations = tuple(r for r in manifest.config.get("relations", ()) if r in PAIRWISE)
-    class_names, survey = _surveyed(TableStream(labels.root / "objects.parquet", "objects"))
+    class_names, survey = _surveyed(TableStream(labels.root / "objects.parquet", "objects", checked=False))
     expression_rules = ExpressionRules(lru_cache(TEXTS_KEPT)(partial(triple_of, class_names)), manifest.seed, profile)
     # What rests on a table that cannot be read, or lacks columns, would be one error a row.
     lost = {name for name, stream in streams.items() if stream.problem is not None or stream.lacking}
@@ -105,7 +110,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
     ups = UpRules()
     for index, tables in frames_of(streams):
         view = FrameView(index, tables, background, relations)
-        if groups & {"row", "frame", "file", "object"}:
+        if groups & OF_ROWS:
             yield from check_rows(view)
         if "frame" in groups:
             yield from ups.add(view)

@@ -61,6 +61,8 @@ class TableStream:
     ----------
     path : Path
     table : str
+    checked : bool
+        Whether its rows tell their violations.
 
     Attributes
     ----------
@@ -78,8 +80,8 @@ class TableStream:
         Whether it could be read at first.
     """
 
-    def __init__(self, path: Path, table: str) -> None:
-        self.table, self.path = table, path
+    def __init__(self, path: Path, table: str, checked: bool = True) -> None:
+        self.table, self.path, self._checked = table, path, checked
         self.problem: str | None = None
         self.lacking: frozenset[str] = frozenset()
         self.other_types: tuple[str, ...] = ()
@@ -137,7 +139,7 @@ class TableStream:
         if block is None:
             self._block, self._violations, self._index, self._at = {}, [], np.zeros(0, np.int64), 0
             return
-        self._violations = violations(block, self.table, self.lacking)
+        self._violations = violations(block, self.table, self.lacking) if self._checked else []
         self._block = _arrays(block, self.table)
         self._index, self._at = self._block["frame_index"], 0
 
@@ -162,11 +164,14 @@ class TableStream:
             yield whole.take(pa.array(np.argsort(whole.column("frame_index").fill_null(-1).to_numpy(), kind="stable")))
             return
         tail: pa.Table | None = None
+        left = file.metadata.num_rows
         for batch in file.iter_batches(BATCH_ROWS, columns=wanted):
+            left -= batch.num_rows
             rows = self._typed(pa.Table.from_batches([batch]))
             rows = rows if tail is None else pa.concat_tables([tail, rows])
             index = rows.column("frame_index").to_numpy()
-            cut = int(np.searchsorted(index, index[-1], "left")) if len(index) else 0
+            # The rows of the last frame may go on in the next batch; where there is none, they are whole.
+            cut = int(np.searchsorted(index, index[-1], "left")) if len(index) and left else len(index)
             if cut:
                 yield rows.slice(0, cut)
             tail = rows.slice(cut)
