@@ -330,8 +330,8 @@ SOURCES: dict[UpSource, str] = {
     "imu": "an inertial sensor measured it",
     "scene": "the posed frames of the scene agree on it",
     "plane": "it is the normal of a level plane of this frame",
-    "assumed": "nothing tells: image-up is taken",
+    "assumed": "nothing tells: image-up is taken, or across a surface that may be a wall, seen alone",
 }
 """How an up vector is known, by its source."""
-ASSUMED = "up is assumed to be image-up: left, right, above, below, in front and behind may all be wrong"
+ASSUMED = "up is assumed, as nothing tells it: left, right, above, below, in front and behind may all be wrong"
 DECLARE = "--up X,Y,Z says where up is, --level-at U,V that the surface at a pixel is level"

@@ -117,7 +117,7 @@ def _lift(trace: Trace, pair: ScoredPair | None, name: Callable[[int], str], odd
     )  # fmt: skip
     objects = [i for i in dict.fromkeys(ends) if i is not None]
     doubts = [f"{name(i)}: {concern}" for i in objects for concern in trace.objects[i].lifted.quality.concerns]
-    doubts += ["the up vector is assumed to be image-up"] if trace.viewer.up_source == "assumed" else []
+    doubts += ["the up vector is assumed"] if trace.viewer.up_source == "assumed" else []
     doubts += ["the depth is estimated"] if trace.frame.depth_source else []
     doubts += ["the depth looks odd"] if odd_depth else []
     words = "; ".join(doubts) or f"{counted(len(trace.objects), 'object')} in 3D"

@@ -17,7 +17,7 @@ from pipeline.system.errors import require
 UpSource = Literal["given", "declared", "imu", "scene", "plane", "assumed"]
 """How an up vector is known: given by the user, declared by the dataset, measured by an
 inertial sensor, agreed by the posed frames of the scene, the normal of a level plane of
-this frame, or assumed to be image-up."""
+this frame, or assumed."""
 
 IMAGE_UP = np.array([0.0, -1.0, 0.0])
 

@@ -9,7 +9,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from pipeline.geometry.camera import Camera, depth_at, lift_pixels
+from pipeline.geometry.camera import IMAGE_UP, Camera, depth_at, lift_pixels
 from pipeline.geometry.floor_or_wall import (
     PARALLEL_DEG,
     UPRIGHT,
@@ -49,6 +49,9 @@ WALLS_EXPLAIN = 0.9
 MIN_SCORE = 0.15
 MIN_LEAD = 2.0
 """The best hypothesis must be so many times as good as the best that contradicts it."""
+
+ALONE_SCORE = 0.6
+"""A plane that may be a wall is assumed to be level where it explains the frame so well."""
 
 FAR_FROM_LEVEL_DEG = 45.0
 """A surface that was called level and is so far off the frame's level planes is worth a note: a wall was meant?"""
@@ -111,6 +114,19 @@ def decided(found: Sequence[UpHypothesis]) -> UpHypothesis | None:
     best = found[0]
     others = (h.score for h in found[1:] if h.up @ best.up < np.cos(np.deg2rad(APART_DEG)))
     return best if best.score >= MIN_LEAD * max(others, default=0.0) else None
+
+
+def assumed(found: Sequence[UpHypothesis]) -> np.ndarray:
+    """(3,) float64: the up vector that is assumed where nothing is decided: image-up, or that of a plane which stands
+    alone, so steep that it may be a wall looked up at. More cameras look down on tables and floors than up at walls.
+
+    Parameters
+    ----------
+    found : sequence of UpHypothesis
+        Of a frame, the best first.
+    """
+    alone = decided([replace(h, told=True) for h in found])
+    return IMAGE_UP if alone is None or alone.score < ALONE_SCORE else alone.up
 
 
 def up_hypotheses(depth: np.ndarray, camera: Camera) -> tuple[UpHypothesis, ...]:

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from pipeline.geometry.camera import IMAGE_UP, Camera, UpSource
-from pipeline.geometry.level_plane import level_plane
+from pipeline.geometry.level_plane import assumed, decided, up_hypotheses
 
 STEEP = 0.94
 """Above this |z . up| the camera looks so steeply that its z axis no longer says where forward is."""
@@ -71,7 +71,7 @@ def viewer_axes(up: np.ndarray, up_source: UpSource = "declared") -> ViewerAxes:
 
 
 def resolve_up(depth: np.ndarray, camera: Camera, scene_up: np.ndarray | None = None) -> Camera:
-    """The camera with an up vector: its own, else its scene's, else that of a level plane, else image-up.
+    """The camera with an up vector: its own, else its scene's, else that of a level plane, else an assumed one.
 
     Parameters
     ----------
@@ -89,5 +89,6 @@ def resolve_up(depth: np.ndarray, camera: Camera, scene_up: np.ndarray | None = 
         return camera if camera.up_source else camera.with_up(camera.up, "declared")
     if scene_up is not None and camera.T_world_camera is not None:
         return camera.with_up(camera.T_world_camera[:3, :3].T @ scene_up, "scene")
-    plane = level_plane(depth, camera)
-    return camera.with_up(IMAGE_UP, "assumed") if plane is None else camera.with_up(plane, "plane")
+    found = up_hypotheses(depth, camera)
+    best = decided(found)
+    return camera.with_up(assumed(found), "assumed") if best is None else camera.with_up(best.up, "plane")

@@ -109,7 +109,7 @@ def lift_evidence(state: State, trace: Trace) -> list[Child]:
     """The objects of the chosen pair, and the one that is selected; what rests on an assumed up or estimated depth."""
     doubt = "" if state.loaded is None else state.loaded.doubt
     said = (
-        (trace.viewer.up_source == "assumed", "The up vector is assumed to be image-up."),
+        (trace.viewer.up_source == "assumed", "The up vector is assumed."),
         (trace.frame.depth_source, f"The depth is {trace.frame.depth_source}."),
         (doubt, f"{doubt[:1].upper()}{doubt[1:]}"),
     )

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from pipeline.answering.pair_rules import RunRules, line_rule
+from pipeline.answering.predictions import GivenAnswer, Header, Prediction, Proposal
 from pipeline.answering.shown_ranking import Compared, ShownRanking
+from pipeline.answering.shown_scorer import described
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.viewer import viewer_axes
 
 
 def lines(score: Callable[[np.ndarray], np.ndarray], count: int = 40, noise: float = 0.0) -> list[Compared]:
@@ -50,6 +58,15 @@ def test_a_wrong_score_in_every_line_changes_nothing() -> None:
     assert shown.sums(high) - shown.sums(low) == pytest.approx(0.48, abs=0.1)
 
 
+def test_a_reference_that_counts_before_all_else_hides_nothing_of_the_rest() -> None:
+    shown = ShownRanking.of(lines(lambda f: 100 * f[:, 1] + f[:, 0] * f[:, 2]))
+    assert shown is not None
+    low, high = np.array([[0.9, 0.5, 0.3], [0.9, 0.5, 0.4]])
+    # What is 0.1 % of all that it spans is told apart.
+    assert shown.sums(high) - shown.sums(low) == pytest.approx(0.09, abs=0.02)
+    assert shown.unit < 0.09
+
+
 def test_noise_makes_less_sure() -> None:
     clear, noisy = (ShownRanking.of(lines(weakest, noise=noise)) for noise in (0.0, 0.05))
     assert clear is not None
@@ -63,3 +80,46 @@ def test_scores_that_do_not_follow_from_their_factors_show_nothing() -> None:
     assert ShownRanking.of(lines(lambda f: -weakest(f))) is None
     assert ShownRanking.of([(f[:5], scores[:5]) for f, scores in lines(weakest, count=2)]) is None
     assert ShownRanking.of([]) is None
+
+
+@given(
+    st.lists(st.sampled_from([0.1, 0.5, 0.5 + 1e-9, 0.9]), min_size=6, max_size=6),
+    st.integers(0, 2),
+    st.sampled_from([None, 3, 4]),
+    st.sampled_from(["pair_scores", "product"]),
+)
+def test_the_pair_that_was_answered_stands_first(
+    scores: list[float], answer: int, end: int | None, ranking: Literal["pair_scores", "product"]
+) -> None:
+    pairs = [(a, b) for a in range(3) for b in (3, 4)]
+    box = (0.0, 0.0, 9.0, 9.0)
+    told = {"cup": tuple(Proposal(i, 0.5, box) for i in range(3)), "box": tuple(Proposal(i, 0.5, box) for i in (3, 4))}
+    line = Prediction(
+        "1", "cup left of box", answer=GivenAnswer(object=answer, reference=end), proposals=told,
+        relations={"left": tuple((a, b, p) for (a, b), p in zip(pairs, scores, strict=True))},
+        pairs=tuple((a, b, s) for (a, b), s in zip(pairs, scores, strict=True)) if ranking == "pair_scores" else None,
+    )  # fmt: skip
+    rule = line_rule(RunRules(None, (0.9, 0.1)), Header(1, ranking=ranking), line, None)
+    own = [p for p in pairs if p[0] == answer and end in (None, p[1])]
+    given = dict(zip(pairs, scores, strict=True)) if rule is None else rule.given
+    first = max(given, key=given.__getitem__)
+    assert first in own
+    others = [s for p, s in given.items() if p not in own]
+    assert given[first] > max(others) + 1e-9
+    if ranking == "pair_scores":
+        # Nothing but the one that was answered is moved.
+        assert all(given[p] == s for p, s in zip(pairs, scores, strict=True) if p != first)
+
+
+def test_weights_of_fewer_columns_still_say_what_they_said() -> None:
+    viewer = viewer_axes(np.array([0.0, -1.0, 0.0]))
+    boxes = [Box3D(np.array([x, 0.0, 2.0]), np.eye(3), np.array([0.2, 0.3, 0.1])) for x in (-0.5, 0.5)]
+    away = described(boxes, viewer)[0, 1]
+    # The first columns, and their order, are those of cases that were kept.
+    np.testing.assert_allclose(away[:3], [-1.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(away[3:6], [-1 / 0.25, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(away[6:8], [-0.5, 0.0], atol=1e-12)
+    np.testing.assert_allclose(away[8:14], [0.8, -0.3, -0.1, 0.8, 0.0, 0.0], atol=1e-12)
+    assert away[14] == 1.0
+    # The opposite pair lies the opposite way: of what has a sign.
+    np.testing.assert_allclose(described(boxes, viewer)[1, 0][:8], -away[:8], atol=1e-12)

@@ -11,7 +11,7 @@ from scenes import Plane, angle_deg, camera_of, cast, up_of, upright
 from test_viewer import noisy
 
 from pipeline.datasets.synthetic import camera_at, make_room, sense_view
-from pipeline.geometry.camera import Camera
+from pipeline.geometry.camera import IMAGE_UP, Camera
 from pipeline.geometry.floor_or_wall import LOOKED_UP_DEG, may_be_wall
 from pipeline.geometry.level_plane import (
     MIN_SCORE,
@@ -82,6 +82,22 @@ def test_a_wall_alone_is_no_floor(heading: float, pitch: float, roll: float) -> 
     seen = cast(CAMERA, [], [Plane((np.sin(a), 0, np.cos(a)), 1.5)], viewer_axes(up_of(pitch, roll)))
     assert level_plane(noisy(seen.depth), CAMERA) is None
     assert resolve_up(noisy(seen.depth), CAMERA).up_source == "assumed"
+
+
+@pytest.mark.parametrize("pitch", [55.0, 62.0, 70.0])
+def test_a_floor_that_may_be_a_wall_is_assumed_to_be_one(pitch: float) -> None:
+    viewer = viewer_axes(up_of(pitch, 4))
+    depth = noisy(cast(CAMERA, [], [Plane((0, 1, 0), 1.6)], viewer).depth)
+    found = resolve_up(depth, CAMERA)
+    assert found.up_source == "assumed"
+    assert found.up is not None
+    assert angle_deg(found.up, viewer.up) < 2
+
+
+def test_nothing_level_is_assumed_to_be_image_up() -> None:
+    found = resolve_up(np.zeros((120, 160), np.float32), CAMERA)
+    assert found.up_source == "assumed"
+    np.testing.assert_array_equal(found.up, IMAGE_UP)
 
 
 @pytest.mark.parametrize("ceiling", [True, False])

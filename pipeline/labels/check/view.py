@@ -299,7 +299,7 @@ RULES: dict[str, Rule] = {
     "row/duplicate-key": _error("two rows have one key"),
     "row/dangling": _error("a row names a frame or an object that does not exist"),
     "frame/camera": _error("intrinsics, pose or up vector are not those of a camera"),
-    "frame/up-assumed": _warning("nothing says where up is: image-up was taken, and every direction rests on it"),
+    "frame/up-assumed": _warning("nothing says where up is: it was assumed, and every direction rests on it"),
     "frame/up-disagrees": _warning("in the world of its scene, the up vector of a frame is not that of most others"),
     "frame/implausible-depth": _warning("its things are all too large or too small: is the depth scale another?"),
     "frame/objects": _error("the frame's number of objects is not that of its rows"),
