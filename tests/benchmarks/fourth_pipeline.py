@@ -33,6 +33,7 @@ from typing import Any, cast
 import numpy as np
 
 from pipeline.answering.opening import open_pipeline
+from pipeline.datasets.base import Dataset
 from pipeline.datasets.synthetic import render_dataset
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.job import label
@@ -279,8 +280,9 @@ class Kept:
     planted: Callable[..., Met | None]
     mets: dict[tuple[str, str], tuple[Met, Met]] = field(default_factory=dict)
 
-    def __call__(self, graph: Graph, own: OtherPipeline, fault: str, met: Met, rng: np.random.Generator) -> Met | None:
-        broken = self.planted(graph, own, fault, met, rng)
+    def __call__(self, *given: Any) -> Met | None:
+        """As `planted`, whose last arguments are the expression and the generator."""
+        met, broken = given[-2], self.planted(*given)
         if broken is not None:
             self.mets[met.frame.id, met.asked.case.text] = met, broken
         return broken
@@ -311,24 +313,34 @@ def as_told(own: OtherPipeline, met: Met) -> dict[str, Any]:
     }
 
 
-def main(root: Path, labels: Path, chosen: Sequence[str], given: argparse.Namespace, every: int, apart: int) -> None:
+@dataclass(frozen=True)
+class Study:
+    """Pipelines by name, how one is made over a dataset with what breaks it, and the kinds of faults by module."""
+
+    names: Sequence[str]
+    make: Callable[[str, Dataset, Kept], OtherPipeline]
+    planted: Callable[..., Met | None]
+    kinds: Mapping[str, Sequence[str]]
+
+
+def measured(study: Study, root: Path, labels: Path, given: argparse.Namespace, every: int, apart: int) -> None:
     opened, data = label(root, labels), open_pipeline(root, srm="rule").dataset
-    kinds = {m: [f"{m} {k}" for k in KINDS[m]] for m in FAULTS}
+    kinds = {m: [f"{m} {k}" for k in study.kinds[m]] for m in FAULTS}
     # Each module as often as any other.
     even = [fault for m in FAULTS for fault in kinds[m] for _ in range(60 // len(kinds[m]))]
     mixed = [(seed, every, PLANTED_SHARE, even) for seed in range(given.first, given.first + given.seeds)]
     alone = [(given.first + given.seeds, apart, 1.0, kinds[m]) for m in FAULTS]
-    for name in chosen:
+    for name in given.only or study.names:
         for words, files in (("mixed", mixed), ("one module", alone)):
             rows: list[Row] = []
             for file in files:
-                kept = Kept(planted)
-                own = graph_pipeline(name, data, kept)
+                kept = Kept(study.planted)
+                own = study.make(name, data, kept)
                 found, of = numbered(own, root, opened, list(lines(own, data, opened, *file)))
                 rows += found
                 if given.misses is not None:
                     _write_misses(given.misses, (root.name, name, words, file[0]), own, kept.mets, found, of)
-            told_rows(f"{name}, {root.name}, {words}", rows, KINDS)
+            told_rows(f"{name}, {root.name}, {words}", rows, study.kinds)
 
 
 def _write_misses(
@@ -347,19 +359,24 @@ def _write_misses(
             file.write(json.dumps(told) + "\n")
 
 
-if __name__ == "__main__":
+def main(study: Study, rooms_seed: int, every: int, apart: int, also: tuple[int, int]) -> None:
+    """Rates on rendered rooms and on another dataset; of expressions each so manieth, mixed and with one module."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--also", type=Path)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--first", type=int, default=0, help="the first seed of what is planted, and of rooms")
-    parser.add_argument("--every", type=int, default=6)
-    parser.add_argument("--apart", type=int, default=16)
-    parser.add_argument("--only", choices=GRAPHS, action="append")
+    parser.add_argument("--every", type=int, default=every)
+    parser.add_argument("--apart", type=int, default=apart)
+    parser.add_argument("--only", choices=study.names, action="append")
     parser.add_argument("--misses", type=Path, help="JSON lines of what was not named are appended to it")
     given = parser.parse_args()
     with TemporaryDirectory() as folder:
         rooms = Path(folder, "rooms")
-        render_dataset(rooms, rooms=8, views=3, seed=2718 + given.first, width=480, height=360)
-        main(rooms, Path(folder, "labels"), given.only or list(GRAPHS), given, given.every, given.apart)
+        render_dataset(rooms, rooms=8, views=3, seed=rooms_seed + given.first, width=480, height=360)
+        measured(study, rooms, Path(folder, "labels"), given, given.every, given.apart)
         if given.also is not None:
-            main(given.also, Path(folder, "also"), given.only or list(GRAPHS), given, 1, 2)
+            measured(study, given.also, Path(folder, "also"), given, *also)
+
+
+if __name__ == "__main__":
+    main(Study(list(GRAPHS), graph_pipeline, planted, KINDS), 2718, 6, 16, (1, 2))
