@@ -36,11 +36,12 @@ _SURE = 0.99
 
 def described(boxes: Sequence[Box3D], viewer: ViewerAxes) -> np.ndarray:
     """(N, N, K) float64: where each box lies from each other along the viewer's axes: in metres, in their own extents,
-    by how they look from the camera, in which direction, how far aside of each axis, and how far apart. What has one
-    bound saturates: far to the left is not more to the left."""
+    by how they look from the camera and how far from it, in which direction, how far aside of each axis, and how far
+    apart. What has one bound saturates: far to the left is not more to the left."""
     center = np.array([box.center for box in boxes]).reshape(-1, 3) @ viewer.matrix.T
     half = np.array([np.abs(viewer.matrix @ box.R) @ box.size / 2 for box in boxes]).reshape(-1, 3)
     seen = np.array([box.center / max(float(box.center[2]), 0.1) for box in boxes]).reshape(-1, 3)[:, :2]
+    away = np.log([max(float(np.linalg.norm(box.center)), 0.1) for box in boxes]).reshape(-1)
     apart, reach, bearing = center[:, None] - center[None], half[:, None] + half[None], seen[:, None] - seen[None]
     gap = np.abs(apart) - reach
     far = np.linalg.norm(apart, axis=2, keepdims=True)
@@ -49,7 +50,7 @@ def described(boxes: Sequence[Box3D], viewer: ViewerAxes) -> np.ndarray:
     most = np.tanh(apart / inside), np.sign(apart) * np.tanh((np.abs(apart) - aside / 2) / inside)
     return np.concatenate(
         [apart, apart / inside, bearing, gap, np.maximum(gap, 0), np.ones_like(far), apart / np.maximum(far, 1e-6), far,
-         aside, aside / inside, *most], axis=2,
+         aside, aside / inside, *most, (away[:, None] - away)[..., None]], axis=2,
     )  # fmt: skip
 
 

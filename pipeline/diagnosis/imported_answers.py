@@ -136,26 +136,32 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
     if not np.isfinite(found.table.flat[shown][:, found.covered.ravel()]).any():
         # The two things of every right pair count as one: whatever ranks, none is among the pairs.
         return replace(diagnosis, verdict="PRM", detail="DEGENERATE", repair=())
+    # A ranking that can be asked again need not rise with its factors.
+    outdone = (rule.model is None or rule.unit > 0) and _outdone(found)
     if rule.model is None:
+        if outdone:
+            return replace(diagnosis, verdict="PRM", detail="SCORE", repair=(), right_with=None)
         return replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=(), right_with=None)
     regular = np.where(
         np.isfinite(table.log_score), rule.scores(table.target, table.ends, table.p_relation, True), -np.inf
     )
     ahead = margins_of(replace(table, log_score=regular), found.covered)
     mended = any(found.mends(s) for s in shown)
-    if ahead[0] > rule.unit * LIKELY or _outdone(diagnosis, rule.unit) or (not mended and (ahead[shown] > 0).any()):
+    if ahead[0] > rule.unit * LIKELY or outdone or (not mended and (ahead[shown] > 0).any()):
         return replace(diagnosis, verdict="PRM", detail="SCORE", repair=())
     return None if mended else replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=())
 
 
-def _outdone(diagnosis: Diagnosis, unit: float) -> bool:
-    """Whether the right pair was no worse in any factor than the answer, so that no ranking that rises with them, as
-    one does that was fitted, would put it below."""
-    winner, right = diagnosis.winner, diagnosis.right
-    if winner is None or right is None or unit <= 0:
-        return False
-    factors = ("p_target", "p_reference", "p_relation")
-    return all(getattr(right, name) >= getattr(winner, name) for name in factors)
+def _outdone(found: OracleScores) -> bool:
+    """Whether a right pair was no worse in any factor than the answer, and better in one, so that no ranking that rises
+    with them would put it below."""
+    plain, ends = found.plain, found.reference.scores
+    p = plain.p_relation.reshape(found.covered.shape)
+    parts = np.broadcast_arrays(found.target.scores[:, None], ends if len(ends) else np.ones(1), p)
+    factors = np.stack(parts).reshape(3, -1)
+    allowed = found.covered.ravel() & np.isfinite(plain.flat[0])
+    more = factors[:, allowed] - factors[:, int(found.winners[0]), None]
+    return bool(((more >= 0).all(axis=0) & (more > 0).any(axis=0)).any())
 
 
 def against(found: OracleScores, diagnosis: Diagnosis, bits: Sequence[int]) -> list[int]:
