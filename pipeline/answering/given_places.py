@@ -33,6 +33,8 @@ LOOKED_AT = 24
 """Frames whose coordinates are looked at, spread evenly."""
 LEAST_PLACED = 3
 """Of fewer answers in points or boxes nothing is said of their unit."""
+A_PIXEL = 1.0
+"""Boxes that are no larger, in pixels, are in another unit."""
 FEW_MEET, MOST_MEET = 0.5, 0.7
 """Boxes are of another convention where fewer than this share meet their objects, and by another at least this."""
 
@@ -57,6 +59,7 @@ def check_places(frames: Sequence[tuple[ImportedPipeline, str]]) -> None:
     flat: dict[str, list[float]] = {order: [] for order in IN_ORDER}
     worst: tuple[str, int] | None = None
     placed: list[tuple[Prediction, bool]] = []
+    sizes: list[tuple[float, str]] = []
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(LOOKED_AT, len(frames))).astype(int))
     for source, frame_id in (frames[int(k)] for k in chosen):
         detector, frame = source.needed_detector(), source.dataset.load(frame_id)
@@ -73,6 +76,8 @@ def check_places(frames: Sequence[tuple[ImportedPipeline, str]]) -> None:
                     where = predictions.where(line, f"proposals.{name}.{k}.box")
                     assert p.box is not None
                     checked_box(p.box, header, frame.width, frame.height, where, predictions.path)
+                    found2d = box_2d(p.box, header, frame.width, frame.height)
+                    sizes.append((float((found2d[2:] - found2d[:2]).max()), where))
         plain = _Plain(predictions)
         proposals = detector.detect(context.frame, None) if detector.vocabulary else None
         for o in context.lift(proposals, plain) if proposals is not None else ():
@@ -97,6 +102,11 @@ def check_places(frames: Sequence[tuple[ImportedPipeline, str]]) -> None:
             for k, (_, other, swapped) in enumerate(conventions, 1):
                 tried = try_box(given, other, camera, swapped)
                 met[k].append(0.0 if tried is None else holds(tried, points))
+    if len(sizes) >= LEAST_PLACED and header.box_unit == "pixels" and max(sizes)[0] <= A_PIXEL:
+        raise InputError(
+            f"{sizes[0][1]}: none of {len(sizes)} boxes is larger than a pixel",
+            got='"box_unit": "pixels"', expected='"box_unit": "shares", of width and height', path=predictions.path,
+        )  # fmt: skip
     wrong = [line for line, inside in placed if not inside]
     if len(placed) >= LEAST_PLACED and len(wrong) > len(placed) / 2:
         where = predictions.where(wrong[0], "answer")

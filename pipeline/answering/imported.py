@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.answering.pair_rules import Rescore, RuledConfig, RunRules, line_rule, missing_row
+from pipeline.answering.pair_rules import Rescore, RuledConfig, RunRules, factors_of, line_rule, missing_row
 from pipeline.answering.placing import box_2d, box_3d
 from pipeline.answering.predictions import Prediction, Predictions, Proposal, read_predictions
 from pipeline.answering.shown_scorer import ShownScorer
@@ -306,7 +306,8 @@ def needed_names(line: Prediction, names: Collection[str], predictions: Predicti
 
 
 def needed_rows(line: Prediction, predictions: Predictions) -> None:
-    """InputError where a line with relations lacks the probability of a pair that it asks for: none is made up."""
+    """InputError where a line with relations lacks the probability of a pair that it asks for: none is made up; or
+    answers with another pair than one of these."""
     missing = missing_row(line) if line.ranked else None
     if missing is not None and missing[0] in PAIRWISE:
         relation, a, b = missing
@@ -315,3 +316,13 @@ def needed_rows(line: Prediction, predictions: Predictions) -> None:
             expected="a row for every ordered pair of the candidates of the expression",
             path=predictions.path,
         )
+    answer, pairs = line.answer, factors_of(line) if line.ranked else {}
+    if answer is None or not pairs:
+        return
+    require(
+        any(a == answer.object and answer.reference in (None, b) for a, b in pairs),
+        f"{predictions.where(line, 'answer')}: the answer is no pair of a target and a reference that are proposed",
+        got=f"{answer.object}, {answer.reference}" if answer.reference is not None else answer.object,
+        expected="object: an id of the target's proposals; reference: one of the reference's",
+        path=predictions.path,
+    )

@@ -221,8 +221,10 @@ class Prediction:
 
     @property
     def ranked(self) -> bool:
-        """Whether the pairs and their probabilities are told, so that modules can be put in place of each other."""
-        return self.relations is not None and self.problem is None
+        """Whether the pairs and their probabilities are told, and the answer, if any, is an object of them, so that
+        modules can be put in place of each other. An answer of another kind stands by itself."""
+        answered = self.answer is None or self.answer.object is not None
+        return self.relations is not None and self.problem is None and answered
 
     @cached_property
     def objects(self) -> dict[int, Proposal]:

@@ -89,7 +89,7 @@ def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str
         unproposed = _one_for_both(evidence, case, found, diagnosis)
     if unproposed is not None:
         return unproposed
-    if line.level == 1:
+    if line.boxes_3d is None:
         return replace(diagnosis, verdict="UNEXPLAINED", detail="PROPOSALS")
     if _misplaced(evidence, found, line):
         return replace(diagnosis, verdict="LIFT", repair=("LIFT",), mends=("LIFT",))

@@ -20,10 +20,10 @@ def unexplained(detail: str | None, target: str, answered: bool = True) -> str:
     return {
         "ANSWER": f"{wrong}. The file gives no more than the answer; with its proposals (level 1) it could be said "
         "whether the right thing was seen at all.",
-        "PROPOSALS": f"{proposed}. With 3D boxes (level 2) and relation probabilities "
-        "(level 3) it could be said why it lost.",
-        "BOXES": f"{proposed}, where it is. With relation probabilities (level 3) it "
-        "could be said whether these or the ranking are to blame.",
+        "PROPOSALS": f"{proposed}. With 3D boxes (level 2), relation probabilities "
+        "(level 3) and an answer that is one of the proposals it could be said why it lost.",
+        "BOXES": f"{proposed}, where it is. With relation probabilities (level 3) and "
+        "an answer that is one of the proposals it could be said whether these or the ranking are to blame.",
     }.get(
         detail or "",
         "Wrong, and not separable: what a pair would have scored with a true module does not follow from the scores of "

@@ -8,11 +8,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.given_places import check_places
 from pipeline.answering.imported import ImportedPipeline
 from pipeline.answering.objects import prepare_frame
 from pipeline.answering.pair_rules import Rescore
+from pipeline.answering.placing import box_2d
 from pipeline.answering.predictions import (
     GivenAnswer,
     GivenBox,
@@ -26,10 +29,14 @@ from pipeline.answering.ranking import alone
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.run import EvalSpec, Progress
 from pipeline.evaluation.run_folder import Run
-from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.masks import RunLength
-from pipeline.labels.cases import FrameCases, read_cases
+from pipeline.labels.cases import HIT, FrameCases, read_cases
+from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError, require
+
+LEAST_BESIDE = 10
+"""Of fewer proposals nothing is said of where they lie."""
 
 
 def import_run(
@@ -97,7 +104,28 @@ def import_run(
         warnings += (f"{unasked} of {len(file.lines)} lines are no expression of the labels, and are not judged",)
     if len(asked) < total:
         warnings += (f"the file has lines for {len(asked)} of the {total} expressions of the labels",)
+    if (words := _beside_all(source, read)) is not None:
+        warnings += (words,)
     return replace(report, warnings=warnings)
+
+
+def _beside_all(source: ImportedPipeline, labels: Labels) -> str | None:
+    """A warning where no proposal of any line lies on a labelled object, as of pictures of another size."""
+    best, count, file = 0.0, 0, source.predictions
+    for truth in read_cases(labels, 0, 2**31 - 1):
+        every = [p.box for line in file.of_frame(truth.frame) for p in line.objects.values() if p.box is not None]
+        if every and len(truth.boxes):
+            frame = source.dataset.load(truth.frame)
+            boxes = np.array([box_2d(box, file.header, frame.width, frame.height) for box in every])
+            best, count = max(best, float(iou_2d(boxes, truth.boxes).max())), count + len(every)
+        if best >= HIT:
+            return None
+    if count < LEAST_BESIDE:
+        return None
+    return (
+        f"none of {count} proposals lies on a labelled object (best overlap {best:.2f}): are their boxes of another "
+        "size of the pictures, or in another unit?"
+    )
 
 
 def export_run(run: Run, out: str | Path) -> int:

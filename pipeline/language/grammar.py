@@ -25,7 +25,7 @@ from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice, Span
 from pipeline.language.unreadable import FORM, NOT_EXACT, not_known, unreadable
 from pipeline.language.views import closing_removed, leading_removed, without_view
-from pipeline.system.errors import InputError, Unsupported
+from pipeline.system.errors import InputError, Unsupported, require
 
 
 def read_chain(text: str, known: Vocabulary) -> Chain:
@@ -180,6 +180,12 @@ class _Reader(RegionReader):
         end = at + (self.tokens[at].plain in DETERMINERS)
         if end >= len(self.tokens) or self.tokens[end].plain not in lexicon.VIEWERS or not self._ends(end + 1):
             return None
+        require(
+            self.opened[-1].token.relation != "between",
+            f"'{self.opened[-1].token.text}' needs two references that are seen, and the viewer is none",
+            got=f"'{self.text}'",
+            expected="TARGET between REFERENCE and REFERENCE",
+        )
         phrase = Phrase(label=self.tokens[end].text, viewer=True)
         self._refer(self._add_noun(phrase, "reference", (end, end + 1)))
         return end + 1

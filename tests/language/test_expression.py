@@ -362,6 +362,12 @@ WORDS = sorted(
 )  # fmt: skip
 
 
+@pytest.mark.parametrize("text", ["cup between me", "cup between me and the box", "& between us"])
+def test_between_the_viewer_and_a_thing_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="the viewer is none"):
+        parse(text)
+
+
 @given(st.lists(st.sampled_from(WORDS), max_size=14), st.sampled_from([(), tuple(NAMES)]))
 @settings(max_examples=125)
 def test_any_order_of_the_grammars_own_words_is_read_or_refused(words: list[str], names: tuple[str, ...]) -> None:
