@@ -181,14 +181,17 @@ def read_contents(path: Path) -> Iterator[tuple[int, Any]]:
                 if not line.strip() and number > 1:
                     continue
                 try:
-                    content = parse_json(line.decode(), path)
+                    content = parse_json(line.decode("utf-8-sig" if number == 1 else "utf-8"), path)
+                except UnicodeDecodeError as error:
+                    words = f"line {number}: not UTF-8"
+                    raise InputError(words, got=str(error), expected="the file saved as UTF-8", path=path) from error
                 except json.JSONDecodeError as error:
                     if number > 1 and not line.endswith(b"\n"):
                         return
                     raise InputError(f"line {number}: not JSON", got=str(error), path=path) from error
                 yield number, content
             require(number, "the file is empty", expected="a header and a line for each expression", path=path)
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise InputError("the predictions cannot be read", got=str(error), path=path) from error
 
 
@@ -247,9 +250,12 @@ def faults(line: Prediction, header: Header) -> Iterator[tuple[str, str, str]]:
         if relation not in RELATIONS:
             yield f"relations.{relation}", f"no such relation; expected one of {', '.join(RELATIONS)}", ""
         used += [(f"relations.{relation}.{k}", i) for k, row in enumerate(rows) for i in row[:-1]]  # type: ignore[misc]
+        yield from _twice(f"relations.{relation}", [row[:-1] for row in rows])
     for attribute, told in (line.attributes or {}).items():
         used += [(f"attributes.{attribute}.{k}", i) for k, (i, _) in enumerate(told)]
+        yield from _twice(f"attributes.{attribute}", [row[:-1] for row in told])
     used += [(f"pairs.{k}", i) for k, row in enumerate(line.pairs or ()) for i in row[:2]]
+    yield from _twice("pairs", [row[:-1] for row in line.pairs or ()])
     for field_, i in used:
         if i is not None and i not in known:
             yield field_, f"the id {i} is not among the proposals that went on", ""
@@ -269,6 +275,13 @@ def faults(line: Prediction, header: Header) -> Iterator[tuple[str, str, str]]:
         yield "pairs", "the header says that pairs have scores of their own, and this line has none", ""
     if line.relation is not None and line.relation not in RELATIONS:
         yield "relation", f"no such relation; got {line.relation!r}; expected one of {', '.join(RELATIONS)}", ""
+
+
+def _twice(field_: str, ids: Sequence[tuple[Any, ...]]) -> Iterator[tuple[str, str, str]]:
+    """The first row whose ids an earlier one has."""
+    if len(set(ids)) < len(ids):
+        k = next(k for k, one in enumerate(ids) if one in ids[:k])
+        yield f"{field_}.{k}", f"{', '.join(map(str, ids[k]))} stands in two rows", "which of the two counts?"
 
 
 def _of(thing: Any, name: str) -> Any:

@@ -110,7 +110,7 @@ def coco_detections(content: Content, key: Path | None) -> Detections:
     for k, row in enumerate(rows):
         where = content.where(k)
         image = images.get(row.image_id) if isinstance(row.image_id, int) else None
-        expected = None if known.images else "the annotation file beside it (--model-config, --with)"
+        expected = None if known.images else "the annotation file beside it (--key, --model-config, --with)"
         require(
             image or not images or not isinstance(row.image_id, int),
             f"{where}: no picture has the id {row.image_id}",

@@ -107,7 +107,10 @@ def read_content(path: Path, what: str = "the file") -> Content:
     InputError
         It cannot be read; of JSON lines, which line is none.
     """
-    with as_input_error(f"{what} cannot be read", OSError, UnicodeDecodeError, got=str, path=path):
+    utf8 = as_input_error(
+        f"{what} is not UTF-8", UnicodeDecodeError, got=str, expected="a file saved as UTF-8", path=path
+    )
+    with as_input_error(f"{what} cannot be read", OSError, got=str, path=path), utf8:
         text = read_text(path, "utf-8-sig")
     if path.suffix.lower() == ".csv":
         with as_input_error(f"{what} is not CSV", csv.Error, got=str, path=path):

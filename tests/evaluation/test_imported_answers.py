@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from benchmarks.other_pipeline import CENTRES, lines
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.predictions import GivenAnswer, Header, Prediction, write_predictions
 from pipeline.datasets.demo import demo_labels
+from pipeline.evaluation.adapters import import_published
 from pipeline.evaluation.importing import import_run
 from pipeline.evaluation.job import RunReport
 from pipeline.evaluation.run_folder import open_run
@@ -94,3 +96,40 @@ def test_boxes_that_lie_on_nothing_are_told(given: list[Prediction], tmp_path: P
     assert any(told in words for words in imported(tmp_path, resized(given, _half))[0].warnings)
     (tmp_path / "whole").mkdir()
     assert not any(told in words for words in imported(tmp_path / "whole", given)[0].warnings)
+
+
+def test_a_row_that_stands_twice_is_refused(given: list[Prediction], tmp_path: Path) -> None:
+    line = given[0]
+    assert line.relations is not None
+    ((relation, rows),) = line.relations.items()
+    a, b = rows[0][:2]
+    twice = replace(line, relations={relation: (*rows, (a, b, 0.5))})
+    with pytest.raises(InputError, match=rf"line 2, relations\.{relation}\.{len(rows)}: {a}, {b} stands in two rows"):
+        imported(tmp_path, [twice])
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
+def test_a_file_in_another_encoding_is_told(given: list[Prediction], tmp_path: Path, encoding: str) -> None:
+    file = tmp_path / "p.jsonl"
+    write_predictions(file, replace(CENTRES.header, system="Gerät"), given)
+    text = file.read_text("utf-8").replace("\\u00e4", "ä")
+    file.write_bytes(text.encode(encoding))
+    with pytest.raises(InputError, match="saved as UTF-8"):
+        import_published(file, "demo", demo_labels(), tmp_path / "run")
+    file.write_bytes(text.encode("utf-8-sig"))
+    assert import_published(file, "demo", demo_labels(), tmp_path / "run", plots=False).folder == tmp_path / "run"
+
+
+def test_a_missing_file_is_told_as_missing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there are no predictions"):
+        import_published(tmp_path / "no.jsonl", "demo", demo_labels(), tmp_path / "run", key=tmp_path / "key.json")
+
+
+def test_a_converted_file_is_told_by_its_own_name(tmp_path: Path) -> None:
+    file, key = tmp_path / "coco.json", tmp_path / "key.json"
+    images = [{"id": 1, "file_name": "000001/000000", "width": 640, "height": 480}]
+    key.write_text(json.dumps({"images": images, "categories": [{"id": 1, "name": "mug"}], "annotations": []}))
+    boxes = [[9000.0, 10.0, 20.0, 30.0]] * 3
+    file.write_text(json.dumps([{"image_id": 1, "category_id": 1, "bbox": box, "score": 0.9} for box in boxes]))
+    with pytest.raises(InputError, match=r"turned into lines of ours.*coco\.json\]$"):
+        import_published(file, "demo", demo_labels(), tmp_path / "run", key=key)

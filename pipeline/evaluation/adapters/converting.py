@@ -150,6 +150,7 @@ def import_published(
         As those two; nothing is written then.
     """
     path = Path(predictions)
+    require(path.exists(), "there are no predictions", path=path)
     if format == OWN or (format is None and not is_published(path)):
         require(key is None, "predictions of our own schema need no --key", path=key)
         return import_run(path, dataset, labels, out, **more)
@@ -159,7 +160,14 @@ def import_published(
         converted = convert_predictions(
             path, Path(folder) / path.name, dataset=opened, labels=open_labels(labels), format=format, key=key
         )
-        report = import_run(converted.path, dataset, labels, out, **more)
+        try:
+            report = import_run(converted.path, dataset, labels, out, **more)
+        except InputError as error:
+            if error.path != converted.path:
+                raise
+            # The file with these lines goes away.
+            told = str(error).removesuffix(f" [{converted.path}]")
+            raise InputError(f"as {converted.format} it was turned into lines of ours; {told}", path=path) from error
     return replace(report, warnings=(*converted.notes, *report.warnings))
 
 
