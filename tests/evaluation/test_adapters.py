@@ -280,7 +280,7 @@ def test_a_file_that_does_not_say_what_it_is_is_refused(tmp_path: Path, world: d
     refused(odd, world, "no such format of predictions; got 'cocoo'; expected .*coco", format="cocoo")
     refused(odd, world, "not follow the format at the top", format="coco")
     odd.write_bytes(b"\xff\xfe\x00")
-    refused(odd, world, "the file cannot be read")
+    refused(odd, world, "the file is not UTF-8")
     own = of_json(tmp_path / "own.jsonl", {"spatialviz_predictions": 1})
     assert not is_published(own)
     before = sha256_of(own)
