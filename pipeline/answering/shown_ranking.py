@@ -29,20 +29,24 @@ FAR = 4.0
 LEAST_NOISE = 0.0001
 """No fit is surer than this share of all that it spans: what lies within is told by rounding."""
 _RIDGE = 0.5
+_MOST_STEPS, _SHORT = 30, 1e-7
 _BENDS = (0.25, 0.5, 0.75)
+_STEPS = tuple(k / 10 for k in range(1, 10))
 
 Compared = tuple[np.ndarray, np.ndarray]
 """(N, 3) float64 factors and (N,) float64 scores of the pairs of one line."""
 
 
 def curves(factors: np.ndarray) -> np.ndarray:
-    """(..., K) float64: of factors (..., 3), each no less where a factor is more."""
+    """(..., K) float64: of factors (..., 3), each no less where a factor is more: bent, joined, and by thresholds."""
     clear = np.clip(factors, 0.01, 0.99)
     bends = [np.minimum(clear, bend) for bend in _BENDS]
     odds = np.log(clear / (1 - clear))
     t, r, p = np.moveaxis(clear, -1, 0)
     joined = [np.minimum(t, r), np.minimum(t, p), np.minimum(r, p), t * r, t * p, r * p, t * r * p]
-    return np.concatenate([clear, *bends, np.log(clear), odds, np.stack(joined, axis=-1)], axis=-1)
+    either = [1 - (1 - t) * (1 - r), 1 - (1 - t) * (1 - p), 1 - (1 - r) * (1 - p), 1 - (1 - t) * (1 - r) * (1 - p)]
+    mixed = np.stack([*joined, clear.min(axis=-1), *either], axis=-1)
+    return np.concatenate([clear, *bends, np.log(clear), odds, mixed, *(clear > step for step in _STEPS)], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,8 @@ class ShownRanking:
 
     def sums(self, factors: np.ndarray) -> np.ndarray:
         """(...) float64: of factors (..., 3)."""
-        return np.asarray(curves(factors) @ self.weights)
+        # Cases of before were kept with the first curves only.
+        return np.asarray(curves(factors)[..., : len(self.weights)] @ self.weights)
 
     @staticmethod
     def of(lines: Sequence[Compared]) -> ShownRanking | None:
@@ -109,30 +114,40 @@ class ShownRanking:
 
 def _regressed(x: np.ndarray, more: np.ndarray) -> np.ndarray:
     """(K,) float64, none below 0: weights of x ((N, K)) that give differences of scores ((N,)) best."""
-    from scipy.optimize import nnls
-
     scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-6)
     z = x / scale
-    ridge = np.sqrt(_RIDGE) * np.eye(z.shape[1])
-    normal = np.concatenate([z, ridge]).T @ np.concatenate([z, ridge])
-    # Of the normal equations: as many rows as there are weights.
-    root = np.linalg.cholesky(normal).T
-    return nnls(root, np.linalg.solve(root.T, z.T @ more))[0] / scale
+    return _least(z.T @ z + _RIDGE / 5 * np.eye(z.shape[1]), z.T @ more, True) / scale
 
 
 def fitted(x: np.ndarray, p: np.ndarray | float = 1.0, rising: bool = False) -> np.ndarray:
     """(K,) float64: weights of x ((N, K)) that give log odds under which p ((N,)) is most probable; with `rising` none
-    below 0."""
-    from scipy.optimize import minimize
-
+    below 0. By Newton's method."""
     scale = np.maximum(np.sqrt((x**2).mean(axis=0)), 1e-6)
     z = x / scale
 
-    def loss(w: np.ndarray) -> tuple[float, np.ndarray]:
-        odds = np.clip(z @ w, -500, 500)
-        wrong = 1 / (1 + np.exp(-odds)) - p
-        return float((np.logaddexp(0, odds) - p * odds).sum() + _RIDGE * w @ w / 2), _RIDGE * w + wrong @ z
+    def loss(w: np.ndarray) -> float:
+        odds = z @ w
+        return float((np.logaddexp(0, odds) - p * odds).sum() + _RIDGE * w @ w / 2)
 
-    start = np.full(z.shape[1], 0.1 if rising else 0.0)
-    bounds = [(0 if rising else None, None)] * z.shape[1]
-    return minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x / scale
+    w = np.zeros(z.shape[1])
+    for _ in range(_MOST_STEPS):
+        q = 1 / (1 + np.exp(-np.clip(z @ w, -500, 500)))
+        bent = (z * (q * (1 - q))[:, None]).T @ z + _RIDGE * np.eye(len(w))
+        step = _least(bent, bent @ w + (p - q) @ z - _RIDGE * w, rising) - w
+        before, length = loss(w), 1.0
+        while length > _SHORT and loss(w + length * step) > before:
+            length /= 2
+        w = w + length * step
+        if before - loss(w) < _SHORT * (1 + abs(before)):
+            break
+    return w / scale
+
+
+def _least(a: np.ndarray, b: np.ndarray, rising: bool) -> np.ndarray:
+    """(K,) float64: where w A w / 2 - b w is least, A (K, K) positive; with `rising` for w of which none is below 0."""
+    if not rising:
+        return np.linalg.solve(a, b)
+    from scipy.optimize import nnls
+
+    root = np.linalg.cholesky(a).T
+    return nnls(root, np.linalg.solve(root.T, b))[0]

@@ -19,7 +19,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import decode_run_length, mask_box
 from pipeline.labels.cases import HIT, Case, FrameCases
 
-LIKELY = float(np.log(3))
+LIKELY = float(np.log(19))
 """Log odds: a ranking is to blame that put a right pair below others where its like would put it first so probably."""
 
 
