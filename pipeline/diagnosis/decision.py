@@ -167,15 +167,14 @@ def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tup
         flips, repair = alone, smallest
     else:
         repair = 0
-    chosen = flips[0]
-    if len(flips) > 1:
-        margin = {bit: found.decided_margin(bit) for bit in to_blame(found, diagnosis, flips)}
-        farthest = max(margin.values())
-        chosen = next(bit for bit, m in margin.items() if m >= farthest - SAME_MARGIN)
+    margin = {bit: found.decided_margin(bit) for bit in to_blame(found, diagnosis, flips)}
+    farthest = max(margin.values())
+    chosen = next(bit for bit, m in margin.items() if m >= farthest - SAME_MARGIN)
     if chosen == CONF:
         real = not (diagnosis.false_target or diagnosis.false_reference)
         return ("PRM" if real else "OPM-CONF"), None, repair or CONF
-    return FLIPS[chosen], None, repair or chosen
+    # What is wrong with a relation may be that of a box, and true boxes alone not enough.
+    return FLIPS[chosen], None, repair or (chosen if chosen in flips else flips[0])
 
 
 def _smallest(found: OracleScores, subsets: range | list[int]) -> int | None:

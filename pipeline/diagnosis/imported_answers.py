@@ -204,4 +204,15 @@ def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) ->
     )
     related = _denied(found)
     chain = [(CONF, false), (LIFT, related), (SRM, related), (CONF, True)]
-    return [bit for bit, spoke in chain if spoke and bit in flips][:1] or list(flips)
+    first = [bit for bit, spoke in chain if spoke and bit in flips][:1] or list(flips)
+    return [LIFT] if first == [SRM] and _follows(found) else first
+
+
+def _follows(found: OracleScores) -> bool:
+    """Whether true boxes take the relation of the right pair at least half the way to that of the answer, which was
+    likelier: what is wrong with it is that of a box."""
+    p = np.clip(found.pair_relations[[0, LIFT]].reshape(2, -1), 0.01, 0.99)
+    odds = np.log(p / (1 - p))
+    right = int(found.plain.first(found.covered)[0])
+    before, after = odds[:, right] - odds[:, int(found.winners[0])]
+    return bool(before < 0 and after > before / 2)

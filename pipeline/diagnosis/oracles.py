@@ -56,7 +56,8 @@ NEARLY = 0.25
 SURE = 0.95
 """Beyond this, or below one less this, a probability of true boxes is as sure as any."""
 EXPLAINED = 0.3
-"""A probability that is so near to what a box says, or on the same side of a half, follows from the box."""
+"""A probability that is nearer to what a box says than this share of what boxes of the frame say, or on the same
+side of a half, follows from the box."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +253,8 @@ def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, re
         # decides as it did: then the box is what it went by, and of a true one it would say so much more or less.
         before, after = stand_in[target.index[:, None], reference.index], stand_in[shaped[0][:, None], shaped[1]]
         off = [evidence.off(role.index, role.shape_of) for role in (target, reference)]
-        explained = (np.abs(base - before) < EXPLAINED) | ((base > HOLDS) == (before > HOLDS))
+        low, high = np.nanquantile(stand_in, [0.05, 0.95]) if np.isfinite(stand_in).any() else (0.0, 1.0)
+        explained = (np.abs(base - before) < EXPLAINED * (high - low)) | ((base > HOLDS) == (before > HOLDS))
         changed = explained & (off[0][:, None] | off[1]) & (np.abs(after - before) > 1e-9) & evidence.follows(relation)
         shifted = 1 / (1 + np.exp(-(_odds(base) + _odds(after) - _odds(before))))
         # What it decides of a true box it decides as surely as it does elsewhere: a stand-in never is.

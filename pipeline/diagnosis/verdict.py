@@ -302,6 +302,9 @@ def _flipped(d: Diagnosis, case: Case) -> str:
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""
         by = ", by estimated depth" if d.evidence.answers.context.frame.depth_source else ""
+        if "LIFT" not in d.repair:
+            how = "True geometry takes the relation half the way to the right pair or farther."
+            return f"A 3D box is off{by}: {text}. {how} {_repaired(d)} Verdict: LIFT."
         return f"A 3D box is off{by}: {text}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
     if d.verdict == "ATTRIBUTE":
         return f"{text[0].upper()}{text[1:]}. With true attributes the right pair wins. Verdict: ATTRIBUTE."
