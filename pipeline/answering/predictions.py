@@ -336,7 +336,7 @@ class PredictionWriter:
     def __init__(self, path: str | Path, header: Header, *, append: bool = False) -> None:
         self.path = Path(path)
         there = self.path.exists() and self.path.stat().st_size > 0
-        require(append or not there, "the file exists", expected="another name, or to append to it", path=self.path)
+        require(append or not there, "the file exists", expected="append=True, or another name", path=path)
         if there:
             known = next(read_lines(self.path))[1]
             require(known == header, "the file was begun with another header", path=self.path)
