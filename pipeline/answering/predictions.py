@@ -69,6 +69,8 @@ class Predictions:
         The number of each line in the file, from 1, for messages.
     least : int or None
         The level of the file that these lines are some of.
+    cut_off : int or None
+        The number of a last line that a killed writer left half, and that is not read.
     """
 
     path: Path
@@ -76,6 +78,7 @@ class Predictions:
     lines: dict[tuple[str, str], Prediction]
     numbers: dict[tuple[str, str], int]
     least: int | None = None
+    cut_off: int | None = None
 
     @property
     def level(self) -> int:
@@ -134,8 +137,8 @@ def read_predictions(path: str | Path) -> Predictions:
     InputError
         The first fault: the number of its line, the field, what was got, and the likely cause.
     """
-    path = Path(path)
-    lines = read_lines(path)
+    path, cut = Path(path), list[int]()
+    lines = read_lines(path, cut)
     header = next(lines)[1]
     assert isinstance(header, Header)
     seen: dict[tuple[str, int], tuple[int, Proposal]] = {}
@@ -151,19 +154,21 @@ def read_predictions(path: str | Path) -> Predictions:
             raise InputError(f"line {number}, {name}: {field_}", cause=wrong or None, path=path)
         found[key] = _agreeing(line, number, seen, boxes, path)
         numbers[key] = number
-    require(found, "the file holds no predictions", expected="a line for each expression after the first", path=path)
-    return Predictions(path, header, found, numbers)
+    expected = f"{'whole lines' if cut else 'a line for each expression'} after the first"
+    require(found, "the file holds no predictions", expected=expected, path=path)
+    return Predictions(path, header, found, numbers, cut_off=next(iter(cut), None))
 
 
-def read_lines(path: Path) -> Iterator[tuple[int, Header | Prediction]]:
+def read_lines(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, Header | Prediction]]:
     """The header and each line, or what events tell of an expression, by itself, with its number from 1.
 
     Raises
     ------
     InputError
-        As `read_predictions`. A last line without its end that is no JSON is what a killed writer left, and is skipped.
+        As `read_predictions`. A last line without its end that is no JSON is what a killed writer left: it is skipped,
+        and its number added to `cut`.
     """
-    contents = read_contents(path)
+    contents = read_contents(path, cut)
     header = parse_header(next(contents)[1], path)
     yield 1, header
     if header.events:
@@ -172,8 +177,8 @@ def read_lines(path: Path) -> Iterator[tuple[int, Header | Prediction]]:
         yield number, parse_line(content, number, path)
 
 
-def read_contents(path: Path) -> Iterator[tuple[int, Any]]:
-    """The JSON of each line that is not empty, with its number from 1; raises as `read_lines`."""
+def read_contents(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, Any]]:
+    """The JSON of each line that is not empty, with its number from 1; `cut` and what is raised as of `read_lines`."""
     try:
         with opened(path, "unpacked") as file:
             number = 0
@@ -182,13 +187,14 @@ def read_contents(path: Path) -> Iterator[tuple[int, Any]]:
                     continue
                 try:
                     content = parse_json(line.decode("utf-8-sig" if number == 1 else "utf-8"), path)
-                except UnicodeDecodeError as error:
-                    words = f"line {number}: not UTF-8"
-                    raise InputError(words, got=str(error), expected="the file saved as UTF-8", path=path) from error
-                except json.JSONDecodeError as error:
+                except (UnicodeDecodeError, json.JSONDecodeError) as error:
                     if number > 1 and not line.endswith(b"\n"):
+                        if cut is not None:
+                            cut.append(number)
                         return
-                    raise InputError(f"line {number}: not JSON", got=str(error), path=path) from error
+                    utf8 = isinstance(error, json.JSONDecodeError)
+                    kind, expected = ("JSON", None) if utf8 else ("UTF-8", "the file saved as UTF-8")
+                    raise InputError(f"line {number}: not {kind}", got=error, expected=expected, path=path) from error
                 yield number, content
             require(number, "the file is empty", expected="a header and a line for each expression", path=path)
     except OSError as error:

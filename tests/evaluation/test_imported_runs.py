@@ -364,7 +364,17 @@ def test_a_killed_writer_leaves_whole_lines(folder: Path, tmp_path: Path) -> Non
     text = (folder / "run.jsonl").read_text()
     path = tmp_path / "cut.jsonl"
     path.write_text(text[:-40])
-    assert len(read_predictions(path).lines) == ASKED - 1
+    read = read_predictions(path)
+    assert (len(read.lines), read.cut_off) == (ASKED - 1, ASKED + 1)
+    report = import_run(path, "demo", folder / "labels", tmp_path / "run", plots=False)
+    assert any(f"line {ASKED + 1} is cut off" in warning for warning in report.warnings)
+    path.write_bytes((text + '{"text": "café').encode()[:-1])
+    assert read_predictions(path).cut_off == ASKED + 2
+    path.write_text(text[:-1])
+    assert read_predictions(path).cut_off is None
+    path.write_text(text[: text.index("\n") + 40])
+    with pytest.raises(InputError, match="no predictions; expected whole lines after the first"):
+        read_predictions(path)
     path.write_text("nonsense\n")
     with pytest.raises(InputError, match="line 1: not JSON"):
         read_predictions(path)
