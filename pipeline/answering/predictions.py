@@ -88,9 +88,19 @@ class Predictions:
         most = max((p.level for p in self.lines.values()), default=0)
         return min((p.level for p in self.lines.values() if p.problem is None), default=most)
 
+    @property
+    def lacking(self) -> tuple[str, list[int]]:
+        """The field that would raise the level, and the numbers of the lines that keep it as it is; at level 3 none."""
+        level, fields = self.level, ("proposals", "boxes_3d", "relations", "")
+        found = {self.numbers[key]: p.problem for key, p in self.lines.items() if p.level == level < 3}
+        return fields[level], [n for n, problem in found.items() if problem is None] or [*found]
+
     def record(self) -> dict[str, Any]:
         """As JSON: whose they are, for a run's manifest."""
-        return {"system": self.header.system, "level": self.level, "lines": len(self.lines), "file": self.content_hash}
+        field_, lines = self.lacking
+        lacks = {"field": field_, "line": min(lines), "lines": len(lines)} if lines else None
+        told = {"system": self.header.system, "level": self.level, "lacks": lacks}
+        return {**told, "lines": len(self.lines), "file": self.content_hash}
 
     def line(self, frame: str, text: str) -> Prediction | None:
         """The line of an expression, whatever its spaces and capitals; None where there is none."""

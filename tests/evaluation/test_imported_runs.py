@@ -155,6 +155,21 @@ def test_a_level_says_what_it_can_and_no_more(folder: Path, level: int) -> None:
         assert ("level" in row["said"]) == (row["verdict"] == "UNEXPLAINED")
 
 
+def test_a_file_tells_which_lines_keep_its_level(folder: Path, tmp_path: Path) -> None:
+    def less(lines: list[dict[str, Any]]) -> None:
+        for line in lines[3:5]:
+            del line["relations"], line["boxes_3d"]
+        del lines[6]["relations"]
+        for part in ("relations", "boxes_3d", "proposals"):
+            del lines[-1][part]
+        lines[-1] |= {"answer": None, "problem": "refused"}
+
+    read = read_predictions(changed(folder, tmp_path, less))
+    assert (read.level, read.lacking) == (1, ("boxes_3d", [4, 5]))
+    assert read.record()["lacks"] == {"field": "boxes_3d", "line": 4, "lines": 2}
+    assert read_predictions(folder / "run.jsonl").lacking == ("", [])
+
+
 def test_relations_without_boxes_are_level_3(folder: Path, tmp_path: Path) -> None:
     def bare(lines: list[dict[str, Any]]) -> None:
         for line in lines[1:]:
