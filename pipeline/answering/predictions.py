@@ -10,7 +10,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -26,6 +26,7 @@ from pipeline.answering.prediction_schema import (
     Prediction,
     Proposal,
     Weights,
+    fields_beside,
 )
 from pipeline.language.relation_names import RELATIONS
 from pipeline.system.door import opened, parse_json, read_bytes
@@ -197,13 +198,15 @@ def read_contents(path: Path, cut: list[int] | None = None) -> Iterator[tuple[in
                     continue
                 try:
                     content = parse_json(line.decode("utf-8-sig" if number == 1 else "utf-8"), path)
-                except (UnicodeDecodeError, json.JSONDecodeError) as error:
+                except InputError:
+                    raise
+                except ValueError as error:
                     if number > 1 and not line.endswith(b"\n"):
                         if cut is not None:
                             cut.append(number)
                         return
-                    utf8 = isinstance(error, json.JSONDecodeError)
-                    kind, expected = ("JSON", None) if utf8 else ("UTF-8", "the file saved as UTF-8")
+                    other = isinstance(error, UnicodeDecodeError)
+                    kind, expected = ("UTF-8", "the file saved as UTF-8") if other else ("JSON", None)
                     raise InputError(f"line {number}: not {kind}", got=error, expected=expected, path=path) from error
                 yield number, content
             require(number, "the file is empty", expected="a header and a line for each expression", path=path)
@@ -228,14 +231,14 @@ def parse_header(content: Any, path: Path) -> Header:
         expected=str(VERSION),
         path=path,
     )
-    keys = Header.__dataclass_fields__
-    return checked(_HEADER.validate_python, content, "line 1, {}: the header is not well formed", path, keys=keys)
+    wrong = "line 1, {}: the header is not well formed"
+    return checked(_HEADER.validate_python, content, wrong, path, keys=partial(fields_beside, Header))
 
 
 def parse_line(content: Any, number: int, path: Path) -> Prediction:
     """One further line; InputError where it does not follow the schema."""
-    wrong, keys = f"line {number}, {{}}: not as the schema has it", Prediction.__dataclass_fields__
-    return checked(_LINE.validate_python, content, wrong, path, keys=keys)
+    wrong = f"line {number}, {{}}: not as the schema has it"
+    return checked(_LINE.validate_python, content, wrong, path, keys=partial(fields_beside, Prediction))
 
 
 def faults(line: Prediction, header: Header) -> Iterator[tuple[str, str, str]]:

@@ -22,7 +22,7 @@ from pipeline.geometry.masks import RunLength
 from pipeline.proposals.coco_files import Detections, RecordedDetection
 from pipeline.system.errors import as_input_error, require
 from pipeline.system.plain_pickle import plain, read_plain_pickle
-from pipeline.system.reading import Content
+from pipeline.system.reading import Content, first_fault
 
 ENDINGS = (".pkl.gz", ".pkl")
 Corners = tuple[tuple[float, float, float], ...]
@@ -95,8 +95,8 @@ def _name(thing: dict[str, Any]) -> str:
 
 def _first_fault(error: Exception) -> str:
     if isinstance(error, ValidationError):
-        first = error.errors()[0]
-        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        place, got, expected = first_fault(error, {})
+        return f"{'.'.join(map(str, place))}: {got}; expected {expected}"
     return f"no {error}" if isinstance(error, KeyError) else str(error)
 
 
