@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, ConfigDict, Field, FiniteFloat, StrictBool
-from pydantic_core import PydanticKnownError
 
 from pipeline.geometry.masks import RunLength
 
@@ -20,7 +19,7 @@ _STRICT = ConfigDict(extra="forbid")
 def _no_text(value: Any) -> Any:
     """3.0 is a whole number, as tables write it; "3" and true are none."""
     if isinstance(value, str | bool):
-        raise PydanticKnownError("int_type")
+        raise ValueError("a whole number")
     return value
 
 

@@ -113,7 +113,7 @@ def test_annotations_of_coco_with_scores_name_their_pictures_themselves(tmp_path
     [
         ({"category_id": 5}, "entry 1: no class has the id 5"),
         ({"image_id": 5}, "entry 1: no picture has the id 5"),
-        ({"score": 1.5}, "entry 1, score: not a result of COCO; got .*less than or equal to 1"),
+        ({"score": 1.5}, "entry 1, score: not a result of COCO; got 1.5; expected at most 1"),
         ({"bbox": [1, 2, 3]}, "entry 1, bbox.*: not a result of COCO"),
         ({"bbox": [10, 10, -5, 5]}, "entry 1: bbox is x, y, width, height"),
         ({"segmentation": None}, "entry 1: neither a box nor a mask.*keypoints"),
