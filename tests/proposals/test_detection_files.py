@@ -9,6 +9,7 @@ import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -266,6 +267,14 @@ def test_the_pruned_map_of_concept_graphs_is_the_list_alone(tmp_path: Path, fram
     path = tmp_path / "scene_map_cfslam_pruned.pkl.gz"
     with gzip.open(path, "wb") as file:
         pickle.dump([mug], file)
+    assert len(played(path, frame, ["mug"])) == 1
+    # As the branch ali-dev writes it: one name, pictures as paths, numbers of uuid, the edges beside the objects.
+    latest = mug | {"id": uuid4(), "class_name": "mug", "color_path": [Path("/data/scene/0.jpg")]}
+    edges = {"edges": [{"obj1_index": 0, "obj2_index": 0, "rel_type": "on top of"}], "objects": [latest]}
+    path = tmp_path / "pcd_r_mapping_stride10.pkl.gz"
+    with gzip.open(path, "wb") as file:
+        pickle.dump({"objects": [latest], "class_colors": {"0": [0.1, 0.2, 0.3]}, "edges": edges}, file)
+    assert RecordedDetector(path, frame_ids=FRAMES).vocabulary == ("mug",)
     assert len(played(path, frame, ["mug"])) == 1
     small = mug | {"mask": [mask[:100]]}
     refused(write_map(path, [small]), frame, "frame scene/0, detection 0: the mask has another size")
