@@ -186,6 +186,44 @@ def test_the_sinks_of_supervision_are_played_back(tmp_path: Path, frame: Frame) 
     refused(written(path, [{**sink_rows()[0], "image_path": None}]), frame, "entry 0, image_path: names no picture")
 
 
+@pytest.mark.parametrize(
+    "columns", ["x1,y1,x2,y2,score,name", "x0,y0,x1,y1,conf,label", "xmin,ymin,xmax,ymax,confidence,class_name"]
+)
+def test_tables_of_boxes_are_played_back(tmp_path: Path, frame: Frame, columns: str) -> None:
+    path = tmp_path / "boxes.csv"
+    path.write_text(f"frame,{columns}\nscene/0,10,20,60,80,0.75,mug\nscene/1,1,2,3,4,0.5,cup\n")
+    found = played(path, frame)
+    np.testing.assert_allclose(found.boxes, [[10, 20, 60, 80]])
+    assert (found.scores.tolist(), found.labels) == ([0.75], ("mug",))
+    path.write_text(path.read_text().replace("0.75", "high"))
+    refused(path, frame, rf'line 2, {columns.split(",")[4]}: not a row .*; got "high"; expected a number')
+
+
+def listed(**change: Any) -> dict[str, Any]:
+    """As the results of Grounding DINO in transformers are, with the picture beside them."""
+    found = {"image": "scene/0.jpg", "boxes": [[10, 20, 60, 80], [1, 2, 3, 4]], "scores": [0.75, 0.5]}
+    return {**found, "labels": [0, 1], "text_labels": ["mug", "cup"], **change}
+
+
+def test_boxes_of_a_picture_in_lists_are_played_back(tmp_path: Path, frame: Frame) -> None:
+    phrases = {k: v for k, v in listed(phrases=["mug", "cup"]).items() if not k.endswith("labels")}
+    lines = tmp_path / "found.jsonl"
+    lines.write_text("".join(json.dumps(row) + "\n" for row in (phrases, listed(image="scene/1.jpg"))))
+    for path in (written(tmp_path / "one.json", listed()), written(tmp_path / "list.json", [listed()]), lines):
+        found = played(path, frame, ["mug"])
+        np.testing.assert_allclose(found.boxes, [[10, 20, 60, 80]])
+        assert found.scores.tolist() == [0.75]
+    path = tmp_path / "wrong.json"
+    for change, message in (
+        ({"scores": [0.75]}, "entry 1: lists of one length are asked for; got 2 boxes, 1 scores, 2 labels"),
+        ({"text_labels": [3, "cup"]}, "entry 1, text_labels.0: not boxes, .*; got 3; expected text"),
+        ({"boxes": [[10, 20, 60], [1, 2, 3, 4]]}, r"entry 1, boxes.0: .*; got \[10, 20, 60\]; expected 4 values"),
+        ({"image": ""}, "entry 1, image: names no picture"),
+    ):
+        refused(written(path, [listed(), listed(image="scene/1.jpg") | change]), frame, message)
+    refused(written(path, [listed(boxes=[[0, 0, 0.5, 1], [0, 0, 1, 1]])]), frame, "in pixels; got none above 1")
+
+
 # Grounded SAM.
 
 
