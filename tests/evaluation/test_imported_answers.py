@@ -93,7 +93,12 @@ def test_boxes_that_are_smaller_than_a_pixel_are_refused(given: list[Prediction]
 
 def test_boxes_that_lie_on_nothing_are_told(given: list[Prediction], tmp_path: Path) -> None:
     told = "lies on a labelled object"
-    assert any(told in words for words in imported(tmp_path, resized(given, _half))[0].warnings)
+    (words,) = [words for words in imported(tmp_path, resized(given, _half))[0].warnings if told in words]
+    assert "are their boxes of smaller pictures? Times 2, " in words
+    (tmp_path / "corner").mkdir()
+    at_corner = resized(given, lambda x, size: x / 40)
+    (words,) = [words for words in imported(tmp_path / "corner", at_corner)[0].warnings if told in words]
+    assert words.endswith("are their boxes of another size of the pictures, or in another unit?")
     (tmp_path / "whole").mkdir()
     assert not any(told in words for words in imported(tmp_path / "whole", given)[0].warnings)
 
