@@ -52,8 +52,8 @@ class FrameNames:
             if last.isdecimal():
                 self._alike[int(last)].append(frame_id)
 
-    def find(self, picture: Picture) -> str | None:
-        """The frame of a picture, or None.
+    def find(self, picture: Picture, where: str = "") -> str | None:
+        """The frame of a picture that a file names at `where`, or None.
 
         Raises
         ------
@@ -67,7 +67,7 @@ class FrameNames:
         found = [frame_id for frame_id, how in fits.items() if best and how == best]
         require(
             len(found) <= 1,
-            f"the picture {picture!r} may be of several frames",
+            f"{where and f'{where}: '}the picture {picture!r} may be of several frames",
             got=" and ".join(found[:2]),
             expected="the frame's whole id, as in SCENE/FRAME.png",
             error=FrameUnusable,

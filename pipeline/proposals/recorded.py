@@ -101,16 +101,19 @@ class Playback:
             masks = np.zeros((len(index), *self.shape), np.bool_)
             for n, i in enumerate(index):
                 has_mask[n] = self._paint(int(i), masks[n])
-        return Proposals(
-            self.found.boxes[index],
-            self.found.scores[index],
-            np.array([vocabulary.index(n) for n in names], np.int64),
-            vocabulary,
-            masks,
-            self.found.ids[index],
-            has_mask,
-            None if self.found.segmented is None else self.found.segmented[index],
-        )
+        try:
+            return Proposals(
+                self.found.boxes[index],
+                self.found.scores[index],
+                np.array([vocabulary.index(n) for n in names], np.int64),
+                vocabulary,
+                masks,
+                self.found.ids[index],
+                has_mask,
+                None if self.found.segmented is None else self.found.segmented[index],
+            )
+        except InputError as error:
+            raise InputError(f"frame {self.frame_id}: {error}", path=self._path) from error
 
     def _paint(self, i: int, picture: np.ndarray) -> bool:
         """Set the mask of a detection in an empty picture; False where it is only its box."""
@@ -366,8 +369,10 @@ def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetectio
 def as_arrays(entries: Sequence[RecordedDetection], shared: dict[str, str]) -> FrameDetections:
     """Detections as arrays; equal names of all frames, and equal masks of this one, stand once in memory."""
     codes: dict[MaskCode | None, MaskCode | None] = {}
+    with np.errstate(over="ignore"):  # What becomes infinite is refused where it is asked for.
+        boxes = np.array([e.bbox for e in entries], np.float32)
     return FrameDetections(
-        np.array([e.bbox for e in entries], np.float32).reshape(-1, 4),
+        boxes.reshape(-1, 4),
         np.array([e.score for e in entries], np.float32),
         tuple(shared.setdefault(e.label, e.label) for e in entries),
         np.array([-1 if e.id is None else e.id for e in entries], np.int64),

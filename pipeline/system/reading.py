@@ -68,38 +68,43 @@ def checked(
 
 
 _UNKNOWN = "a field of another name"
-_KINDS = {"float": "a number", "int": "a whole number", "string": "text", "bool": "true or false"} | {
-    **dict.fromkeys(("tuple", "list"), "a list"), **dict.fromkeys(("dict", "dataclass", "model"), "an object {...}")
+_KINDS: dict[str, str] = {
+    "float": "a number", "int": "a whole number", "string": "text", "bool": "true or false", "tuple": "a list",
+    "list": "a list", "dict": "an object {...}", "dataclass": "an object {...}", "model": "an object {...}",
 }  # fmt: skip
 
 
 def first_fault(error: ValidationError, content: Any) -> tuple[tuple[Any, ...], str, str]:
     """The keys and numbers that lead to the first fault of a content, what stands there, and what is asked for.
 
-    Of a value that may be of several kinds it is that of the kind which fits furthest.
+    Of a value that may be of several kinds it is that of the kind which fits furthest; where none fits, all are told.
     """
     every = [(_place(content, fault["loc"], fault["type"] == "missing"), fault) for fault in error.errors()]
     first = every[0][0]
     place, fault = max((one for one in every if one[0][: len(first)] == first), key=lambda one: len(one[0]))
-    kind, value, told = fault["type"], fault["input"], fault.get("ctx", {})
+    kind, value = fault["type"], fault["input"]
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return place, _UNKNOWN, ""
     if kind == "missing" and not isinstance(value, list | tuple):
         return place, "nothing", "a value"
-    beside = [other for _, other in every if other["type"] == kind and other["loc"][:-1] == fault["loc"][:-1]]
-    words = {
-        "missing": lambda: f"{len(value) + len(beside)} values",
-        "too_short": lambda: f"at least {told['min_length']} values",
-        "too_long": lambda: f"at most {told['max_length']} values",
-        "string_too_short": lambda: "text that is not empty",
-        "finite_number": lambda: "a finite number",
-        "literal_error": lambda: told["expected"],
-    }
+    beside = [other for at, other in every if at == place and other["loc"][:-1] == fault["loc"][:-1]]
+    words = [f"{len(value) + len(beside)} values"] if kind == "missing" else dict.fromkeys(map(_asked, beside))
+    got = json.dumps(value, ensure_ascii=False, default=str)
+    return place, got if len(got) <= 60 else f"{got[:57]}...", " or ".join(words)
+
+
+def _asked(fault: Any) -> str:
+    """What is asked for in place of a value that one kind does not fit."""
+    kind, told = fault["type"], fault.get("ctx", {})
+    if kind == "too_short":
+        return f"at least {told['min_length']} values"
+    if kind == "too_long":
+        return f"at most {told['max_length']} values"
+    if kind == "string_too_short":
+        return "text that is not empty"
     bound = fault["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
     bound = bound.replace("greater than or equal to", "at least").replace("less than or equal to", "at most")
-    plain = words.get(kind, lambda: _KINDS.get(kind.split("_")[0], bound))()
-    got = json.dumps(value, ensure_ascii=False, default=str)
-    return place, got if len(got) <= 60 else f"{got[:57]}...", plain
+    return str(told["expected"]) if kind == "literal_error" else _KINDS.get(kind.split("_")[0]) or bound
 
 
 def _place(content: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any, ...]:

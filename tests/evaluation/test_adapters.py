@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,6 +25,7 @@ from pipeline.system.errors import FrameUnusable, InputError
 from pipeline.system.whole_files import sha256_of
 
 IDS = ("000001/000000", "000001/000020", "000002/000003")
+TWO = ("000001/000000", "000002/000000")
 MUG = "mug left of the laptop"
 ASKED = {IDS[0]: [MUG, "laptop right of the mug"], IDS[1]: [MUG]}
 
@@ -127,6 +129,9 @@ def test_answers_of_roborefer(tmp_path: Path, world: dict[str, Any]) -> None:
     assert held.lines == 1
     told = "about pictures that the dataset does not hold (first: line 2, image/99.png)"
     assert held.notes == (f"left out: 2 of 3 lines, {told}",)
+    several = roborefer(rgb_path="data/000000.png")
+    world_of_two = world | {"dataset": InMemoryDataset([replace(world["dataset"].load(IDS[0]), id=i) for i in TWO])}
+    refused(of_lines(path, away, several), world_of_two, "line 2: the picture .* may be of several frames")
     refused(of_lines(path, away), world, r"holds no picture .*; got line 1, image/99.png; expected such as 00000")
     refused(of_lines(path, roborefer(), roborefer(question_id=1)), world, f"two lines ask '{MUG}' of frame")
     refused(of_lines(path, roborefer(prompt="", object_name="", instruction="")), world, "line 1: no question")

@@ -183,6 +183,9 @@ def test_the_sinks_of_supervision_are_played_back(tmp_path: Path, frame: Frame) 
     del rows[0]["frame_index"]
     refused(written(path, rows), frame, "no column names the picture.*image_path", key=names)
     refused(written(path, [{**sink_rows()[0], "confidence": ""}]), frame, "entry 0, confidence: not a row")
+    reversed_box = {**sink_rows()[0], "x_max": 1}
+    refused(written(path, [reversed_box]), frame, r"frame scene/0: proposal boxes must be x0, .*numbers.json\]$")
+    refused(written(path, [{**sink_rows()[0], "x_max": 1e300}]), frame, "frame scene/0: proposal boxes must be finite")
     refused(written(path, [{**sink_rows()[0], "image_path": None}]), frame, "entry 0, image_path: names no picture")
 
 

@@ -66,7 +66,7 @@ class Published:
 
         The adapter leaves out what is about such a picture. FrameUnusable where it may be of several frames.
         """
-        found = self._frames.find(picture)
+        found = self._frames.find(picture, where)
         if found is None:
             self.elsewhere.append(f"{where}, {picture}")
         return found
