@@ -97,7 +97,7 @@ def _name(thing: dict[str, Any]) -> str:
 
 def _first_fault(error: Exception) -> str:
     if isinstance(error, ValidationError):
-        place, got, expected = first_fault(error, {})
+        place, got, expected = first_fault(error, "")
         return f"{'.'.join(map(str, place))}: {got}; expected {expected}"
     return f"no {error}" if isinstance(error, KeyError) else str(error)
 

@@ -297,7 +297,11 @@ def test_maps_of_concept_graphs_are_played_back(tmp_path: Path, frame: Frame, pr
     assert detector.detect(replace(frame, id="scene/1"), None).scores.tolist() == [0.5]
     # A map without what is asked for, and one without objects.
     gap = {key: value for key, value in mug.items() if key != "conf"}
-    for content, message in (([gap], "object 0: not as ConceptGraphs writes it; got no 'conf'"), ([], "no map")):
+    sure = mug | {"conf": [np.float32(1.5)] * 3}
+    wrong = "object 0: not as ConceptGraphs writes it; got "
+    for content, message in (
+        ([gap], f"{wrong}no 'conf'"), ([], "no map"), ([sure], f"{wrong}score: 1.5; expected at most 1"),
+    ):  # fmt: skip
         refused(write_map(path, content, 4), frame, message)
 
 
