@@ -144,7 +144,7 @@ ABOUT = "See why an RGB-D spatial-reasoning pipeline answered what it answered."
 
 def listing() -> str:
     """What `spatialviz --help` prints: the commands in groups; tyro can list them in one row only."""
-    width = shutil.get_terminal_size().columns
+    width, about_at = shutil.get_terminal_size().columns, max(map(len, COMMANDS)) + 4
     lines = ["usage: spatialviz [-h] [--version] COMMAND ...", "", *textwrap.wrap(ABOUT, width)]
     lines += ["Without COMMAND: view. `spatialviz COMMAND --help` lists its arguments and options."]
     lines += [f"Every command takes {LIMITS_OPTION} NAME=VALUE,... for what is large on purpose: docs/limits.md."]
@@ -152,7 +152,8 @@ def listing() -> str:
         lines += ["", f"{group}:"]
         for name, (options, _) in commands.items():
             about = inspect.getdoc(options).split("\n\n")[0]  # pyright: ignore[reportOptionalMemberAccess]
-            lines += textwrap.wrap(about, width, initial_indent=f"  {name:<14}", subsequent_indent=" " * 16)
+            first = f"  {name}".ljust(about_at)
+            lines += textwrap.wrap(about, width, initial_indent=first, subsequent_indent=" " * about_at)
     return "\n".join(lines)
 
 

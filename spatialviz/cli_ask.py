@@ -263,7 +263,7 @@ class ImportRun(Output):
     """Run folder to write."""
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
     format: str | None = None
-    """spatialviz | coco | supervision | grounded-sam2 | grounded-sam | concept-graphs | recording | roborefer |
+    """spatialviz | coco | supervision | boxes | grounded-sam2 | grounded-sam | concept-graphs | recording | roborefer |
     spatialrgpt | llava | spatialclaw | lmms-eval, or a plugin's. Default: as the file's content says."""
     key: Path | None = None
     """What the file leaves open: COCO's annotation file, a list of class names, a list of id, image and question."""

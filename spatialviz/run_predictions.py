@@ -7,13 +7,15 @@ from typing import Any
 
 from pipeline.evaluation.adapters import import_published
 from pipeline.evaluation.importing import export_run
-from pipeline.evaluation.job import RunReport
+from pipeline.evaluation.job import PREDICTIONS_FILE, RunReport
 from pipeline.evaluation.run_folder import open_run
 from pipeline.language.counted import counted
 from spatialviz.cli_ask import ExportRun, ImportRun
 from spatialviz.options import warn
 from spatialviz.printing import rate_bar, say
 from spatialviz.run_eval import print_run, run_record
+
+_NAMED = {"proposals": "OPM-TARGET or OPM-REF", "boxes_3d": "LIFT", "relations": "SRM, OPM-CONF or PRM"}
 
 
 def run_import_run(command: ImportRun) -> None:
@@ -42,8 +44,12 @@ def run_import_run(command: ImportRun) -> None:
 def print_imported(report: RunReport, imported: Mapping[str, Any]) -> None:
     """The tables, and whose answers they are of."""
     print_run(report, 0)
-    lines = counted(imported["lines"], "line")
+    lines, lacks = counted(imported["lines"], "line"), imported["lacks"]
     say(f"{imported['system']}: imported, level {imported['level']} of 3, {lines} as they stand in the file")
+    if lacks is not None:
+        more = f" and {lacks['lines'] - 1} more give" if lacks["lines"] > 1 else " gives"
+        without = f"no {lacks['field']}, without which a verdict cannot name {_NAMED[lacks['field']]}"
+        say(f"line {lacks['line']}{more} {without} [{report.folder / PREDICTIONS_FILE}]")
 
 
 def run_export_run(command: ExportRun) -> None:

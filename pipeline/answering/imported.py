@@ -100,9 +100,11 @@ class GivenDetector:
             where = f"the file {self.predictions.path.name}"
             names = tuple(dict.fromkeys(n for label in labels for n in meant_names(label, names, None, where)))
         best: dict[int, tuple[str, Proposal]] = {}
+        at: dict[int, Prediction] = {}
         for line in lines:
             for name in names:
                 for p in (line.proposals or {}).get(name, ()):
+                    at.setdefault(p.id, line)
                     if keep(p) and (p.id not in best or best[p.id][1].score < p.score):
                         best[p.id] = p.name or name, p
         if not best:
@@ -113,7 +115,9 @@ class GivenDetector:
         masks = np.zeros((len(found), frame.height, frame.width), np.bool_)
         for k, p in enumerate(found):
             if p.mask is not None:
-                masks[k] = p.mask.decoded(masks.shape[1:], f"frame {frame.id}, mask of {p.id}", self.predictions.path)
+                masks[k] = p.mask.decoded(
+                    masks.shape[1:], self.predictions.where(at[p.id], f"mask of {p.id}"), self.predictions.path
+                )
         assert all(p.box is not None for p in found)
         boxes = [box_2d(p.box, header, frame.width, frame.height) for p in found if p.box is not None]
         return Proposals(

@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, FiniteFloat
+from pydantic import BeforeValidator, ConfigDict, Field, FiniteFloat, StrictBool
 
 from pipeline.geometry.masks import RunLength
 
 VERSION = 1
 """Of the schema; a reader refuses files of a later one."""
 _STRICT = ConfigDict(extra="forbid")
-Id = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+def _no_text(value: Any) -> Any:
+    """3.0 is a whole number, as tables write it; "3" and true are none."""
+    if isinstance(value, str | bool):
+        raise ValueError("a whole number")
+    return value
+
+
+Key = Annotated[int, Field(ge=0, lt=2**63)]
+"""Of an object of JSON, where a number is text."""
+Id = Annotated[Key, BeforeValidator(_no_text)]
 Name = Annotated[str, Field(min_length=1)]
-Share = Annotated[FiniteFloat, Field(ge=0, le=1)]
-Three = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-Four = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
-Row = tuple[Id, Id, Share] | tuple[Id, Id, Id, Share]
+Number = Annotated[FiniteFloat, Field(strict=True)]
+Share = Annotated[FiniteFloat, Field(strict=True, ge=0, le=1)]
+Three = tuple[Number, Number, Number]
+Four = tuple[Number, Number, Number, Number]
+Row = Annotated[tuple[Id, Id, Share] | tuple[Id, Id, Id, Share], Field(union_mode="left_to_right")]
 """Two objects, of "between" three, and a probability."""
 
 
@@ -28,9 +41,9 @@ class Weights:
 
     __pydantic_config__ = _STRICT
 
-    target: FiniteFloat = 1.0
-    reference: FiniteFloat = 1.0
-    relation: FiniteFloat = 1.0
+    target: Number = 1.0
+    reference: Number = 1.0
+    relation: Number = 1.0
 
 
 @dataclass(frozen=True)
@@ -84,8 +97,8 @@ class Header:
     ranking: Literal["product", "pair_scores", "none"] = "none"
     weights: Weights = field(default_factory=Weights)
     same: Literal["ids", "overlap"] = "ids"
-    exact: bool = False
-    events: bool = False
+    exact: StrictBool = False
+    events: StrictBool = False
     scorer: str | None = None
     confidence: Share | None = None
     settings: dict[str, Any] | None = None
@@ -139,7 +152,7 @@ class GivenBox:
 
     center: Three | None = None
     size: Three | None = None
-    rotation: Annotated[tuple[FiniteFloat, ...], Field(min_length=9, max_length=9)] | None = None
+    rotation: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)] | None = None
     corners: Annotated[tuple[Three, ...], Field(min_length=8, max_length=8)] | None = None
 
 
@@ -163,9 +176,9 @@ class GivenAnswer:
     object: Id | None = None
     reference: Id | None = None
     box: Four | None = None
-    point: tuple[FiniteFloat, FiniteFloat] | None = None
+    point: tuple[Number, Number] | None = None
     mask: RunLength | None = None
-    yes: bool | None = None
+    yes: StrictBool | None = None
 
 
 @dataclass(frozen=True)
@@ -208,10 +221,10 @@ class Prediction:
     reference: Name | None = None
     proposals: dict[Name, tuple[Proposal, ...]] | None = None
     unknown: dict[Name, str] | None = None
-    boxes_3d: dict[Id, GivenBox | None] | None = None
+    boxes_3d: dict[Key, GivenBox | None] | None = None
     relations: dict[str, tuple[Row, ...]] | None = None
     attributes: dict[Name, tuple[tuple[Id, Share], ...]] | None = None
-    pairs: tuple[tuple[Id, Id | None, FiniteFloat], ...] | None = None
+    pairs: tuple[tuple[Id, Id | None, Number], ...] | None = None
 
     @property
     def level(self) -> int:
@@ -231,3 +244,13 @@ class Prediction:
         """The proposals that went on, by id; of one id under several names the first."""
         every = [p for found in (self.proposals or {}).values() for p in found if p.dropped is None]
         return {p.id: p for p in reversed(every)}
+
+
+_INSIDE = {"weights": Weights, "answer": GivenAnswer, "proposals": Proposal, "boxes_3d": GivenBox, "mask": RunLength}
+
+
+def fields_beside(kind: type, place: tuple[Any, ...]) -> Iterable[str]:
+    """The fields there are where a header or line (`kind`) has another one."""
+    if len(place) > 1:
+        kind = _INSIDE.get(place[-2], _INSIDE.get(place[0], kind))
+    return kind.__dataclass_fields__

@@ -10,7 +10,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -26,6 +26,7 @@ from pipeline.answering.prediction_schema import (
     Prediction,
     Proposal,
     Weights,
+    fields_beside,
 )
 from pipeline.language.relation_names import RELATIONS
 from pipeline.system.door import opened, parse_json, read_bytes
@@ -69,6 +70,8 @@ class Predictions:
         The number of each line in the file, from 1, for messages.
     least : int or None
         The level of the file that these lines are some of.
+    cut_off : int or None
+        The number of a last line that a killed writer left half, and that is not read.
     """
 
     path: Path
@@ -76,6 +79,7 @@ class Predictions:
     lines: dict[tuple[str, str], Prediction]
     numbers: dict[tuple[str, str], int]
     least: int | None = None
+    cut_off: int | None = None
 
     @property
     def level(self) -> int:
@@ -85,9 +89,19 @@ class Predictions:
         most = max((p.level for p in self.lines.values()), default=0)
         return min((p.level for p in self.lines.values() if p.problem is None), default=most)
 
+    @property
+    def lacking(self) -> tuple[str, list[int]]:
+        """The field that would raise the level, and the numbers of the lines that keep it as it is; at level 3 none."""
+        level, fields = self.level, ("proposals", "boxes_3d", "relations", "")
+        found = {self.numbers[key]: p.problem for key, p in self.lines.items() if p.level == level < 3}
+        return fields[level], [n for n, problem in found.items() if problem is None] or [*found]
+
     def record(self) -> dict[str, Any]:
         """As JSON: whose they are, for a run's manifest."""
-        return {"system": self.header.system, "level": self.level, "lines": len(self.lines), "file": self.content_hash}
+        field_, lines = self.lacking
+        lacks = {"field": field_, "line": min(lines), "lines": len(lines)} if lines else None
+        told = {"system": self.header.system, "level": self.level, "lacks": lacks}
+        return {**told, "lines": len(self.lines), "file": self.content_hash}
 
     def line(self, frame: str, text: str) -> Prediction | None:
         """The line of an expression, whatever its spaces and capitals; None where there is none."""
@@ -134,8 +148,8 @@ def read_predictions(path: str | Path) -> Predictions:
     InputError
         The first fault: the number of its line, the field, what was got, and the likely cause.
     """
-    path = Path(path)
-    lines = read_lines(path)
+    path, cut = Path(path), list[int]()
+    lines = read_lines(path, cut)
     header = next(lines)[1]
     assert isinstance(header, Header)
     seen: dict[tuple[str, int], tuple[int, Proposal]] = {}
@@ -151,19 +165,21 @@ def read_predictions(path: str | Path) -> Predictions:
             raise InputError(f"line {number}, {name}: {field_}", cause=wrong or None, path=path)
         found[key] = _agreeing(line, number, seen, boxes, path)
         numbers[key] = number
-    require(found, "the file holds no predictions", expected="a line for each expression after the first", path=path)
-    return Predictions(path, header, found, numbers)
+    expected = f"{'whole lines' if cut else 'a line for each expression'} after the first"
+    require(found, "the file holds no predictions", expected=expected, path=path)
+    return Predictions(path, header, found, numbers, cut_off=next(iter(cut), None))
 
 
-def read_lines(path: Path) -> Iterator[tuple[int, Header | Prediction]]:
+def read_lines(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, Header | Prediction]]:
     """The header and each line, or what events tell of an expression, by itself, with its number from 1.
 
     Raises
     ------
     InputError
-        As `read_predictions`. A last line without its end that is no JSON is what a killed writer left, and is skipped.
+        As `read_predictions`. A last line without its end that is no JSON is what a killed writer left: it is skipped,
+        and its number added to `cut`.
     """
-    contents = read_contents(path)
+    contents = read_contents(path, cut)
     header = parse_header(next(contents)[1], path)
     yield 1, header
     if header.events:
@@ -172,8 +188,8 @@ def read_lines(path: Path) -> Iterator[tuple[int, Header | Prediction]]:
         yield number, parse_line(content, number, path)
 
 
-def read_contents(path: Path) -> Iterator[tuple[int, Any]]:
-    """The JSON of each line that is not empty, with its number from 1; raises as `read_lines`."""
+def read_contents(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, Any]]:
+    """The JSON of each line that is not empty, with its number from 1; `cut` and what is raised as of `read_lines`."""
     try:
         with opened(path, "unpacked") as file:
             number = 0
@@ -182,13 +198,16 @@ def read_contents(path: Path) -> Iterator[tuple[int, Any]]:
                     continue
                 try:
                     content = parse_json(line.decode("utf-8-sig" if number == 1 else "utf-8"), path)
-                except UnicodeDecodeError as error:
-                    words = f"line {number}: not UTF-8"
-                    raise InputError(words, got=str(error), expected="the file saved as UTF-8", path=path) from error
-                except json.JSONDecodeError as error:
+                except InputError:
+                    raise
+                except ValueError as error:
                     if number > 1 and not line.endswith(b"\n"):
+                        if cut is not None:
+                            cut.append(number)
                         return
-                    raise InputError(f"line {number}: not JSON", got=str(error), path=path) from error
+                    other = isinstance(error, UnicodeDecodeError)
+                    kind, expected = ("UTF-8", "the file saved as UTF-8") if other else ("JSON", None)
+                    raise InputError(f"line {number}: not {kind}", got=error, expected=expected, path=path) from error
                 yield number, content
             require(number, "the file is empty", expected="a header and a line for each expression", path=path)
     except OSError as error:
@@ -212,14 +231,14 @@ def parse_header(content: Any, path: Path) -> Header:
         expected=str(VERSION),
         path=path,
     )
-    keys = Header.__dataclass_fields__
-    return checked(_HEADER.validate_python, content, "line 1, {}: the header is not well formed", path, keys=keys)
+    wrong = "line 1, {}: the header is not well formed"
+    return checked(_HEADER.validate_python, content, wrong, path, keys=partial(fields_beside, Header))
 
 
 def parse_line(content: Any, number: int, path: Path) -> Prediction:
     """One further line; InputError where it does not follow the schema."""
-    wrong, keys = f"line {number}, {{}}: not as the schema has it", Prediction.__dataclass_fields__
-    return checked(_LINE.validate_python, content, wrong, path, keys=keys)
+    wrong = f"line {number}, {{}}: not as the schema has it"
+    return checked(_LINE.validate_python, content, wrong, path, keys=partial(fields_beside, Prediction))
 
 
 def faults(line: Prediction, header: Header) -> Iterator[tuple[str, str, str]]:
@@ -336,7 +355,7 @@ class PredictionWriter:
     def __init__(self, path: str | Path, header: Header, *, append: bool = False) -> None:
         self.path = Path(path)
         there = self.path.exists() and self.path.stat().st_size > 0
-        require(append or not there, "the file exists", expected="another name, or to append to it", path=self.path)
+        require(append or not there, "the file exists", expected="append=True, or another name", path=path)
         if there:
             known = next(read_lines(self.path))[1]
             require(known == header, "the file was begun with another header", path=self.path)

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from pathlib import PurePosixPath
 
-from pipeline.system.errors import FrameUnusable, needed, require
+from pipeline.system.errors import FrameUnusable, require
 
 Picture = str | int
 """A path or file name, or a number."""
@@ -43,7 +43,6 @@ class FrameNames:
     """
 
     def __init__(self, ids: Sequence[str]) -> None:
-        self.ids = tuple(ids)
         self._known = frozenset(ids)
         self._alike: defaultdict[Picture | tuple[str, str], list[str]] = defaultdict(list)
         for frame_id in ids:
@@ -53,8 +52,8 @@ class FrameNames:
             if last.isdecimal():
                 self._alike[int(last)].append(frame_id)
 
-    def find(self, picture: Picture) -> str | None:
-        """The frame of a picture, or None.
+    def find(self, picture: Picture, where: str = "") -> str | None:
+        """The frame of a picture that a file names at `where`, or None.
 
         Raises
         ------
@@ -68,18 +67,12 @@ class FrameNames:
         found = [frame_id for frame_id, how in fits.items() if best and how == best]
         require(
             len(found) <= 1,
-            f"the picture {picture!r} may be of several frames",
+            f"{where and f'{where}: '}the picture {picture!r} may be of several frames",
             got=" and ".join(found[:2]),
             expected="the frame's whole id, as in SCENE/FRAME.png",
             error=FrameUnusable,
         )
         return found[0] if found else None
-
-    def named(self, picture: Picture, where: str) -> str:
-        """The frame of a picture; `where` a file names it. FrameUnusable where there is none, or several."""
-        words = f"{where}: the dataset has no frame for the picture {picture!r}"
-        expected = f"such as {self.ids[0]}" if self.ids else None
-        return needed(self.find(picture), words, expected=expected, error=FrameUnusable)
 
     def _near(self, picture: Picture) -> list[str]:
         if isinstance(picture, int):

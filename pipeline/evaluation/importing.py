@@ -37,6 +37,8 @@ from pipeline.system.errors import InputError, require
 
 LEAST_BESIDE = 10
 """Of fewer proposals nothing is said of where they lie."""
+SIZES = (2.0, 1.5, 3.0, 4.0)
+"""By how much pictures are often made smaller for a network."""
 
 
 def import_run(
@@ -100,6 +102,8 @@ def import_run(
     )  # fmt: skip
     unasked, total = len(file.lines) - len(asked), read.manifest.counts["expressions"]
     warnings = report.warnings
+    if file.cut_off is not None:
+        warnings += (f"line {file.cut_off} is cut off, as a killed writer leaves it, and is not read",)
     if unasked > 0:
         warnings += (f"{unasked} of {len(file.lines)} lines are no expression of the labels, and are not judged",)
     if len(asked) < total:
@@ -112,20 +116,24 @@ def import_run(
 def _beside_all(source: ImportedPipeline, labels: Labels) -> str | None:
     """A warning where no proposal of any line lies on a labelled object, as of pictures of another size."""
     best, count, file = 0.0, 0, source.predictions
+    on = dict.fromkeys(SIZES, 0)
     for truth in read_cases(labels, 0, 2**31 - 1):
         every = [p.box for line in file.of_frame(truth.frame) for p in line.objects.values() if p.box is not None]
         if every and len(truth.boxes):
             frame = source.dataset.load(truth.frame)
             boxes = np.array([box_2d(box, file.header, frame.width, frame.height) for box in every])
             best, count = max(best, float(iou_2d(boxes, truth.boxes).max())), count + len(every)
+            for size in SIZES:
+                on[size] += int((iou_2d(boxes * size, truth.boxes).max(axis=1) >= HIT).sum())
         if best >= HIT:
             return None
     if count < LEAST_BESIDE:
         return None
-    return (
-        f"none of {count} proposals lies on a labelled object (best overlap {best:.2f}): are their boxes of another "
-        "size of the pictures, or in another unit?"
-    )
+    size = max(SIZES, key=lambda size: on[size])
+    likely = "another size of the pictures, or in another unit?"
+    if on[size] >= count / 4:
+        likely = f"smaller pictures? Times {size:g}, {on[size]} of them do"
+    return f"none of {count} proposals lies on a labelled object (best overlap {best:.2f}): are their boxes of {likely}"
 
 
 def export_run(run: Run, out: str | Path) -> int:

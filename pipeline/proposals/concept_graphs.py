@@ -5,7 +5,8 @@
 (scenegraph/build_scenegraph_cfslam.py: that list alone). Of an object `class_name`, `color_path`, `mask`, `xyxy` and
 `conf` are lists with an entry for each picture that shows it; `bbox_np` (8, 3) are the corners of its box in the frame
 of the scene's poses, metres. Its name is the tag of its caption where it has one (`caption_dict`), else the class that
-was said most often.
+was said most often. In `pcd_*.pkl.gz` of the branch ali-dev (slam/rerun_realtime_mapping.py) `class_name` is one name
+and `color_path` holds Path objects.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from pipeline.geometry.masks import RunLength
 from pipeline.proposals.coco_files import Detections, RecordedDetection
 from pipeline.system.errors import as_input_error, require
 from pipeline.system.plain_pickle import plain, read_plain_pickle
-from pipeline.system.reading import Content
+from pipeline.system.reading import Content, first_fault
 
 ENDINGS = (".pkl.gz", ".pkl")
 Corners = tuple[tuple[float, float, float], ...]
@@ -90,13 +91,14 @@ def _compact(array: np.ndarray) -> Any:
 def _name(thing: dict[str, Any]) -> str:
     response = (thing.get("caption_dict") or {}).get("response") or {}
     tag = response.get("object_tag") if isinstance(response, dict) else None
-    return str(tag or Counter(thing["class_name"]).most_common(1)[0][0])
+    said = thing["class_name"]
+    return str(tag or (said if isinstance(said, str) else Counter(said).most_common(1)[0][0]))
 
 
 def _first_fault(error: Exception) -> str:
     if isinstance(error, ValidationError):
-        first = error.errors()[0]
-        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        place, got, expected = first_fault(error, "")
+        return f"{'.'.join(map(str, place))}: {got}; expected {expected}"
     return f"no {error}" if isinstance(error, KeyError) else str(error)
 
 

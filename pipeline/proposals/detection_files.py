@@ -5,7 +5,11 @@ COCO results: see `pipeline.proposals.coco_files`.
 supervision: the rows of `sv.JSONSink` and `sv.CSVSink` (roboflow/supervision 0.27, detection/tools/json_sink.py and
 csv_sink.py): x_min, y_min, x_max, y_max, class_id, confidence, tracker_id ("" where there is none), `class_name` of the
 detections' data, and what the user adds as custom_data, of which one column names the picture (`PICTURE_COLUMNS`).
-Without a class_name a list of names says what class_id means. The sinks write no masks.
+Without a class_name a list of names says what class_id means. The sinks write no masks. Tables of other programs with
+such columns (frame, name, score, x1, y1, x2, y2) are read as they are.
+
+Boxes: for each picture an object of boxes, scores and labels, with a field that names the picture: what Grounding DINO
+gives in transformers (`post_process_grounded_object_detection`), written as a list, as JSON lines or a file each.
 
 Grounded SAM: `grounded_sam2_*_results.json` of IDEA-Research/Grounded-SAM-2 (image_path; annotations of class_name,
 bbox, segmentation, score; box_format), and `mask.json` or `label.json` of IDEA-Research/Grounded-Segment-Anything
@@ -18,11 +22,11 @@ ConceptGraphs: see `pipeline.proposals.concept_graphs`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, Field, FiniteFloat
+from pydantic import AliasChoices, AliasGenerator, BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat
 
 from pipeline.datasets.frame_names import Picture
 from pipeline.geometry.masks import RunLength
@@ -45,8 +49,21 @@ Name = Annotated[str, Field(min_length=1)]
 Score = Annotated[float, Field(ge=0, le=1)]
 
 
+_COLUMNS = {
+    "x_min": ("x_min", "xmin", "x0", "x1"), "y_min": ("y_min", "ymin", "y0", "y1"),
+    "x_max": ("x_max", "xmax", "x2", "x1"), "y_max": ("y_max", "ymax", "y2", "y1"),
+    "confidence": ("confidence", "score", "conf"), "class_name": ("class_name", "name", "label", "phrase"),
+}  # fmt: skip
+"""What tables call the columns of supervision's sinks: of x0, x1 the second is the right edge, of x1, x2 the first is
+the left one."""
+
+
 class SinkRow(BaseModel):
-    """A row of supervision's sinks."""
+    """A row of supervision's sinks, or of a table with its columns by other names."""
+
+    model_config = ConfigDict(
+        alias_generator=AliasGenerator(validation_alias=lambda name: AliasChoices(*_COLUMNS.get(name, (name,))))
+    )
 
     x_min: FiniteFloat
     y_min: FiniteFloat
@@ -58,23 +75,61 @@ class SinkRow(BaseModel):
     class_name: str | None = None
 
 
-def _supervision(content: Content, key: Path | None) -> Detections:
-    names = () if key is None else read_class_names(key)
+def _picture_column(content: Content) -> str:
     column = next((name for name in PICTURE_COLUMNS if name in content.first), None)
     missing, columns = "no column names the picture", ", ".join(content.first)
-    column = needed(column, missing, got=columns, expected="such as image_path in custom_data", path=content.path)
+    return needed(column, missing, got=columns, expected="such as image_path in custom_data", path=content.path)
+
+
+def _picture(content: Content, k: int, column: str) -> Picture:
+    """Which picture row `k` is about."""
+    picture = content.value[k].get(column)
+    told = isinstance(picture, str | int) and not isinstance(picture, bool) and picture != ""
+    where = f"{content.where(k)}, {column}: names no picture"
+    require(told, where, got=repr(picture), path=content.path)
+    return _number(picture)
+
+
+def _supervision(content: Content, key: Path | None) -> Detections:
+    names = () if key is None else read_class_names(key)
+    column = _picture_column(content)
     found: Detections = {}
     for k, row in enumerate(content.rows(SinkRow.model_validate, "not a row of supervision's sinks")):
         where, known = content.where(k), row.class_id is not None and row.class_id < len(names)
         label = row.class_name or (names[row.class_id] if known and row.class_id is not None else None)
         expected = None if names else "class_name in the detections' data, or a list of names (--model-config, --with)"
         label = needed(label, f"{where}: no name for the class {row.class_id}", expected=expected, path=content.path)
-        picture = content.value[k].get(column)
-        told = isinstance(picture, str | int) and not isinstance(picture, bool) and picture != ""
-        require(told, f"{where}, {column}: names no picture", got=repr(picture), path=content.path)
         box = (row.x_min, row.y_min, row.x_max, row.y_max)
         detection = RecordedDetection(label=label, score=row.confidence, bbox=box, id=row.tracker_id)
-        found.setdefault(_number(picture), []).append(detection)
+        found.setdefault(_picture(content, k, column), []).append(detection)
+    return found
+
+
+class ListedBoxes(BaseModel):
+    """What a detector found in a picture, as lists of one length: results of Grounding DINO and its like as JSON."""
+
+    boxes: list[Corners]
+    scores: list[Score] = Field(validation_alias=AliasChoices("scores", "logits", "confidences"))
+    labels: list[Name] = Field(validation_alias=AliasChoices("text_labels", "labels", "phrases"))
+
+
+def _lists(content: Content, key: Path | None) -> Detections:
+    content = replace(content, value=content.value if isinstance(content.value, list) else [content.value])
+    column = _picture_column(content)
+    found: Detections = {}
+    read = content.rows(ListedBoxes.model_validate, "not boxes, scores and labels of a picture")
+    shares = all(number <= 1 for row in read for box in row.boxes for number in box) and any(row.boxes for row in read)
+    words, cause = "boxes are asked for in pixels", "shares of the picture? times its width and height"
+    require(not shares, words, got="none above 1", expected="[x0, y0, x1, y1]", cause=cause, path=content.path)
+    for k, row in enumerate(read):
+        lengths = f"{len(row.boxes)} boxes, {len(row.scores)} scores, {len(row.labels)} labels"
+        alike = len(row.boxes) == len(row.scores) == len(row.labels)
+        require(alike, f"{content.where(k)}: lists of one length are asked for", got=lengths, path=content.path)
+        told = found.setdefault(_picture(content, k, column), [])
+        told += [
+            RecordedDetection(label=label, score=score, bbox=box)
+            for label, score, box in zip(row.labels, row.scores, row.boxes, strict=True)
+        ]
     return found
 
 
@@ -170,10 +225,15 @@ DETECTION_FORMATS = {
         is_coco, coco_detections, "results of the COCO API", "the annotation file, which names pictures and classes"
     ),
     "supervision": DetectionFormat(
-        lambda c: {"x_min", "y_max", "confidence"} <= c.first.keys(),
+        lambda c: all(c.first.keys() & _COLUMNS[name] for name in ("x_min", "y_max", "confidence")),
         _supervision,
-        "rows of supervision's JSONSink and CSVSink",
+        "rows of supervision's JSONSink and CSVSink, or of a table of boxes",
         "a list of class names, where the rows have no class_name",
+    ),
+    "boxes": DetectionFormat(
+        lambda c: "boxes" in c.first and bool(c.first.keys() & {"scores", "logits", "confidences"}),
+        _lists,
+        "boxes, scores and labels of each picture, as Grounding DINO gives them",
     ),
     "grounded-sam2": DetectionFormat(
         lambda c: {"image_path", "annotations"} <= c.first.keys(), _grounded_sam2, "results of Grounded-SAM-2's demos"

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from pipeline.datasets.frame_names import FrameNames
+from pipeline.datasets.frame_names import FrameNames, Picture
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import MaskCrop, RunLength
 from pipeline.language.naming import Synonyms
@@ -101,16 +101,19 @@ class Playback:
             masks = np.zeros((len(index), *self.shape), np.bool_)
             for n, i in enumerate(index):
                 has_mask[n] = self._paint(int(i), masks[n])
-        return Proposals(
-            self.found.boxes[index],
-            self.found.scores[index],
-            np.array([vocabulary.index(n) for n in names], np.int64),
-            vocabulary,
-            masks,
-            self.found.ids[index],
-            has_mask,
-            None if self.found.segmented is None else self.found.segmented[index],
-        )
+        try:
+            return Proposals(
+                self.found.boxes[index],
+                self.found.scores[index],
+                np.array([vocabulary.index(n) for n in names], np.int64),
+                vocabulary,
+                masks,
+                self.found.ids[index],
+                has_mask,
+                None if self.found.segmented is None else self.found.segmented[index],
+            )
+        except InputError as error:
+            raise InputError(f"frame {self.frame_id}: {error}", path=self._path) from error
 
     def _paint(self, i: int, picture: np.ndarray) -> bool:
         """Set the mask of a detection in an empty picture; False where it is only its box."""
@@ -192,12 +195,13 @@ class RecordedDetector:
                 self.made_by, self._recording = _maker(_object(content)), _read_frames(_object(content), self.path)
         require(files or key is None, "a recording of our own needs no file beside it", path=key)
         self.corners: dict[int, Corners] = {}
+        self.elsewhere: list[Picture] = []
         if files:
             self._published = read_detections(files, key)
             if len(files) == 1 and isinstance(files[0].value, SceneMap):
                 self.corners = files[0].value.corners
             if frame_ids:
-                self._recording = _of_frames(self._published, frame_ids, self.path)
+                self._recording, self.elsewhere = _of_frames(self._published, frame_ids, self.path)
                 some = next(iter(self._published), None)
                 require(
                     self._recording or some is None,
@@ -259,7 +263,7 @@ class RecordedDetector:
         if self._last is None or not self._last.shows(frame):
             recording = self._recording
             if recording is None and self._published is not None:
-                recording = _of_frames(self._published, (frame.id,), self.path)
+                recording, _ = _of_frames(self._published, (frame.id,), self.path)
             found = needed(
                 self._read_arrays(frame) if recording is None else recording.get(frame.id),
                 f"the recording has no detections for frame {frame.id}",
@@ -314,17 +318,22 @@ def _each_thing_once(index: np.ndarray, found: FrameDetections) -> np.ndarray:
     return np.sort(index[order[first]])
 
 
-def _of_frames(found: Detections, ids: Sequence[str], path: Path) -> dict[str, FrameDetections]:
-    """Published detections by frame, without pictures of no frame; FrameUnusable where it is not clear of which."""
+def _of_frames(
+    found: Detections, ids: Sequence[str], path: Path
+) -> tuple[dict[str, FrameDetections], list[Picture]]:
+    """Published detections by frame, and the pictures of no frame; FrameUnusable where it is not clear of which."""
     names, shared = FrameNames(ids), dict[str, str]()
     frames: dict[str, FrameDetections] = {}
+    elsewhere: list[Picture] = []
     for picture, rows in found.items():
         frame_id = names.find(picture)
-        if frame_id is not None:
-            several = f"two pictures may be frame {frame_id}; the second is {picture!r}"
-            require(frame_id not in frames, several, path=path, error=FrameUnusable)
-            frames[frame_id] = as_arrays(rows, shared)
-    return frames
+        if frame_id is None:
+            elsewhere.append(picture)
+            continue
+        several = f"two pictures may be frame {frame_id}; the second is {picture!r}"
+        require(frame_id not in frames, several, path=path, error=FrameUnusable)
+        frames[frame_id] = as_arrays(rows, shared)
+    return frames, elsewhere
 
 
 def _object(content: Content) -> dict[str, Any]:
@@ -360,8 +369,10 @@ def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetectio
 def as_arrays(entries: Sequence[RecordedDetection], shared: dict[str, str]) -> FrameDetections:
     """Detections as arrays; equal names of all frames, and equal masks of this one, stand once in memory."""
     codes: dict[MaskCode | None, MaskCode | None] = {}
+    with np.errstate(over="ignore"):  # What becomes infinite is refused where it is asked for.
+        boxes = np.array([e.bbox for e in entries], np.float32)
     return FrameDetections(
-        np.array([e.bbox for e in entries], np.float32).reshape(-1, 4),
+        boxes.reshape(-1, 4),
         np.array([e.score for e in entries], np.float32),
         tuple(shared.setdefault(e.label, e.label) for e in entries),
         np.array([-1 if e.id is None else e.id for e in entries], np.int64),

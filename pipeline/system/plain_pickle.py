@@ -1,7 +1,7 @@
 """Pickles of other programs, read without trust: numbers, text, plain containers and numpy arrays.
 
-Nothing that a file names is imported or called. Arrays and their types are rebuilt here from their bytes; what a
-known library puts beside them (settings of OmegaConf, paths, tensors) is passed over; any other name is refused.
+Nothing that a file names is imported or called. Arrays and their types are rebuilt here from their bytes, and paths as
+text; what a known library puts beside them (settings of OmegaConf, tensors) is passed over; any other name is refused.
 What a file may make this process hold is bounded, and the bytes of an array are let go as soon as it is made.
 """
 
@@ -12,7 +12,7 @@ import math
 import pickle
 import re
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
@@ -29,7 +29,7 @@ MOST = 1 << 36
 LONG = 1 << 16
 """From so many bytes on a pickle writes an array outside its frames."""
 
-_PASSED_OVER = ("omegaconf", "pathlib", "typing", "torch")
+_PASSED_OVER = ("omegaconf", "typing", "torch", "uuid")
 _NUMBERS = ("int", "float", "str", "bool", "long")
 _DTYPE = re.compile(r"[<>|=]?([biufcSU][0-9]{1,5})")
 
@@ -109,6 +109,10 @@ def _scalar(kind: _Type, data: bytes = b"") -> Any:
     return found[0].item()
 
 
+def _path(*parts: str) -> str:
+    return str(PurePosixPath(*parts))
+
+
 def _encoded(text: str, encoding: str) -> bytes:
     require(encoding == "latin1", "bytes in an unknown encoding", got=repr(encoding))
     return text.encode("latin1")
@@ -150,6 +154,8 @@ class _Reader(pickle._Unpickler):
             if name == "_frombuffer":
                 return lambda *given: Array(self._keep).fill(*given)
             parts = parts[-1:]
+        if parts[0] == "pathlib":
+            return _path
         if parts[0] in _PASSED_OVER:
             return Passed
         what = "the pickle holds something that is not read"
@@ -223,7 +229,7 @@ def read_plain_pickle(path: Path, keep: Callable[[np.ndarray], Any] = np.asarray
     Returns
     -------
     Any
-        Numbers, text, dict, list, tuple, set, `Array` and, for what is passed over, `Passed`.
+        Numbers, text (paths too), dict, list, tuple, set, `Array` and, for what is passed over, `Passed`.
 
     Raises
     ------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ def checked(
     path: Path,
     *,
     inside: Iterable[str] = (),
-    keys: Iterable[str] = (),
+    keys: Iterable[str] | Callable[[tuple[Any, ...]], Iterable[str]] = (),
 ) -> Checked:
     """What `check` (a validating method of pydantic) makes of a file's content.
 
@@ -47,8 +48,8 @@ def checked(
         What to say where it is wrong, with the location for {}.
     inside : iterable of str
         The location of the content in the file.
-    keys : iterable of str
-        The keys there are, to be told where another one is given.
+    keys : iterable of str, or a function
+        The keys there are, to be told where another one is given; the function gives those beside a location.
 
     Raises
     ------
@@ -58,12 +59,69 @@ def checked(
     try:
         return check(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        location = ".".join(str(p) for p in (*inside, *first["loc"])) or "the top"
-        known = ", ".join(keys) if first["type"] in ("extra_forbidden", "unexpected_keyword_argument") else ""
-        raise InputError(
-            wrong.replace("{}", location), got=first["msg"], expected=f"one of {known}" if known else None, path=path
-        ) from error
+        place, got, expected = first_fault(error, content)
+        if got == _UNKNOWN:
+            known = ", ".join(keys(place) if callable(keys) else keys)
+            expected = known and f"one of {known}"
+        location = ".".join(map(str, (*inside, *place))) or "the top"
+        raise InputError(wrong.replace("{}", location), got=got, expected=expected or None, path=path) from error
+
+
+_UNKNOWN = "a field of another name"
+_KINDS: dict[str, str] = {
+    "float": "a number", "int": "a whole number", "string": "text", "bool": "true or false", "tuple": "a list",
+    "list": "a list", "dict": "an object {...}", "dataclass": "an object {...}", "model": "an object {...}",
+}  # fmt: skip
+
+
+def first_fault(error: ValidationError, content: Any) -> tuple[tuple[Any, ...], str, str]:
+    """The keys and numbers that lead to the first fault of a content, what stands there, and what is asked for.
+
+    Of a value that may be of several kinds it is that of the kind which fits furthest; where none fits, all are told.
+    """
+    every = [(_place(content, fault["loc"], fault["type"] == "missing"), fault) for fault in error.errors()]
+    first = every[0][0]
+    place, fault = max((one for one in every if one[0][: len(first)] == first), key=lambda one: len(one[0]))
+    kind, value = fault["type"], fault["input"]
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        return place, _UNKNOWN, ""
+    if kind == "missing" and not isinstance(value, list | tuple):
+        return place, "nothing", "a value"
+    beside = [other for at, other in every if at == place and other["loc"][:-1] == fault["loc"][:-1]]
+    words = [f"{len(value) + len(beside)} values"] if kind == "missing" else dict.fromkeys(map(_asked, beside))
+    got = json.dumps(value, ensure_ascii=False, default=str)
+    return place, got if len(got) <= 60 else f"{got[:57]}...", " or ".join(words)
+
+
+def _asked(fault: Any) -> str:
+    """What is asked for in place of a value that one kind does not fit."""
+    kind, told = fault["type"], fault.get("ctx", {})
+    if kind == "too_short":
+        return f"at least {told['min_length']} values"
+    if kind == "too_long":
+        return f"at most {told['max_length']} values"
+    if kind == "string_too_short":
+        return "text that is not empty"
+    bound = fault["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    bound = bound.replace("greater than or equal to", "at least").replace("less than or equal to", "at most")
+    return str(told["expected"]) if kind == "literal_error" else _KINDS.get(kind.split("_")[0]) or bound
+
+
+def _place(content: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any, ...]:
+    """A location without what is neither a key nor a number of the content, but the name of one of several kinds."""
+    if isinstance(content, str | bytes):
+        return location
+    found = []
+    for part in location:
+        known = content if isinstance(content, dict) else ()
+        if isinstance(content, list | tuple) and isinstance(part, int):
+            known = range(len(content))
+        if part in known:
+            content = content[part]
+            found.append(part)
+        elif missing and isinstance(content, dict) and part is location[-1]:
+            found.append(part)
+    return tuple(found)
 
 
 @dataclass(frozen=True)

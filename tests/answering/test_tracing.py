@@ -168,7 +168,7 @@ def test_a_trace_says_why_it_cannot_begin(tmp_path: Path) -> None:
         pipeline.trace(tmp_path / "run", lenght="mm")
     with pipeline.trace(tmp_path / "run") as t, pytest.raises(pipeline.InputError, match="no expression is open"):
         t.answer(point=(3, 4))
-    with pytest.raises(pipeline.InputError, match="the file exists"):
+    with pytest.raises(pipeline.InputError, match="the file exists; expected append=True"):
         pipeline.trace(tmp_path / "run")
     with pytest.raises(pipeline.InputError, match="begun with another header"):
         pipeline.trace(tmp_path / "run", append=True, length="mm")

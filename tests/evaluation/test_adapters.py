@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,6 +25,7 @@ from pipeline.system.errors import FrameUnusable, InputError
 from pipeline.system.whole_files import sha256_of
 
 IDS = ("000001/000000", "000001/000020", "000002/000003")
+TWO = ("000001/000000", "000002/000000")
 MUG = "mug left of the laptop"
 ASKED = {IDS[0]: [MUG, "laptop right of the mug"], IDS[1]: [MUG]}
 
@@ -121,9 +123,16 @@ def test_answers_of_roborefer(tmp_path: Path, world: dict[str, Any]) -> None:
         path = of_lines(tmp_path / "one.jsonl", roborefer(text=text, model_id=model))
         (tmp_path / "one.jsonl.predictions").unlink(missing_ok=True)
         assert answer(converted(path, world)).point == pytest.approx(point)
-    refused(
-        of_lines(path, roborefer(), roborefer(rgb_path="image/99.png")), world, "line 2: the dataset has no frame for"
-    )
+    # Lines about pictures that the dataset does not hold are left out, unless there are no others.
+    away = roborefer(rgb_path="image/99.png")
+    held = convert_predictions(of_lines(path, roborefer(), away, away), tmp_path / "held", **world)
+    assert held.lines == 1
+    told = "about pictures that the dataset does not hold (first: line 2, image/99.png)"
+    assert held.notes == (f"left out: 2 of 3 lines, {told}",)
+    several = roborefer(rgb_path="data/000000.png")
+    world_of_two = world | {"dataset": InMemoryDataset([replace(world["dataset"].load(IDS[0]), id=i) for i in TWO])}
+    refused(of_lines(path, away, several), world_of_two, "line 2: the picture .* may be of several frames")
+    refused(of_lines(path, away), world, r"holds no picture .*; got line 1, image/99.png; expected such as 00000")
     refused(of_lines(path, roborefer(), roborefer(question_id=1)), world, f"two lines ask '{MUG}' of frame")
     refused(of_lines(path, roborefer(prompt="", object_name="", instruction="")), world, "line 1: no question")
     path.write_text(json.dumps(roborefer()) + '\n{"question_id": 1,\n')
@@ -223,6 +232,9 @@ def test_detections_give_proposals_and_no_answer(tmp_path: Path, world: dict[str
         for name in ("coffee mug", "person")
     ]  # fmt: skip
     found = converted(of_json(tmp_path / "rows.json", rows), world)
+    more = of_json(tmp_path / "more.json", [*rows, rows[0] | {"image": "99.png"}])
+    notes = convert_predictions(more, tmp_path / "more", **world).notes
+    assert notes[1] == "left out: 1 picture of the file that the dataset does not hold (first: 99.png)"
     line = found.lines[IDS[0], MUG]
     assert (line.level, line.answer, line.problem) == (1, None, "the file holds detections and no answers")
     assert line.proposals is not None

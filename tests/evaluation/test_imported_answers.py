@@ -17,6 +17,7 @@ from pipeline.evaluation.adapters import import_published
 from pipeline.evaluation.importing import import_run
 from pipeline.evaluation.job import RunReport
 from pipeline.evaluation.run_folder import open_run
+from pipeline.geometry.masks import RunLength
 from pipeline.labels.reading import open_labels
 from pipeline.system.errors import InputError
 
@@ -63,6 +64,9 @@ def test_ends_that_are_swapped_are_refused_with_their_line(given: list[Predictio
     assert not (tmp_path / "run").exists()
 
 
+SMALL = RunLength((4, 8), (32,))
+
+
 def _shares(x: float, size: int) -> float:
     return x / size
 
@@ -91,9 +95,21 @@ def test_boxes_that_are_smaller_than_a_pixel_are_refused(given: list[Prediction]
         imported(tmp_path, resized(given, _shares))
 
 
+def test_a_mask_of_another_size_is_told_by_its_line(given: list[Prediction], tmp_path: Path) -> None:
+    known = given[1].proposals or {}
+    proposals = {name: tuple(replace(p, mask=SMALL) for p in every) for name, every in known.items()}
+    with pytest.raises(InputError, match=r"line \d+, mask of \d+: the mask has another size; got \(4, 8\)"):
+        imported(tmp_path, [replace(given[1], proposals=proposals)])
+
+
 def test_boxes_that_lie_on_nothing_are_told(given: list[Prediction], tmp_path: Path) -> None:
     told = "lies on a labelled object"
-    assert any(told in words for words in imported(tmp_path, resized(given, _half))[0].warnings)
+    (words,) = [words for words in imported(tmp_path, resized(given, _half))[0].warnings if told in words]
+    assert "are their boxes of smaller pictures? Times 2, " in words
+    (tmp_path / "corner").mkdir()
+    at_corner = resized(given, lambda x, size: x / 40)
+    (words,) = [words for words in imported(tmp_path / "corner", at_corner)[0].warnings if told in words]
+    assert words.endswith("are their boxes of another size of the pictures, or in another unit?")
     (tmp_path / "whole").mkdir()
     assert not any(told in words for words in imported(tmp_path / "whole", given)[0].warnings)
 

@@ -364,10 +364,9 @@ def test_a_killed_writer_leaves_whole_lines(folder: Path, tmp_path: Path) -> Non
     text = (folder / "run.jsonl").read_text()
     path = tmp_path / "cut.jsonl"
     path.write_text(text[:-40])
+    report = import_run(path, "demo", folder / "labels", tmp_path / "run", plots=False)
+    assert f"line {ASKED + 1} is cut off, as a killed writer leaves it, and is not read" in report.warnings
     assert len(read_predictions(path).lines) == ASKED - 1
-    path.write_text("nonsense\n")
-    with pytest.raises(InputError, match="line 1: not JSON"):
-        read_predictions(path)
 
 
 def test_a_ranking_that_can_be_asked_again_is_judged_like_the_product_that_it_is(folder: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -113,7 +114,7 @@ def test_annotations_of_coco_with_scores_name_their_pictures_themselves(tmp_path
     [
         ({"category_id": 5}, "entry 1: no class has the id 5"),
         ({"image_id": 5}, "entry 1: no picture has the id 5"),
-        ({"score": 1.5}, "entry 1, score: not a result of COCO; got .*less than or equal to 1"),
+        ({"score": 1.5}, "entry 1, score: not a result of COCO; got 1.5; expected at most 1"),
         ({"bbox": [1, 2, 3]}, "entry 1, bbox.*: not a result of COCO"),
         ({"bbox": [10, 10, -5, 5]}, "entry 1: bbox is x, y, width, height"),
         ({"segmentation": None}, "entry 1: neither a box nor a mask.*keypoints"),
@@ -182,7 +183,48 @@ def test_the_sinks_of_supervision_are_played_back(tmp_path: Path, frame: Frame) 
     del rows[0]["frame_index"]
     refused(written(path, rows), frame, "no column names the picture.*image_path", key=names)
     refused(written(path, [{**sink_rows()[0], "confidence": ""}]), frame, "entry 0, confidence: not a row")
+    reversed_box = {**sink_rows()[0], "x_max": 1}
+    refused(written(path, [reversed_box]), frame, r"frame scene/0: proposal boxes must be x0, .*numbers.json\]$")
+    refused(written(path, [{**sink_rows()[0], "x_max": 1e300}]), frame, "frame scene/0: proposal boxes must be finite")
     refused(written(path, [{**sink_rows()[0], "image_path": None}]), frame, "entry 0, image_path: names no picture")
+
+
+@pytest.mark.parametrize(
+    "columns", ["x1,y1,x2,y2,score,name", "x0,y0,x1,y1,conf,label", "xmin,ymin,xmax,ymax,confidence,class_name"]
+)
+def test_tables_of_boxes_are_played_back(tmp_path: Path, frame: Frame, columns: str) -> None:
+    path = tmp_path / "boxes.csv"
+    path.write_text(f"frame,{columns}\nscene/0,10,20,60,80,0.75,mug\nscene/1,1,2,3,4,0.5,cup\n")
+    found = played(path, frame)
+    np.testing.assert_allclose(found.boxes, [[10, 20, 60, 80]])
+    assert (found.scores.tolist(), found.labels) == ([0.75], ("mug",))
+    path.write_text(path.read_text().replace("0.75", "high"))
+    refused(path, frame, rf'line 2, {columns.split(",")[4]}: not a row .*; got "high"; expected a number')
+
+
+def listed(**change: Any) -> dict[str, Any]:
+    """As the results of Grounding DINO in transformers are, with the picture beside them."""
+    found = {"image": "scene/0.jpg", "boxes": [[10, 20, 60, 80], [1, 2, 3, 4]], "scores": [0.75, 0.5]}
+    return {**found, "labels": [0, 1], "text_labels": ["mug", "cup"], **change}
+
+
+def test_boxes_of_a_picture_in_lists_are_played_back(tmp_path: Path, frame: Frame) -> None:
+    phrases = {k: v for k, v in listed(phrases=["mug", "cup"]).items() if not k.endswith("labels")}
+    lines = tmp_path / "found.jsonl"
+    lines.write_text("".join(json.dumps(row) + "\n" for row in (phrases, listed(image="scene/1.jpg"))))
+    for path in (written(tmp_path / "one.json", listed()), written(tmp_path / "list.json", [listed()]), lines):
+        found = played(path, frame, ["mug"])
+        np.testing.assert_allclose(found.boxes, [[10, 20, 60, 80]])
+        assert found.scores.tolist() == [0.75]
+    path = tmp_path / "wrong.json"
+    for change, message in (
+        ({"scores": [0.75]}, "entry 1: lists of one length are asked for; got 2 boxes, 1 scores, 2 labels"),
+        ({"text_labels": [3, "cup"]}, "entry 1, text_labels.0: not boxes, .*; got 3; expected text"),
+        ({"boxes": [[10, 20, 60], [1, 2, 3, 4]]}, r"entry 1, boxes.0: .*; got \[10, 20, 60\]; expected 4 values"),
+        ({"image": ""}, "entry 1, image: names no picture"),
+    ):
+        refused(written(path, [listed(), listed(image="scene/1.jpg") | change]), frame, message)
+    refused(written(path, [listed(boxes=[[0, 0, 0.5, 1], [0, 0, 1, 1]])]), frame, "in pixels; got none above 1")
 
 
 # Grounded SAM.
@@ -255,7 +297,11 @@ def test_maps_of_concept_graphs_are_played_back(tmp_path: Path, frame: Frame, pr
     assert detector.detect(replace(frame, id="scene/1"), None).scores.tolist() == [0.5]
     # A map without what is asked for, and one without objects.
     gap = {key: value for key, value in mug.items() if key != "conf"}
-    for content, message in (([gap], "object 0: not as ConceptGraphs writes it; got no 'conf'"), ([], "no map")):
+    sure = mug | {"conf": [np.float32(1.5)] * 3}
+    wrong = "object 0: not as ConceptGraphs writes it; got "
+    for content, message in (
+        ([gap], f"{wrong}no 'conf'"), ([], "no map"), ([sure], f"{wrong}score: 1.5; expected at most 1"),
+    ):  # fmt: skip
         refused(write_map(path, content, 4), frame, message)
 
 
@@ -266,6 +312,14 @@ def test_the_pruned_map_of_concept_graphs_is_the_list_alone(tmp_path: Path, fram
     path = tmp_path / "scene_map_cfslam_pruned.pkl.gz"
     with gzip.open(path, "wb") as file:
         pickle.dump([mug], file)
+    assert len(played(path, frame, ["mug"])) == 1
+    # As the branch ali-dev writes it: one name, pictures as paths, numbers of uuid, the edges beside the objects.
+    latest = mug | {"id": uuid4(), "class_name": "mug", "color_path": [Path("/data/scene/0.jpg")]}
+    edges = {"edges": [{"obj1_index": 0, "obj2_index": 0, "rel_type": "on top of"}], "objects": [latest]}
+    path = tmp_path / "pcd_r_mapping_stride10.pkl.gz"
+    with gzip.open(path, "wb") as file:
+        pickle.dump({"objects": [latest], "class_colors": {"0": [0.1, 0.2, 0.3]}, "edges": edges}, file)
+    assert RecordedDetector(path, frame_ids=FRAMES).vocabulary == ("mug",)
     assert len(played(path, frame, ["mug"])) == 1
     small = mug | {"mask": [mask[:100]]}
     refused(write_map(path, [small]), frame, "frame scene/0, detection 0: the mask has another size")

@@ -8,6 +8,7 @@ import pickle
 import tracemalloc
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import pytest
@@ -52,7 +53,8 @@ def test_arrays_and_plain_containers_are_read(tmp_path: Path, protocol: int) -> 
 
 def test_settings_of_a_known_library_are_passed_over(tmp_path: Path) -> None:
     assert isinstance(of(tmp_path, CFG), Passed)
-    assert isinstance(of(tmp_path, pickle.dumps(Path("a/b"))), Passed)
+    assert of(tmp_path, pickle.dumps([Path("a/b"), Path("/")])) == ["a/b", "/"]
+    assert isinstance(of(tmp_path, pickle.dumps(uuid4())), Passed)
 
 
 def test_nothing_of_a_file_is_run(tmp_path: Path) -> None:

@@ -84,6 +84,8 @@ def _lines(fields: Fields, published: Published, content: Content) -> Iterator[P
         nameless = f"{where}: nothing names the picture"
         picture = needed(_picture(found), nameless, expected=expected, path=content.path)
         frame = published.frame(picture, where)
+        if frame is None:
+            continue
         told = [row.get(name) for name in fields.questions] + [_first(item, QUESTIONS), _traced(published.path, number)]
         candidates = [text for text in told if isinstance(text, str) and text.strip()]
         require(candidates, f"{where}: no question", expected=expected, path=content.path)

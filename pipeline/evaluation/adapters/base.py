@@ -33,6 +33,8 @@ class Published:
         The labels' expressions by frame, each with the names that it asks for.
     notes : list of str
         For an adapter to add what the user should know.
+    elsewhere : list of str
+        The pictures that the dataset does not hold, each with where the file names it.
     """
 
     path: Path
@@ -40,6 +42,7 @@ class Published:
     dataset: Dataset
     sentences: Mapping[str, Mapping[str, tuple[str, ...]]]
     notes: list[str] = field(default_factory=list)
+    elsewhere: list[str] = field(default_factory=list)
 
     @cached_property
     def content(self) -> Content:
@@ -58,9 +61,15 @@ class Published:
     def _texts(self) -> dict[str, dict[str, str]]:
         return {frame: {words(text): text for text in found} for frame, found in self.sentences.items()}
 
-    def frame(self, picture: Picture, where: str) -> str:
-        """The frame of a picture; FrameUnusable, with `where` the file names it, where there is none or several."""
-        return self._frames.named(picture, where)
+    def frame(self, picture: Picture, where: str) -> str | None:
+        """The frame of a picture that the file names at `where`; None, and noted, where the dataset does not hold it.
+
+        The adapter leaves out what is about such a picture. FrameUnusable where it may be of several frames.
+        """
+        found = self._frames.find(picture, where)
+        if found is None:
+            self.elsewhere.append(f"{where}, {picture}")
+        return found
 
     def size(self, frame: str) -> tuple[int, int]:
         """Width and height of a frame, pixels; InputError where it cannot be loaded."""

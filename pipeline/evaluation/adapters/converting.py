@@ -22,7 +22,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.expression import parse
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files
 from pipeline.system.door import opened
-from pipeline.system.errors import InputError, needed, require
+from pipeline.system.errors import FrameUnusable, InputError, needed, require
 from pipeline.system.plugins import load_plugins
 
 ENTRY_POINT_GROUP = "spatialviz.predictions"
@@ -98,8 +98,8 @@ def convert_predictions(
     Raises
     ------
     InputError
-        No such format or none that the file is of; what does not follow it, with its line or entry; a picture that is
-        no frame, or may be of several; a file with nothing to ask.
+        No such format or none that the file is of; what does not follow it, with its line or entry; a picture that may
+        be of several frames; a file of which no picture is the dataset's, or with nothing to ask.
     """
     path = Path(path)
     require(path.exists(), "there are no predictions", path=path)
@@ -121,6 +121,14 @@ def convert_predictions(
             yield line
 
     write_predictions(out, header, counted())
+    elsewhere = published.elsewhere
+    if elsewhere:
+        known = f"such as {dataset.frame_ids[0]}" if dataset.frame_ids else "one with frames"
+        wrong = "the dataset holds no picture that the file is about"
+        require(counts["lines"], wrong, got=elsewhere[0], expected=known, path=path, error=FrameUnusable)
+        of = f"{len(elsewhere)} of {len(elsewhere) + counts['lines']} lines"
+        first = f"(first: {elsewhere[0]})"
+        published.notes.append(f"left out: {of}, about pictures that the dataset does not hold {first}")
     require(counts["lines"], "the file holds no predictions", path=path)
     return Converted(name, Path(out), header, counts["lines"], counts["answers"], tuple(published.notes))
 

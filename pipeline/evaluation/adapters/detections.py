@@ -12,6 +12,7 @@ from pipeline.answering.predictions import GivenBox, Header, Prediction, Proposa
 from pipeline.datasets.base import load_picture
 from pipeline.evaluation.adapters.base import Published
 from pipeline.geometry.masks import RunLength
+from pipeline.language.counted import counted
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.system.errors import FrameUnusable, UnknownClass
@@ -25,6 +26,11 @@ def read_recording(published: Published) -> tuple[Header, Iterator[Prediction]]:
     published.notes.append(
         f"{ONLY_DETECTIONS}: with --detector recorded they can be ranked as ours are (spatialviz eval)"
     )
+    if detector.elsewhere:
+        published.notes.append(
+            f"left out: {counted(len(detector.elsewhere), 'picture')} of the file that the dataset does not hold "
+            f"(first: {detector.elsewhere[0]})"
+        )
     system = detector.made_by or published.path.name
     header = Header(system=system, coordinates="world" if detector.corners else "camera_opencv", notes=ONLY_DETECTIONS)
     return header, _lines(published, detector)
