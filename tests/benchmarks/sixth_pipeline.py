@@ -115,10 +115,23 @@ def truly(parts: Made, own: OtherPipeline, module: str, met: Met, broken: Met) -
         used |= {place[met.known[i].box] for pair in true_pairs(met) for i in pair if i in met.known}
         pairs = [[box_3d(own.written(t)[1], own.header, None) for t in (was[i], broken.known[i])] for i in used]
         return any(iou_3d(a, b) < 0.5 for a, b in pairs)
+    if module == "OPM-CONF" and not right_with_honest_scores(parts, own, met, broken):
+        return False
     if module.startswith("OPM"):
         # Of the variant only the pixels of a box are asked.
         return truly_said(cast(Variant, parts), own, module, met, broken)
     return truly_wrong(own, module, met, broken)
+
+
+def right_with_honest_scores(parts: Made, own: OtherPipeline, met: Met, broken: Met) -> bool:
+    """Whether the same candidates with the scores from before, the new ones with the least, are answered right: else
+    it is not their confidence that makes them win."""
+    assert own.told is not None
+    least = parts.band[1][0]
+    targets = {i: met.asked.targets.get(i, least) for i in broken.asked.targets}
+    references = {i: met.asked.references.get(i, least) for i in broken.asked.references}
+    honest = replace(broken, asked=replace(broken.asked, targets=targets, references=references))
+    return right(own, own.told(own, honest), met)
 
 
 def lifted_wrong(parts: Made, kind: str, met: Met) -> dict[int, Oriented]:
