@@ -339,11 +339,11 @@ def measured(study: Study, root: Path, labels: Path, given: argparse.Namespace, 
                 found, of = numbered(own, root, opened, list(lines(own, data, opened, *file)))
                 rows += found
                 if given.misses is not None:
-                    _write_misses(given.misses, (root.name, name, words, file[0]), own, kept.mets, found, of)
+                    write_misses(given.misses, (root.name, name, words, file[0]), own, kept.mets, found, of)
             told_rows(f"{name}, {root.name}, {words}", rows, study.kinds)
 
 
-def _write_misses(
+def write_misses(
     path: Path, where: tuple[object, ...], own: OtherPipeline, mets: Mapping[tuple[str, str], tuple[Met, Met]],
     rows: Sequence[Row], of: Sequence[Line],
 ) -> None:  # fmt: skip
