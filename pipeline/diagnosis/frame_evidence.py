@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,9 @@ _POINTED = ("paper30", "canon30")
 
 DEFAULT_CONFIDENCE = 0.5
 """Confidence of a recalled object where no right detection is known to take it from."""
-OFF_M = 0.15
+MOST_WORDS, FEWEST_SAID = 9, 5
+"""Values of a scorer that chooses among words: at most so many, each said of so many pairs of a frame on average."""
+OFF_M = 0.05
 """Extents differ by this much, metres, because one box holds what is seen of a thing, and the other all of it."""
 
 
@@ -150,6 +153,17 @@ class FrameEvidence:
             least = np.maximum(OFF_M, np.maximum(own.hi - own.lo, size) / 4)
             found[k] = (np.abs(own.lo - lo) > least).any() or (np.abs(own.hi - lo - size) > least).any()
         return found
+
+    @cached_property
+    def words(self) -> np.ndarray:
+        """(K,) float64, rising: the few probabilities that a scorer gives, as one does that chooses among words; none
+        where they are many, or are not told."""
+        source = self.answers.source
+        line, predictions = getattr(source, "line", None), getattr(source, "predictions", None)
+        lines = () if line is None or predictions is None else predictions.of_frame(line.frame)
+        every = [r[-1] for one in lines for pairs in (one.relations or {}).values() for r in pairs]
+        found = np.unique(every)
+        return found if len(found) <= MOST_WORDS and len(every) >= FEWEST_SAID * len(found) else found[:0]
 
     def follows(self, relation: str) -> bool:
         """Whether a scorer that cannot be asked again may go by its boxes, as far as its file shows."""

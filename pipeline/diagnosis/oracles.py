@@ -53,6 +53,8 @@ SUBSETS = 16
 STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
 NEARLY = 0.25
 """Log odds by which a fitted ranking does not tell which of two is first."""
+TIED = 0.05
+"""A ranking that was only fitted does not tell which of two is first that are apart by this share of what they were."""
 SURE = 0.95
 """Beyond this, or below one less this, a probability of true boxes is as sure as any."""
 EXPLAINED = 0.3
@@ -155,7 +157,8 @@ class OracleScores:
     def mends(self, subset: int) -> bool:
         """Whether an acceptable pair wins under a subset, or comes to nearly tie by a ranking that was only fitted."""
         rule, behind = self.table.config.rule, self.margins[0]
-        near = rule is not None and self.margins[subset] > max(-NEARLY * rule.unit, behind / 2)
+        # Of two pairs that are both true an oracle says the same, and so leaves a tie.
+        near = rule is not None and self.margins[subset] > min(max(-NEARLY * rule.unit, behind / 2), behind * TIED)
         return bool(self.accepted[subset] or near)
 
     @cached_property
@@ -261,7 +264,10 @@ def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, re
         surest = max(STATE_PROBABILITY[1], float(np.nanmax(base, initial=0.0)))
         sides = ((after > HOLDS) != (before > HOLDS)) | (shifted > SURE) | (shifted < 1 - SURE)
         sure = np.where(after > HOLDS, surest, STATE_PROBABILITY[-1])
-        lifted = np.where(changed, np.where(sides, sure, shifted), base)
+        told = np.where(sides, sure, shifted)
+        if len(evidence.words):
+            told = evidence.words[np.abs(told[..., None] - evidence.words).argmin(axis=-1)]
+        lifted = np.where(changed, told, base)
     a, b = (np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference))
     if evidence.labelled:
         known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])

@@ -35,7 +35,12 @@ def weakest(f: np.ndarray) -> np.ndarray:
         lambda f: np.log(f).sum(axis=1),
         lambda f: 100 * f.prod(axis=1),
         lambda f: np.tanh(3 * f[:, 2]) + f[:, 0],
+        lambda f: (f[:, 2] > 0.5) + 0.7 * f[:, 0] + 0.3 * f[:, 1],
+        lambda f: f[:, 2] - (f[:, 0] < 0.3) - (f[:, 1] < 0.3),
+        lambda f: 100 * np.round(f[:, 2], 1) + 10 * f[:, 0] + 0.1 * f[:, 1],
+        lambda f: 1 - (1 - f).prod(axis=1),
     ],
+    ids=["weakest", "logs", "product", "saturating", "decided first", "score threshold", "lexicographic", "noisy or"],
 )
 def test_scores_of_any_rising_rule_are_foretold(score: Callable[[np.ndarray], np.ndarray]) -> None:
     shown = ShownRanking.of(lines(score))
@@ -109,6 +114,11 @@ def test_the_pair_that_was_answered_stands_first(
     if ranking == "pair_scores":
         # Nothing but the one that was answered is moved.
         assert all(given[p] == s for p, s in zip(pairs, scores, strict=True) if p != first)
+
+
+def test_weights_of_fewer_curves_still_say_what_they_said() -> None:
+    kept = ShownRanking(np.concatenate([[1.0, 2.0, 3.0], np.zeros(22)]), 0.1)
+    assert kept.sums(np.array([0.2, 0.3, 0.4])) == pytest.approx(0.2 + 0.6 + 1.2)
 
 
 def test_weights_of_fewer_columns_still_say_what_they_said() -> None:
