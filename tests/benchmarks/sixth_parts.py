@@ -190,7 +190,7 @@ def things(own: Made, frame: Frame, viewer: ViewerAxes) -> list[Thing]:
 
 
 def in_hundredths(scores: dict[int, float]) -> dict[int, float]:
-    """Rounded; in sum less than one, where they are a softmax."""
+    """Rounded, and by the candidates' numbers."""
     return {i: round(float(np.clip(s, 0.01, 0.99)), 2) for i, s in sorted(scores.items())}
 
 
