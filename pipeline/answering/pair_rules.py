@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, RankConfig, Side
 from pipeline.answering.predictions import Header, Prediction, Predictions
-from pipeline.answering.shown_ranking import ShownRanking
+from pipeline.answering.shown_ranking import SCALES, Scale, ShownRanking
 from pipeline.language.expression import parse
 from pipeline.language.naming import match
 from pipeline.system.errors import InputError
@@ -116,10 +116,11 @@ class RunRules:
             scores = _told_scores(predictions.header, line, factors)
             both = [pair for pair in factors if pair in scores]
             if both:
-                compared.append((np.array([factors[p] for p in both]), np.array([scores[p] for p in both])))
+                rows = np.array([factors[p] for p in both]), np.array([scores[p] for p in both])
+                compared.append((*rows, np.array(both, np.int64)))
         if not compared:
             return RunRules(None, RankConfig().true_scores)
-        high, low = np.quantile(np.concatenate([factors for factors, _ in compared])[:, :2], [0.8, 0.05])
+        high, low = np.quantile(np.concatenate([factors for factors, _, _ in compared])[:, :2], [0.8, 0.05])
         return RunRules(ShownRanking.of(compared), (float(high), float(low)))
 
 
@@ -144,11 +145,13 @@ class PairRule:
     factors : dict of (target id, reference id) to (P(target), P(reference), P(relation))
         What these scores were given for.
     model : callable or None
-        (ids (..., 2), factors (..., 3)) -> (...): what pairs score by what is known of the ranking; None where nothing
-        is, and their scores stand.
+        (ids (P..., 2), factors (..., P..., 3)) -> (..., P...): what the pairs of a line score by what is known of the
+        ranking, on `scale`; None where nothing is, and their scores stand.
     unit : float
         So much more score is one more of the log odds of standing higher; 0 where the model is the ranking itself, and
         nothing that was fitted to it.
+    scale : str
+        On which the model is a sum; see `shown_ranking.SCALES`.
     told : bool
         The scores are the system's own, and no product.
     true_scores : (float, float)
@@ -162,6 +165,7 @@ class PairRule:
     factors: Factors = field(default_factory=dict)
     model: Model | None = None
     unit: float = 0.0
+    scale: Scale = "values"
     told: bool = True
     true_scores: tuple[float, float] = RankConfig().true_scores
     answered: str | None = None
@@ -169,12 +173,16 @@ class PairRule:
 
     @cached_property
     def _known(self) -> tuple[dict[Pair, int], np.ndarray, np.ndarray, np.ndarray]:
-        """The place of each pair that has both, their factors, scores, and what the model says of them."""
+        """The place of each pair that has both, their factors, scores on the scale, and what the model says of them."""
         pairs = [pair for pair in self.given if pair in self.factors]
         factors = np.array([self.factors[pair] for pair in pairs]).reshape(-1, 3)
         ids = np.array(pairs, np.int64).reshape(-1, 2)
-        scores = np.array([self.given[pair] for pair in pairs])
+        scores = self.level(np.array([self.given[pair] for pair in pairs]))
         return {pair: k for k, pair in enumerate(pairs)}, factors, scores, self._modelled(ids, factors)
+
+    def level(self, scores: np.ndarray) -> np.ndarray:
+        """Scores (...) on the model's scale."""
+        return SCALES[self.scale][0](scores)
 
     def _modelled(self, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
         return np.zeros(factors.shape[:-1]) if self.model is None else self.model(ids, factors)
@@ -183,14 +191,14 @@ class PairRule:
         """S of a table of pairs, of the shape of `p` with all axes of scenes.
 
         What the line gives, and as much more or less as the model says of other factors; `regular` is by the model
-        alone. Parameters else as for `pair_table`; one end at most.
+        alone, on its scale. Parameters else as for `pair_table`; one end at most.
         """
         shape = np.broadcast_shapes(p.shape, (*target.scores.shape, 1) if ends else target.scores.shape)
         t = target.scores[..., :, None] if ends else target.scores
         r = ends[0].scores[..., None, :] if ends else 1.0
         factors = np.stack([np.broadcast_to(x, shape) for x in (t, r, p)], axis=-1)
         ids = self._pairs(target, ends)
-        sums = self._modelled(np.broadcast_to(ids, (*shape, 2)), factors)
+        sums = self._modelled(ids, factors)
         if regular:
             return sums
         places, known, scores, before = self._known
@@ -200,7 +208,7 @@ class PairRule:
         missing = np.full((1, 3), np.nan)
         same = np.abs(factors - np.concatenate([known, missing])[at]).max(axis=-1) < 1e-6
         apart = np.concatenate([scores - before, rest])[at]
-        found = np.where(same, np.concatenate([scores, rest])[at], sums + apart)
+        found = SCALES[self.scale][1](np.where(same, np.concatenate([scores, rest])[at], sums + apart))
         for pair, score in self.given.items():
             if pair not in places:
                 found[..., (ids == pair).all(axis=-1)] = score
@@ -251,7 +259,9 @@ def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore 
         rule = PairRule(told, factors, partial(_rescored, rescore, line))
     else:
         model = run.shown and partial(_shown, run.shown)
-        rule = PairRule(told, factors, model, run.shown.unit if run.shown else 0.0, true_scores=run.true_scores)
+        rule = PairRule(told, factors, model, true_scores=run.true_scores)
+        if run.shown is not None:
+            rule = replace(rule, unit=run.shown.unit, scale=run.shown.scale)
     if header.ranking == "pair_scores":
         return replace(rule, given=_answered_first(line, told, 0.0))
     if rule.model is None or 1.0 not in told.values():
@@ -288,15 +298,19 @@ def _product(header: Header, ids: np.ndarray, factors: np.ndarray) -> np.ndarray
 
 
 def _shown(shown: ShownRanking, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
-    return shown.sums(factors)
+    pairs = ids.reshape(-1, 2)
+    return shown.sums(_scenes(factors, len(pairs)), pairs).reshape(factors.shape[:-1])
 
 
 def _rescored(rescore: Rescore, line: Prediction, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
     """Scene by scene: a ranking may compare the pairs of one line with each other."""
-    pairs = ids.shape[-3:-1] if ids.ndim > 2 else ids.shape[:-1]
-    size = int(np.prod(pairs))
-    scenes = zip(ids.reshape(-1, size, 2), factors.reshape(-1, size, 3), strict=True) if size else ()
-    return np.concatenate([[], *(rescore(line, i, f) for i, f in scenes)]).reshape(ids.shape[:-1])
+    pairs = ids.reshape(-1, 2)
+    every = (rescore(line, pairs, scene) for scene in _scenes(factors, len(pairs)))
+    return np.concatenate([[], *every]).reshape(factors.shape[:-1])
+
+
+def _scenes(factors: np.ndarray, pairs: int) -> np.ndarray:
+    return factors.reshape(-1, pairs, 3) if pairs else np.zeros((0, 0, 3))
 
 
 def _unranked(header: Header, line: Prediction) -> PairRule:

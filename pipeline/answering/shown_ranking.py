@@ -4,12 +4,16 @@ Of two pairs of one line the file says which scored more. How probable that is f
 P(relation) of both: a sum of curves, each of which rises with these factors, is fitted to all such comparisons of the
 file, whatever the scale of its scores. A ranking that uses its factors at all gives no less to a pair that is better in
 all of them. Where such a sum does not say what most comparisons say, the ranking goes by something else.
+
+Scores that are products or shares of a whole are sums in their logarithms, those of a classifier in their log odds: it
+is fitted to what fits best. A ranking may also go by how a thing stands among its like, as one of the three surest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -33,8 +37,25 @@ _MOST_STEPS, _SHORT = 30, 1e-7
 _BENDS = (0.25, 0.5, 0.75)
 _STEPS = tuple(k / 10 for k in range(1, 10))
 
-Compared = tuple[np.ndarray, np.ndarray]
-"""(N, 3) float64 factors and (N,) float64 scores of the pairs of one line."""
+_FIRST = (1, 2, 3, 5)
+_FEW = 0.05
+CLEARER = 0.7
+_NOTHING = 1e-12
+
+Compared = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""(N, 3) float64 factors, (N,) float64 scores and (N, 2) int64 ids of the pairs of one line."""
+
+_BOUND = 700.0
+Scale = Literal["values", "logs", "odds"]
+SCALES: dict[Scale, tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarray]]] = {
+    "values": (lambda s: s, lambda s: s),
+    "logs": (lambda s: np.log(np.maximum(s, _NOTHING)), lambda s: np.exp(np.clip(s, -_BOUND, _BOUND))),
+    "odds": (
+        lambda s: np.log(np.clip(s, _NOTHING, 1)) - np.log(np.clip(1 - s, _NOTHING, 1)),
+        lambda s: 1 / (1 + np.exp(np.clip(-s, -_BOUND, _BOUND))),
+    ),
+}
+"""In what scores are sums: from scores, and back; none changes their order."""
 
 
 def curves(factors: np.ndarray) -> np.ndarray:
@@ -49,6 +70,23 @@ def curves(factors: np.ndarray) -> np.ndarray:
     return np.concatenate([clear, *bends, np.log(clear), odds, mixed, *(clear > step for step in _STEPS)], axis=-1)
 
 
+def standing(factors: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """(..., P, K) float64: how the target, the reference and the relation of each of P pairs with these ids (P, 2)
+    stand among those of all, of factors (..., P, 3): the share that is not surer, and whether among the first few.
+    What was not proposed (an id below 0) is no rival."""
+    lines = factors.reshape(-1, *factors.shape[-2:])
+    found = []
+    for part in range(3):
+        numbers = np.arange(len(ids)) if part == 2 else ids[:, part]
+        _, first, own = np.unique(numbers, return_index=True, return_inverse=True)
+        rivals = first[ids[first].min(axis=1) >= 0] if part == 2 else first[numbers[first] >= 0]
+        values = -lines[:, :, part]
+        above = [np.searchsorted(np.sort(v[rivals]), v[first], side="left")[own.ravel()] for v in values]
+        rank = np.array(above).reshape(lines.shape[:2])
+        found += [1 - rank / max(len(rivals), 1), *(rank < k for k in _FIRST)]
+    return np.stack(found, axis=-1).reshape(*factors.shape[:-1], -1).astype(np.float64)
+
+
 @dataclass(frozen=True)
 class ShownRanking:
     """What the file shows of its ranking.
@@ -56,24 +94,32 @@ class ShownRanking:
     Attributes
     ----------
     weights : (K,) float64
-        Of `curves`; the difference of two sums is how much more the one pair scores, about.
+        Of `curves` and `standing`; the difference of two sums is how much more the one pair scores, about, on
+        `scale`.
     unit : float
         So much more is one more of the log odds that it scores more at all.
+    scale : str
+        In what scores are sums.
     """
 
     weights: np.ndarray
     unit: float
+    scale: Scale = "values"
 
-    def sums(self, factors: np.ndarray) -> np.ndarray:
-        """(...) float64: of factors (..., 3)."""
+    def sums(self, factors: np.ndarray, ids: np.ndarray | None = None) -> np.ndarray:
+        """(..., P) float64: of factors (..., P, 3) of the pairs of a line with these ids (P, 2)."""
+        told = curves(factors)
         # Cases of before were kept with the first curves only.
-        return np.asarray(curves(factors)[..., : len(self.weights)] @ self.weights)
+        if ids is not None and len(self.weights) > told.shape[-1]:
+            told = np.concatenate([told, standing(factors, ids)], axis=-1)
+        known = min(told.shape[-1], len(self.weights))
+        return np.asarray(told[..., :known] @ self.weights[:known])
 
     @staticmethod
     def of(lines: Sequence[Compared]) -> ShownRanking | None:
         """What lines show together; None where that is nothing, or nothing that their factors explain."""
         above, below, start = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], 0
-        for _, scores in lines:
+        for _, scores, _ in lines:
             a, b = np.nonzero(scores[:, None] > scores[None] + 1e-9)
             above.append(a + start)
             below.append(b + start)
@@ -82,7 +128,7 @@ class ShownRanking:
         if len(every) < LEAST_COMPARED:
             return None
         every = every[np.unique(np.linspace(0, len(every) - 1, min(MOST_COMPARED, len(every))).astype(int))]
-        seen = curves(np.concatenate([factors for factors, _ in lines]))
+        seen = np.concatenate([np.concatenate([curves(f), standing(f, ids)], axis=1) for f, _, ids in lines])
         x = seen[every[:, 0]] - seen[every[:, 1]]
         compared, kept = np.bincount(every.ravel(), minlength=start), np.ones(len(every), np.bool_)
         wrong, odd = ~kept, np.zeros(start, np.bool_)
@@ -96,20 +142,40 @@ class ShownRanking:
         if odd.sum() > MOST_ODD * np.count_nonzero(compared) or wrong[kept].mean() > CONTRADICTED:
             return None
         x, every = x[kept], every[kept]
-        scores = np.concatenate([scores for _, scores in lines])
-        more = scores[every[:, 0]] - scores[every[:, 1]]
-        weights = _regressed(x, more)
-        # A wrong score that stands the right way round is known by how far it stands from all others.
-        far = np.abs(more - x @ weights)
-        near = far <= FAR * np.median(far) + 1e-9
-        weights = _regressed(x[near], more[near])
+        scores = np.concatenate([scores for _, scores, _ in lines])
+        weights, more, near, scale = _scaled(x, scores, every)
+        x = x[:, : len(weights)]
         order = fitted(x, rising=True)
         if (x @ weights <= 0).mean() > (x @ order <= 0).mean() + ALIKE:
             apart = x @ order
             weights, near = order * (more @ apart) / max(float(apart @ apart), 1e-12), np.ones(len(x), np.bool_)
         noise = float((more - x @ weights)[near].std()) * np.sqrt(3) / np.pi
-        low, high = curves(np.array([[0.0] * 3, [1.0] * 3])) @ weights
-        return ShownRanking(weights, max(noise, LEAST_NOISE * (high - low), 1e-12))
+        low, high = curves(np.array([[0.0] * 3, [1.0] * 3])) @ weights[: curves(np.zeros((1, 3))).shape[1]]
+        return ShownRanking(weights, max(noise, LEAST_NOISE * (high - low), 1e-12), scale)
+
+
+def _scaled(x: np.ndarray, scores: np.ndarray, every: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, Scale]:
+    """Weights (K,) of the first columns of x (N, C) that give the differences (N,) of the pairs `every` (N, 2); these;
+    which of them (N,) are near; and the scale on which the least is left of those."""
+    best: tuple[np.ndarray, np.ndarray, np.ndarray, Scale] | None = None
+    left, alone = np.inf, curves(np.zeros((1, 3))).shape[1]
+    for columns in (alone, x.shape[1]):
+        for name, (forward, _) in SCALES.items():
+            outside = (scores <= 0) | ((scores >= 1) if name == "odds" else False)
+            if name != "values" and outside.mean() > _FEW:
+                continue
+            more = forward(scores[every[:, 0]]) - forward(scores[every[:, 1]])
+            z = x[:, :columns]
+            # A wrong score that stands the right way round is known by how far it stands from all others.
+            far = np.abs(more - z @ _regressed(z, more))
+            near = far <= FAR * np.median(far) + 1e-9
+            weights = _regressed(z[near], more[near])
+            off = float(np.abs(more - z @ weights)[near].sum() / np.abs(more[near]).sum())
+            # Factors that explain the scores by themselves are believed before how things stand among others.
+            if best is None or off < (left if columns == alone else CLEARER * left - 0.01):
+                best, left = (weights, more, near, name), off
+    assert best is not None
+    return best
 
 
 def _regressed(x: np.ndarray, more: np.ndarray) -> np.ndarray:

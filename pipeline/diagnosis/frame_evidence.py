@@ -11,8 +11,10 @@ import numpy as np
 
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.objects import SAME_BOX_IOU, PreparedFrame, SceneObject
+from pipeline.answering.placing import box_2d, try_box
+from pipeline.answering.predictions import Predictions
 from pipeline.geometry.boxes import Box3D, iou_2d
-from pipeline.geometry.lifting import LiftedObject, Quality, lift
+from pipeline.geometry.lifting import LiftedObject, Quality, extents, lift
 from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.cases import HIT, Case, FrameCases
 from pipeline.language.relation_names import DIRECTIONAL
@@ -30,6 +32,8 @@ MOST_WORDS, FEWEST_SAID = 9, 5
 """Values of a scorer that chooses among words: at most so many, each said of so many pairs of a frame on average."""
 OFF_M = 0.05
 """Extents differ by this much, metres, because one box holds what is seen of a thing, and the other all of it."""
+BEYOND_USUAL = 2.0
+"""A box is unusual that is this many times as far off as those of the same thing in the other lines of the frame."""
 
 
 def matched(overlap: np.ndarray, alike: np.ndarray | bool = True) -> np.ndarray:
@@ -153,6 +157,41 @@ class FrameEvidence:
             least = np.maximum(OFF_M, np.maximum(own.hi - own.lo, size) / 4)
             found[k] = (np.abs(own.lo - lo) > least).any() or (np.abs(own.hi - lo - size) > least).any()
         return found
+
+    def unusual(self, indices: np.ndarray) -> np.ndarray:
+        """(K,) bool: whether the 3D box of a detection is much farther from the labelled object that it is than the
+        boxes that other lines of the frame give of the same."""
+        line, predictions = (getattr(self.answers.source, name, None) for name in ("line", "predictions"))
+        found, known = np.zeros(len(indices), np.bool_), enumerate(indices.tolist())
+        own = [(k, int(self.match[i])) for k, i in known if i < self.detections and self.match[i] >= 0]
+        if line is None or predictions is None or not own:
+            return found
+        frame, header, truth = self.answers.context.frame, predictions.header, self.truth
+        size = (frame.width, frame.height)
+        others: dict[int, list[float]] = {}
+        for one in predictions.of_frame(line.frame):
+            here = {} if one is line else one.objects
+            seen = [(i, o.box) for i, o in here.items() if i not in line.objects and o.box is not None]
+            boxes = np.array([box_2d(box, header, *size) for _, box in seen]).reshape(-1, 4)
+            for (i, _), n in zip(seen, matched(iou_2d(boxes, truth.boxes)).tolist(), strict=True):
+                if n >= 0 and (error := self._error(predictions, i, n)) is not None:
+                    others.setdefault(n, []).append(error)
+        for k, n in own:
+            error = self._error(predictions, self.answers.objects[indices[k]].id, n)
+            if error is not None and n in others:
+                found[k] = error > BEYOND_USUAL * np.median(others[n]) + OFF_M
+        return found
+
+    def _error(self, predictions: Predictions, i: int, n: int) -> float | None:
+        """How far the extents of a given 3D box are from those of a labelled object at most, metres."""
+        context = self.answers.context
+        given = predictions.box_of(context.frame.id, i)
+        box = None if given is None else try_box(given, predictions.header, context.frame.camera, False)
+        if box is None:
+            return None
+        lo, hi, _ = extents(np.empty((0, 3)), box, context.viewer)
+        true, size = self.truth.geometry["lo"][n], self.truth.geometry["size"][n]
+        return float(np.abs([lo - true, hi - true - size]).max())
 
     @cached_property
     def words(self) -> np.ndarray:

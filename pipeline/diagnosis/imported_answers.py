@@ -205,7 +205,16 @@ def to_blame(found: OracleScores, diagnosis: Diagnosis, flips: Sequence[int]) ->
     related = _denied(found)
     chain = [(CONF, false), (LIFT, related), (SRM, related), (CONF, True)]
     first = [bit for bit, spoke in chain if spoke and bit in flips][:1] or list(flips)
-    return [LIFT] if first == [SRM] and _follows(found) else first
+    return [LIFT] if first == [SRM] and (_follows(found) or _misled(found, diagnosis)) else first
+
+
+def _misled(found: OracleScores, diagnosis: Diagnosis) -> bool:
+    """Whether a box of the answer or of the right pair is farther off than is usual in its frame: what is said of boxes
+    like those is not what the scorer says of others."""
+    r = found.covered.shape[1]
+    pairs = (int(found.winners[0]), int(found.plain.first(found.covered)[0]))
+    ends = np.array([(found.target.index[k // r], found.reference.index[k % r]) for k in pairs]).ravel()
+    return bool(diagnosis.evidence.unusual(ends).any())
 
 
 def _follows(found: OracleScores) -> bool:

@@ -30,7 +30,7 @@ relations and confidences, and are worked out anew from what these became.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -182,7 +182,7 @@ class OracleScores:
         Their difference in S; where the probabilities of a target's pairs are summed up and the two have different
         targets, that of the logs of these sums.
         """
-        return margins_of(self.table, self.covered)
+        return margins_of(_levelled(self.table), self.covered)
 
     def decided_margin(self, subset: int) -> float:
         """The margin by what is decided: a relation above .5 counts as the truth's .99, one below as .01.
@@ -190,7 +190,16 @@ class OracleScores:
         An attribute likewise from where it holds on.
         """
         table = self.table.scene(subset)
-        return float(margins_of(table.with_relation(decided(table.p_relation, HOLDS)), self.covered)[0])
+        return float(margins_of(_levelled(table.with_relation(decided(table.p_relation, HOLDS))), self.covered)[0])
+
+
+def _levelled(table: PairTable) -> PairTable:
+    """With the scores of a fitted ranking on the scale on which they were fitted."""
+    rule = table.config.rule
+    if rule is None or rule.scale == "values":
+        return table
+    there = np.isfinite(table.log_score)
+    return replace(table, log_score=np.where(there, rule.level(np.where(there, table.log_score, 0.5)), -np.inf))
 
 
 def margins_of(table: PairTable, covered: np.ndarray) -> np.ndarray:

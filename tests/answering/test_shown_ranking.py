@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from pipeline.answering.pair_rules import RunRules, line_rule
 from pipeline.answering.predictions import GivenAnswer, Header, Prediction, Proposal
-from pipeline.answering.shown_ranking import Compared, ShownRanking
+from pipeline.answering.shown_ranking import SCALES, Compared, Scale, ShownRanking
 from pipeline.answering.shown_scorer import described
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.viewer import viewer_axes
@@ -21,7 +21,8 @@ from pipeline.geometry.viewer import viewer_axes
 def lines(score: Callable[[np.ndarray], np.ndarray], count: int = 40, noise: float = 0.0) -> list[Compared]:
     rng = np.random.default_rng(5)
     found = [rng.uniform(0.02, 0.98, (10, 3)) for _ in range(count)]
-    return [(f, score(f) + noise * rng.normal(size=len(f))) for f in found]
+    ids = np.stack([np.arange(10), 100 + np.arange(10)], axis=1)
+    return [(f, score(f) + noise * rng.normal(size=len(f)), ids) for f in found]
 
 
 def weakest(f: np.ndarray) -> np.ndarray:
@@ -39,9 +40,14 @@ def weakest(f: np.ndarray) -> np.ndarray:
         lambda f: f[:, 2] - (f[:, 0] < 0.3) - (f[:, 1] < 0.3),
         lambda f: 100 * np.round(f[:, 2], 1) + 10 * f[:, 0] + 0.1 * f[:, 1],
         lambda f: 1 - (1 - f).prod(axis=1),
+        lambda f: np.exp(9 * f @ [0.2, 0.2, 0.6]) / np.exp(9 * f @ [0.2, 0.2, 0.6]).sum(),
+        lambda f: 1 / (1 + np.exp(20 - 30 * f @ [0.2, 0.2, 0.6])),
     ],
-    ids=["weakest", "logs", "product", "saturating", "decided first", "score threshold", "lexicographic", "noisy or"],
-)
+    ids=[
+        "weakest", "logs", "product", "saturating", "decided first", "score threshold", "lexicographic", "noisy or",
+        "share of a line", "classifier",
+    ],
+)  # fmt: skip
 def test_scores_of_any_rising_rule_are_foretold(score: Callable[[np.ndarray], np.ndarray]) -> None:
     shown = ShownRanking.of(lines(score))
     assert shown is not None
@@ -53,9 +59,57 @@ def test_scores_of_any_rising_rule_are_foretold(score: Callable[[np.ndarray], np
     assert (shown.sums(np.maximum(a, b)) >= shown.sums(a) - 1e-9).all()
 
 
+def test_scores_that_are_shares_or_chances_are_fitted_as_such() -> None:
+    def odds(f: np.ndarray) -> np.ndarray:
+        return 30 * f @ [0.2, 0.2, 0.6] - 20
+
+    shares = ShownRanking.of(lines(lambda f: np.exp(odds(f)) / np.exp(odds(f)).sum()))
+    chances = ShownRanking.of(lines(lambda f: 1 / (1 + np.exp(-odds(f)))))
+    assert shares is not None
+    assert chances is not None
+    assert (shares.scale, chances.scale) == ("logs", "odds")
+    low, high = np.array([[0.5, 0.5, 0.2], [0.5, 0.5, 0.9]])
+    # However small a share or near to 1 a chance is: it is as far from the others as its sum is.
+    for shown in (shares, chances):
+        assert shown.sums(high) - shown.sums(low) == pytest.approx(30 * 0.6 * 0.7, rel=0.1)
+
+
+@pytest.mark.parametrize("scale", sorted(SCALES))
+def test_a_scale_keeps_the_order_and_leads_back(scale: Scale) -> None:
+    forward, back = SCALES[scale]
+    scores = np.linspace(0.001, 0.999, 50)
+    assert (np.diff(forward(scores)) > 0).all()
+    np.testing.assert_allclose(back(forward(scores)), scores, atol=1e-9)
+    assert np.isfinite(forward(np.array([-1.0, 0.0, 1.0, 2.0]))).all()
+    assert np.isfinite(back(np.array([-1e9, 1e9]))).all() or scale == "values"
+
+
+def test_a_shortlist_is_known_by_how_things_stand_among_their_like() -> None:
+    rng = np.random.default_rng(5)
+    ids = np.array([(a, b) for a in range(6) for b in range(10, 14)])
+
+    def line() -> np.ndarray:
+        t, r = rng.uniform(0.02, 0.98, 6), rng.uniform(0.02, 0.98, 4)
+        return np.array([(t[a], r[b - 10], rng.uniform(0.02, 0.98)) for a, b in ids])
+
+    def score(f: np.ndarray) -> np.ndarray:
+        surest = np.sort(np.unique(f[:, 0]))[-2:]
+        return f[:, 2] + 0.5 * f[:, 1] + 10.0 * np.isin(f[:, 0], surest)
+
+    shown = ShownRanking.of([(f, score(f), ids) for f in (line() for _ in range(40))])
+    assert shown is not None
+    others = [line() for _ in range(20)]
+    told = shown.sums(np.stack(others), ids)
+    right = [s.argmax() == score(f).argmax() for s, f in zip(told, others, strict=True)]
+    assert np.mean(right) > 0.9
+    # What was not proposed takes nobody's place.
+    extra = np.concatenate([others[0], [[0.99, 0.9, 0.1]]])
+    np.testing.assert_allclose(shown.sums(extra, np.concatenate([ids, [[-1, 10]]]))[:-1], told[0])
+
+
 def test_a_wrong_score_in_every_line_changes_nothing() -> None:
     broken = lines(weakest)
-    for k, (_, scores) in enumerate(broken):
+    for k, (_, scores, _) in enumerate(broken):
         scores[k % 10] = 2.0
     shown = ShownRanking.of(broken)
     assert shown is not None
@@ -83,7 +137,7 @@ def test_scores_that_do_not_follow_from_their_factors_show_nothing() -> None:
     rng = np.random.default_rng(7)
     assert ShownRanking.of(lines(lambda f: rng.random(len(f)))) is None
     assert ShownRanking.of(lines(lambda f: -weakest(f))) is None
-    assert ShownRanking.of([(f[:5], scores[:5]) for f, scores in lines(weakest, count=2)]) is None
+    assert ShownRanking.of([(f[:5], scores[:5], ids[:5]) for f, scores, ids in lines(weakest, count=2)]) is None
     assert ShownRanking.of([]) is None
 
 

@@ -17,7 +17,7 @@ from pipeline.answering.imported import GivenDetector, ImportedPipeline, config_
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.pair_rules import RunRules
 from pipeline.answering.predictions import Predictions, as_json, read_predictions
-from pipeline.answering.shown_ranking import ShownRanking
+from pipeline.answering.shown_ranking import Scale, ShownRanking
 from pipeline.answering.shown_scorer import ShownScorer
 from pipeline.datasets.base import Dataset
 from pipeline.language.naming import Synonyms
@@ -35,6 +35,7 @@ class ShownRankingRecord(_Strict):
 
     weights: tuple[FiniteFloat, ...]
     unit: FiniteFloat
+    scale: Scale = "values"
 
 
 class ShownRecord(_Strict):
@@ -57,7 +58,7 @@ class ShownRecord(_Strict):
     @property
     def rules(self) -> RunRules:
         """As `ImportedPipeline` takes them."""
-        shown = self.ranking and ShownRanking(np.array(self.ranking.weights), self.ranking.unit)
+        shown = self.ranking and ShownRanking(np.array(self.ranking.weights), self.ranking.unit, self.ranking.scale)
         return RunRules(shown, self.true_scores)
 
 
@@ -75,7 +76,9 @@ def keep_predictions(source: ImportedPipeline, frame: str) -> tuple[bytes, Shown
     )  # fmt: skip
     file, rules, stand_in = source.predictions, source.rules, named_scorer(source)
     lines = (as_json(thing) for thing in (replace(file.header, events=False), *file.of_frame(frame)))
-    ranking = rules.shown and ShownRankingRecord(weights=tuple(rules.shown.weights.tolist()), unit=rules.shown.unit)
+    ranking = rules.shown and ShownRankingRecord(
+        weights=tuple(rules.shown.weights.tolist()), unit=rules.shown.unit, scale=rules.shown.scale
+    )
     relations = None
     if isinstance(stand_in, ShownScorer):
         relations = {k: None if w is None else tuple(w.tolist()) for k, w in stand_in.weights.items()}
