@@ -11,7 +11,7 @@ from pipeline.answering.placing import box_2d, pixel_scale
 from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.missed import NEAR_MISS, not_proposed
-from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, SUBSETS, OracleScores, margins_of
+from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, SUBSETS, OracleScores, margins_of, names_of
 from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.boxes import iou_2d
@@ -21,6 +21,9 @@ from pipeline.labels.cases import HIT, Case, FrameCases
 
 LIKELY = float(np.log(19))
 """Log odds: a ranking is to blame that put a right pair below others where its like would put it first so probably."""
+
+FEWEST_ALIKE, ALIKE = 3, 0.05
+"""A relation says nothing whose probabilities of all pairs, so many or more, lie within this."""
 
 
 def answered_box(line: Prediction, predictions: Predictions, frame: Frame, end: str = "object") -> np.ndarray | None:
@@ -147,9 +150,21 @@ def by_rule(found: OracleScores, diagnosis: Diagnosis) -> Diagnosis | None:
     )
     ahead = margins_of(replace(table, log_score=regular), found.covered)
     mended = any(found.mends(s) for s in shown)
-    if ahead[0] > rule.unit * LIKELY or outdone or (not mended and (ahead[shown] > 0).any()):
+    lost = ahead[0] > rule.unit * LIKELY or outdone
+    if not lost and _says_nothing(found) and not _misled(found, diagnosis):
+        return replace(diagnosis, verdict="SRM", detail="CONSTANT", repair=names_of(SRM))
+    if lost or (not mended and (ahead[shown] > 0).any()):
         return replace(diagnosis, verdict="PRM", detail="SCORE", repair=())
     return None if mended else replace(diagnosis, verdict="UNEXPLAINED", detail="NOT-SEPARABLE", repair=())
+
+
+def _says_nothing(found: OracleScores) -> bool:
+    """Whether the relation is about as probable of every pair, by true boxes too, and true of the right one and not of
+    the answer: no ranking can go by it, and in a file of such lines none is seen to."""
+    p = found.pair_relations[[0, LIFT, SRM]].reshape(3, -1)
+    ranked = p[:2, np.isfinite(found.plain.flat[0])]
+    mine, its = p[2, int(found.winners[0])], p[2, int(found.plain.first(found.covered)[0])]
+    return bool(ranked.shape[1] >= FEWEST_ALIKE and (np.ptp(ranked, axis=1) < ALIKE).all() and mine < HIT < its)
 
 
 def _outdone(found: OracleScores) -> bool:

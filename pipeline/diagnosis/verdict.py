@@ -60,9 +60,9 @@ class Diagnosis:
         One of VERDICTS.
     detail : str or None
         WORDS, GRAMMAR, UNSUPPORTED (not in files of earlier versions); AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK,
-        THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; SCORE (of imported pair scores: the right pair would stand
-        first by what all others scored); the oracles of COMPOUND; of UNEXPLAINED what the file gives (ANSWER,
-        PROPOSALS, BOXES), or NOT-SEPARABLE.
+        THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; CHOICE; CONSTANT (of imported relations: about as probable of every
+        pair); SCORE (of imported pair scores: the right pair would stand first by what all others scored); the oracles
+        of COMPOUND; of UNEXPLAINED what the file gives (ANSWER, PROPOSALS, BOXES), or NOT-SEPARABLE.
     lucky : bool
         Right, but with a pair that is not acceptable.
     repair : tuple of str
@@ -294,6 +294,8 @@ def _flipped(d: Diagnosis, case: Case) -> str:
             f"other pairs of the file score enough to win. Verdict: PRM."
         )
     text = _said_of_both(d.verdict, winner, right, case)
+    if d.detail == "CONSTANT":
+        return f"{text[0].upper()}{text[1:]}: about as probable of every pair, it tells none apart. Verdict: SRM."
     if len(d.repair) > 1 and d.verdict in ("LIFT", "SRM"):
         why = "The confidences spoke for the right pair, but the truth is less sure of it than a scorer."
         return f"{text[0].upper()}{text[1:]}. {why} {_repaired(d)} Verdict: {d.verdict}."
