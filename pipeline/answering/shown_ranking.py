@@ -72,10 +72,10 @@ def curves(factors: np.ndarray) -> np.ndarray:
 
 def standing(factors: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """(..., P, K) float64: how the target, the reference and the relation of each of P pairs with these ids (P, 2)
-    stand among those of all, of factors (..., P, 3): the share that is not surer, and whether among the first few.
-    What was not proposed (an id below 0) is no rival."""
+    stand among those of all, of factors (..., P, 3): the share that is not surer, whether among the first few, and how
+    many pairs it is above. What was not proposed (an id below 0) is no rival."""
     lines = factors.reshape(-1, *factors.shape[-2:])
-    found = []
+    found, known = [], ids.min(axis=1) >= 0
     for part in range(3):
         numbers = np.arange(len(ids)) if part == 2 else ids[:, part]
         _, first, own = np.unique(numbers, return_index=True, return_inverse=True)
@@ -84,7 +84,8 @@ def standing(factors: np.ndarray, ids: np.ndarray) -> np.ndarray:
         above = [np.searchsorted(np.sort(v[rivals]), v[first], side="left")[own.ravel()] for v in values]
         rank = np.array(above).reshape(lines.shape[:2])
         found += [1 - rank / max(len(rivals), 1), *(rank < k for k in _FIRST)]
-    return np.stack(found, axis=-1).reshape(*factors.shape[:-1], -1).astype(np.float64)
+        found += [[np.searchsorted(np.sort(v[known]), v, side="left") for v in -values]]
+    return np.stack([np.asarray(f) for f in found], axis=-1).reshape(*factors.shape[:-1], -1).astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,8 @@ class ShownRanking:
 def _scaled(x: np.ndarray, scores: np.ndarray, every: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, Scale]:
     """Weights (K,) of the first columns of x (N, C) that give the differences (N,) of the pairs `every` (N, 2); these;
     which of them (N,) are near; and the scale on which the least is left of those."""
-    best: tuple[np.ndarray, np.ndarray, np.ndarray, Scale] | None = None
+    best: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    scale: Scale = "values"
     left, alone = np.inf, curves(np.zeros((1, 3))).shape[1]
     for columns in (alone, x.shape[1]):
         for name, (forward, _) in SCALES.items():
@@ -173,9 +175,9 @@ def _scaled(x: np.ndarray, scores: np.ndarray, every: np.ndarray) -> tuple[np.nd
             off = float(np.abs(more - z @ weights)[near].sum() / np.abs(more[near]).sum())
             # Factors that explain the scores by themselves are believed before how things stand among others.
             if best is None or off < (left if columns == alone else CLEARER * left - 0.01):
-                best, left = (weights, more, near, name), off
+                best, scale, left = (weights, more, near), name, off
     assert best is not None
-    return best
+    return *best, scale
 
 
 def _regressed(x: np.ndarray, more: np.ndarray) -> np.ndarray:
