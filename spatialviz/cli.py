@@ -9,10 +9,12 @@ from __future__ import annotations
 import inspect
 import io
 import os
+import re
 import shutil
 import sys
 import textwrap
 from collections.abc import Sequence
+from contextlib import redirect_stderr
 from importlib import import_module
 from typing import Annotated, Any, Union
 
@@ -20,6 +22,7 @@ import tyro
 from tyro.conf import subcommand
 
 from pipeline import __version__
+from pipeline.system.errors import InputError
 from pipeline.system.limits import LIMITS_OPTION, set_limits
 from spatialviz.cli_ask import (
     Ask,
@@ -161,13 +164,25 @@ def run(arguments: Sequence[str]) -> int:
     """Parse a command and run it; returns the exit status."""
     commands = tuple(Annotated[options, subcommand(name)] for name, (options, _) in COMMANDS.items())
     config = (tyro.conf.PositionalMetavarFromFieldName, tyro.conf.DisallowNone)
-    command: Any = tyro.cli(
-        Union[commands],  # pyright: ignore
-        prog="spatialviz",
-        args=arguments,
-        description=ABOUT,
-        config=config,
-    )
+    told = io.StringIO()
+    try:
+        with redirect_stderr(told):
+            command: Any = tyro.cli(
+                Union[commands],  # pyright: ignore
+                prog="spatialviz",
+                args=arguments,
+                description=ABOUT,
+                config=config,
+            )
+    except SystemExit:
+        text = " ".join(re.sub(r"[╭─╮│╰╯]", " ", told.getvalue()).split())
+        if wrong := re.search(r"Error parsing (\S+):.*?('[^']*').* Argument helptext: \S+ (INT|FLOAT)", text):
+            expected = "a whole number" if wrong[3] == "INT" else "a number"
+            raise InputError(f"{wrong[1]} cannot be this", got=wrong[2], expected=expected) from None
+        sys.stderr.write(told.getvalue())
+        raise
+    if (show := getattr(command, "show", 0)) < 0:
+        raise InputError("--show is a count", got=show, expected="at least 0")
     name, module = next((name, module) for name, (kind, module) in COMMANDS.items() if kind is type(command))
     work = getattr(import_module(f"spatialviz.{module}"), f"run_{name.replace('-', '_')}")
     return work(command) or FINE

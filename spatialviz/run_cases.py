@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.answering.json_records import NO_SUCH_PAIR, holds, probability
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
+from pipeline.answering.predictions import read_predictions
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
 from pipeline.diagnosis.asking import answer, edited_verdicts, known_truth
@@ -28,7 +29,7 @@ from pipeline.language.counted import counted
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, require
 from spatialviz.cli_ask import Replay, Report, SaveCase, WhatIf
-from spatialviz.options import BAD, FINE, NO, one_frame
+from spatialviz.options import BAD, FINE, NO, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
 from spatialviz.report import Subject, failure_page, write_page
 from spatialviz.report.picture import write_picture
@@ -109,6 +110,9 @@ def run_replay(command: Replay) -> int:
         command.predictions is None or (command.detector == "kept" and command.srm is None),
         "--predictions say what detected and what scored relations", expected="without --detector and --srm",
     )  # fmt: skip
+    predictions = None if command.predictions is None else read_predictions(command.predictions)
+    if predictions is not None and predictions.unread:
+        warn(predictions.unread)
     folders = [folder for path in command.cases for folder in find_cases(path)]
     totals = {"same": 0, "changed": 0, "updated": 0, "damaged": 0}
     for result in replay_all(
@@ -120,7 +124,7 @@ def run_replay(command: Replay) -> int:
         detector=None if command.detector == "kept" else command.detector,
         model=command.model,
         min_score=command.min_score,
-        predictions=command.predictions,
+        predictions=predictions,
     ):
         totals[result.status] += 1
         command.write(replay_record(result), print_replay, result)

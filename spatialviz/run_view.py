@@ -24,6 +24,7 @@ from spatialviz.options import SourceOptions, warn
 
 def run_view(command: View) -> None:
     require(command.author is None or command.author.strip(), "--author must not be empty")
+    require(command.max_clients >= 1, "--max-clients is a count", got=command.max_clients, expected="at least 1")
     view = None if command.state is None else decode(command.state)
     dataset, folder = (command.dataset, command.run_folder) if view is None else _named(command, view)
     built_in = dataset == DEMO_NAME and not Path(DEMO_NAME).exists()

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from test_relation_report import networks
 
+from pipeline.datasets.demo import demo_labels
 from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.labels.reading import Labels, open_labels
 from spatialviz.cli import main
@@ -65,3 +66,18 @@ def test_the_command_shows_before_and_after(tmp_path: Path, capsys: pytest.Captu
     edits.write_text(json.dumps(edits_record(Edits().with_hidden("#999"))), encoding="utf-8")
     assert main(command) == 2
     assert "#999" in capsys.readouterr().err
+
+
+ASK = ["ask", "demo", "0", "mug"]
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-1", "1e308", "a"])
+@pytest.mark.parametrize("option", ["--k", "--depth-scale", "--up", "--min-score", "--show", "--seed"])
+def test_a_number_that_is_none_is_told_in_a_line(option: str, value: str, capsys: pytest.CaptureFixture[str]) -> None:
+    given = ",".join([value] * 3) if option == "--up" else value
+    verb = ["eval", "demo", "--labels", str(demo_labels())] if option in ("--show", "--seed") else ASK
+    if (option, value) != ("--up", "-1"):
+        assert main([*verb, f"{option}={given}"]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("spatialviz: error: ")
+        assert said.count("\n") == 1

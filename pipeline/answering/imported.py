@@ -34,7 +34,8 @@ from pipeline.proposals.class_names import meant_names
 from pipeline.relations import make_scorer
 from pipeline.relations.given import GivenRelations
 from pipeline.relations.scorer import RelationScorer
-from pipeline.system.errors import InputError, UnknownClass, as_input_error, require
+from pipeline.system.errors import InputError, UnknownClass, require
+from pipeline.system.reading import checked
 
 
 def label_of(predictions: Predictions) -> str:
@@ -284,8 +285,8 @@ def config_of(predictions: Predictions) -> AskConfig:
     """How the header says that answers were found; InputError where its settings are none."""
     config, header = AskConfig(), predictions.header
     if header.settings is not None:
-        with as_input_error("line 1, settings: not those of a run", ValueError, path=predictions.path):
-            return TypeAdapter(AskConfig).validate_python(header.settings)
+        check, wrong = TypeAdapter(AskConfig).validate_python, "line 1, {}: not the settings of a run"
+        return checked(check, header.settings, wrong, predictions.path, inside=("settings",))
     weights = {f"{name}_weight": weight for name, weight in asdict(header.weights).items()}
     return replace(config, rank=replace(config.rank, **weights))
 

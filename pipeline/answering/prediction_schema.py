@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, FiniteFloat, StrictBool
 
 from pipeline.geometry.masks import RunLength
+from pipeline.system.errors import InputError
 
 VERSION = 1
 """Of the schema; a reader refuses files of a later one."""
@@ -19,7 +21,7 @@ _STRICT = ConfigDict(extra="forbid")
 def _no_text(value: Any) -> Any:
     """3.0 is a whole number, as tables write it; "3" and true are none."""
     if isinstance(value, str | bool):
-        raise ValueError("a whole number")
+        raise InputError("no whole number", got=json.dumps(value))
     return value
 
 

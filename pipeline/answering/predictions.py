@@ -103,6 +103,11 @@ class Predictions:
         told = {"system": self.header.system, "level": self.level, "lacks": lacks}
         return {**told, "lines": len(self.lines), "file": self.content_hash}
 
+    @property
+    def unread(self) -> str | None:
+        """What to tell of a line that is not read."""
+        return self.cut_off and f"line {self.cut_off} is cut off, as a killed writer leaves it, and is not read"
+
     def line(self, frame: str, text: str) -> Prediction | None:
         """The line of an expression, whatever its spaces and capitals; None where there is none."""
         return self._by_words.get((frame, " ".join(text.casefold().split())))

@@ -253,17 +253,20 @@ def _direction(key: str, values: Any) -> Vector:
     return x, y, z
 
 
+LARGEST, SIZES = 1e12, "up to 1e12 in size"
+
+
 def _numbers(key: str, values: Any, count: int) -> tuple[float, ...]:
     """`values` as `count` finite floats; a bool or a string is not a number."""
     good = (
         isinstance(values, Sequence)
         and not isinstance(values, str)
         and len(values) == count
-        and all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in values)
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) <= LARGEST for v in values)
     )
     if not good:
         what = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise InputError(f"{key} must be {what}", got=str(values[0] if count == 1 else values)[:80])
+        raise InputError(f"{key} must be {what}", got=str(values[0] if count == 1 else values)[:80], expected=SIZES)
     return tuple(float(v) for v in values)
 
 
@@ -296,7 +299,7 @@ class GivenUp:
             x = y = z = math.nan
         length = math.hypot(x, y, z)
         require(
-            not (not (1e-9 < length < math.inf) or (colon and frame not in ("world", "camera"))),
+            not (not (1e-9 < length <= LARGEST) or (colon and frame not in ("world", "camera"))),
             "up must be a vector that points somewhere",
             got=repr(text),
             expected="X,Y,Z, world:X,Y,Z or camera:X,Y,Z",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tempfile
+import warnings
 from collections.abc import Iterable, Mapping
 from itertools import chain
 from pathlib import Path
@@ -33,11 +34,17 @@ def import_records(
     ------
     InputError
         As `import_run`; messages count the records from 1, without the header. No record.
+
+    Warns
+    -----
+    UserWarning
+        What `import-run` tells of a file: lines that are not read or not judged.
     """
     folder = Path(tempfile.mkdtemp(prefix="spatialviz-run-")) / "run" if out is None else Path(out)
     if isinstance(records, str | Path):
         require(header is None, "a file has a header of its own", path=records)
-        import_run(records, dataset, labels, folder, **options)
+        for told in import_run(records, dataset, labels, folder, **options).warnings:
+            warnings.warn(told, stacklevel=3)
         return folder
     rest = iter(records)
     first = next(rest, None)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline
@@ -23,6 +23,7 @@ from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.system.arrow import pa
 from pipeline.system.door import read_bytes
 from pipeline.system.errors import InputError
+from pipeline.system.reading import checked
 
 FIGURES = Path(__file__).with_name("reported.json")
 
@@ -220,13 +221,10 @@ def read_reported(path: Path = FIGURES) -> tuple[Reported, ...]:
         It is missing or of another shape.
     """
     try:
-        return tuple(Publications.model_validate_json(read_bytes(path, "text")).rows)
+        text = read_bytes(path, "text")
     except FileNotFoundError as error:
         raise InputError("there is no such file of published figures", path=path) from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(p) for p in first["loc"])
-        raise InputError(f"published figures: {where}: {first['msg']}", path=path) from error
+    return tuple(checked(Publications.model_validate_json, text, "published figures: {} is wrong", path).rows)
 
 
 def reported_rows(table: str = "grounding", columns: tuple[str, ...] = MEASURES, path: Path = FIGURES) -> list[Row]:

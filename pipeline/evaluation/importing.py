@@ -102,8 +102,8 @@ def import_run(
     )  # fmt: skip
     unasked, total = len(file.lines) - len(asked), read.manifest.counts["expressions"]
     warnings = report.warnings
-    if file.cut_off is not None:
-        warnings += (f"line {file.cut_off} is cut off, as a killed writer leaves it, and is not read",)
+    if file.unread:
+        warnings += (file.unread,)
     if unasked > 0:
         warnings += (f"{unasked} of {len(file.lines)} lines are no expression of the labels, and are not judged",)
     if len(asked) < total:

@@ -224,9 +224,8 @@ class RelationSpec:
             value = getattr(self, name)
             require(
                 value is None or value >= least,
-                f"the number of {name.replace('_', ' ')}",
+                f"{name.replace('_', ' ')} must be at least {least}",
                 got=value,
-                expected=f"at least {least}",
             )
 
 

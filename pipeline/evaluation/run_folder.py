@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.imported import open_source
@@ -34,9 +34,10 @@ from pipeline.labels.schema import TABLES
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
 from pipeline.system.door import enter, read_json, read_text
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.in_notebook import InNotebook
 from pipeline.system.model_files import parse_hub_id
+from pipeline.system.reading import checked
 from pipeline.system.remote import is_url, local_path, named_before
 
 if TYPE_CHECKING:
@@ -275,11 +276,8 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
         cause="made by an earlier release? run `eval` again",
         path=path,
     )
-    try:
+    with as_input_error("the run's manifest cannot be read", KeyError, TypeError, ValueError, got=str, path=path):
         spec = _read_spec(manifest["spec"], folder)
-    except (KeyError, TypeError, ValueError, ValidationError) as error:
-        reason = str(error).split("\n")[0]
-        raise InputError("the run's manifest cannot be read", got=reason, path=path) from error
     if dataset is not None:
         if is_url(dataset):
             local_path(dataset)  # So that it was named by a person.
@@ -297,7 +295,9 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
         if isinstance(options.get(n), list)
     }
     if record["config"] is not None:
-        options["config"] = TypeAdapter(AskConfig).validate_python(record["config"])
+        wrong, inside = "the run's manifest cannot be read, at {}", ("spec", "config")
+        check = TypeAdapter(AskConfig).validate_python
+        options["config"] = checked(check, record["config"], wrong, folder / RUN_FILE, inside=inside)
     dataset = str(record["dataset"])
     return EvalSpec(
         dataset if dataset == DEMO_NAME else resolved_path(dataset, folder),

@@ -11,11 +11,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from platformdirs import user_data_path
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from pipeline.datasets.demo import demo_run
 from pipeline.system.door import read_bytes
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.reading import checked
 from pipeline.system.whole_files import alone, write_whole
 
 MARKS = "marks"
@@ -75,11 +76,12 @@ def read_notes(path: Path) -> Notes:
         It cannot be read.
     """
     try:
-        found = _READ.validate_json(read_bytes(path, "text"))
+        text = read_bytes(path, "text")
     except FileNotFoundError:
         return Notes()
-    except (OSError, ValidationError) as error:
-        raise InputError("the notes of the run cannot be read", got=str(error).split("\n")[0], path=path) from error
+    except OSError as error:
+        raise InputError("the notes of the run cannot be read", got=error, path=path) from error
+    found = checked(_READ.validate_json, text, "the notes of the run cannot be read, at {}", path)
     require(found.format == FORMAT, "the notes are of another release", got=found.format, expected=FORMAT, path=path)
     return found
 

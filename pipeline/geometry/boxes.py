@@ -15,6 +15,15 @@ CORNER_SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-
 EDGES = np.array([(0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7)])
 """The 12 edges of a box as pairs of corner numbers."""
 
+CUBE = (CORNER_SIGNS / 2).astype(np.float32)
+CUBE_FACES = np.array(
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]
+)  # fmt: skip
+"""The faces of a box as 12 triangles of corner numbers, and the box of size 1 that they are drawn on."""
+
 
 @dataclass(frozen=True)
 class Box3D:

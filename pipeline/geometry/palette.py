@@ -35,6 +35,10 @@ ON_LIGHT: dict[Role, RGB] = {
 }
 """As on a dark ground: "second" is a second detector's boxes, always dashed; "bad" what failed, a word beside it."""
 
+LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.2, "target": 3.2, "truth": 1.6, "edited": 2.5}
+FACE_OPACITY: dict[Role, float] = {"other": 0.035, "reference": 0.15, "target": 0.15}
+"""Of boxes in 3D."""
+
 DROPPED: dict[Pixel, RGB] = {
     Pixel.NO_DEPTH: (120, 124, 132),
     Pixel.OUT_OF_RANGE: (84, 88, 96),

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from pipeline.system.door import read_text
 from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import signature
-from pipeline.system.reading import parse_toml
+from pipeline.system.reading import checked, parse_toml
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Side = Annotated[int, Field(ge=8, le=8192)]
@@ -63,22 +63,14 @@ def read_description(path: Path, kind: type[Model], what: str) -> Model:
         table: dict[str, Any] = parse_toml(read_text(path, "utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"the {what}'s TOML file cannot be read", got=str(error), path=path) from error
-    try:
-        return kind.model_validate(table)
-    except ValidationError as error:
-        first = error.errors()[0]
-        location = ".".join(str(p) for p in first["loc"]) or "the top"
+
+    def known(place: tuple[Any, ...]) -> Iterable[str]:
         inside: Any = kind
-        for key in first["loc"][:-1]:
-            field = inside.model_fields.get(key) if inside is not None else None
-            inside = field.annotation if field is not None and hasattr(field.annotation, "model_fields") else None
-        unknown = "extra" in first["type"] and inside is not None
-        raise InputError(
-            f"the {what}'s TOML file is wrong at {location}",
-            got="a key that there is not" if unknown else first["msg"],
-            expected="one of " + ", ".join(inside.model_fields) if unknown and inside else None,
-            path=path,
-        ) from error
+        for key in place[:-1]:
+            inside = inside.model_fields[key].annotation
+        return inside.model_fields
+
+    return checked(kind.model_validate, table, f"the {what}'s TOML file is wrong at {{}}", path, keys=known)
 
 
 def checked_input(

@@ -104,6 +104,7 @@ def label_dataset(
         out = Path(out).expanduser().absolute()
     store = Store(out)
     require(workers >= 1, "at least one worker is needed", got=workers)
+    require(0 <= gpus_a_detector <= 1e3, "GPUs of a detector", got=gpus_a_detector, expected="a number from 0 to 1000")
     require(
         resume or part is not None or store.is_empty(),
         "the folder for the labels is not empty",

@@ -378,7 +378,7 @@ def _quotas(counts: np.ndarray, config: SelectConfig) -> np.ndarray:
     present = counts > 0
     if config.balance is not None and present.any():
         rarest = max(int(counts[present].min()), SCARCE)
-        quota = np.minimum(quota, int(config.balance * rarest))
+        quota = np.minimum(quota, config.balance * rarest).astype(quota.dtype)
     if config.total is None or quota.sum() <= config.total:
         return quota
     # Fill all relations to one level; what a rare one leaves goes to the others.

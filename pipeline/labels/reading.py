@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from pipeline.datasets import Dataset, open_dataset
 from pipeline.datasets.demo import DEMO_NAME, demo_path
@@ -26,6 +25,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pc, pq
 from pipeline.system.door import enter, open_parquet, read_json, read_parquet
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
+from pipeline.system.reading import checked
 from pipeline.system.remote import named_before
 from pipeline.system.whole_files import temporary_sibling
 
@@ -285,7 +285,7 @@ def open_labels(path: str | Path) -> Labels:
             cause=f"run: spatialviz merge {root}" if unmerged else "did `spatialviz label` finish?",
             path=root,
         )
-    try:
+    with as_input_error("the manifest is damaged", ValueError, AttributeError, got=str, path=file):
         content = read_json(file)
         version = str(content.get("schema_version", ""))
         require(
@@ -295,12 +295,7 @@ def open_labels(path: str | Path) -> Labels:
             expected=SCHEMA_VERSION,
             path=file,
         )
-        manifest = Manifest.model_validate(content)
-    except (ValueError, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise
-        reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
-        raise InputError("the manifest is damaged", got=reason, path=file) from error
+        manifest = checked(Manifest.model_validate, content, "the manifest is damaged at {}", file)
     for relation in manifest.config.get("relations", ()):
         require(
             relation in PAIRWISE, "these labels hold a relation that is not declared here", got=repr(relation),

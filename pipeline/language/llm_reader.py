@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from pipeline.language import lexicon
 from pipeline.language.attributes import Attribute, attribute
@@ -25,6 +25,7 @@ from pipeline.language.tokens import Vocabulary, check_text, label_of, tokenize,
 from pipeline.language.tree import Attachment, Node, Query, Reading, Role, Span, described
 from pipeline.system.chat.client import ChatClient
 from pipeline.system.errors import InputError, ServerError, require
+from pipeline.system.reading import checked
 
 MOST_CHARACTERS, MOST_THINGS = 20_000, 100
 """No tree of a sentence is longer, and nobody counts further."""
@@ -135,12 +136,7 @@ class _Found:
         """
         what = "it is no tree of the sentence"
         require(len(reply) <= MOST_CHARACTERS, what, got=f"{len(reply)} characters")
-        try:
-            root = self._node(_REPLY.validate_json(reply).target)
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            location = ".".join(map(str, first["loc"])) or "the top"
-            raise InputError(what, got=f"{first['msg'][:200]} at {location[:200]}") from None
+        root = self._node(checked(_REPLY.validate_json, reply, f"{what} at {{}}").target)
         relations = next(self.parts)
         require(not root.viewer, what, got="the viewer as the thing that is asked for")
         require(relations <= MOST_RELATIONS, what, got=f"{relations} relations", expected=f"at most {MOST_RELATIONS}")

@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from pipeline.geometry.masks import RunLength
 from pipeline.proposals.coco_files import Detections, RecordedDetection
 from pipeline.system.errors import as_input_error, require
 from pipeline.system.plain_pickle import plain, read_plain_pickle
-from pipeline.system.reading import Content, first_fault
+from pipeline.system.reading import Content, checked
 
 ENDINGS = (".pkl.gz", ".pkl")
 Corners = tuple[tuple[float, float, float], ...]
@@ -65,7 +64,7 @@ def read_map(path: Path) -> Content:
     corners: dict[int, Corners] = {}
     for number, thing in enumerate([thing for part in found for thing in part]):
         wrong, errors = f"object {number}: not as ConceptGraphs writes it", (KeyError, TypeError, ValueError)
-        with as_input_error(wrong, *errors, got=_first_fault, path=path):
+        with as_input_error(wrong, *errors, got=_told, path=path):
             box = np.asarray(plain(thing["bbox_np"]), np.float64)
             require(
                 box.shape == (8, 3) and np.isfinite(box).all(),
@@ -79,7 +78,8 @@ def read_map(path: Path) -> Content:
             for picture, mask, xyxy, score in views:
                 box_2d = tuple(float(v) for v in np.asarray(plain(xyxy)).ravel())
                 row = {"label": name, "score": float(plain(score)), "bbox": box_2d, "mask": plain(mask), "id": number}
-                detections.setdefault(str(picture), []).append(RecordedDetection.model_validate(row))
+                found_there = checked(RecordedDetection.model_validate, row, f"{wrong}, at {{}}", path)
+                detections.setdefault(str(picture), []).append(found_there)
     return Content(SceneMap(detections, corners), path)
 
 
@@ -95,10 +95,7 @@ def _name(thing: dict[str, Any]) -> str:
     return str(tag or (said if isinstance(said, str) else Counter(said).most_common(1)[0][0]))
 
 
-def _first_fault(error: Exception) -> str:
-    if isinstance(error, ValidationError):
-        place, got, expected = first_fault(error, "")
-        return f"{'.'.join(map(str, place))}: {got}; expected {expected}"
+def _told(error: Exception) -> str:
     return f"no {error}" if isinstance(error, KeyError) else str(error)
 
 

@@ -6,6 +6,7 @@ import csv
 import json
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -35,15 +36,17 @@ def checked(
     check: Callable[[Any], Checked],
     content: Any,
     wrong: str,
-    path: Path,
+    path: Path | None = None,
     *,
     inside: Iterable[str] = (),
     keys: Iterable[str] | Callable[[tuple[Any, ...]], Iterable[str]] = (),
 ) -> Checked:
-    """What `check` (a validating method of pydantic) makes of a file's content.
+    """What `check` (a validating method of pydantic) makes of a content.
 
     Parameters
     ----------
+    content : Any
+        For a method that reads JSON, its text.
     wrong : str
         What to say where it is wrong, with the location for {}.
     inside : iterable of str
@@ -59,68 +62,91 @@ def checked(
     try:
         return check(content)
     except ValidationError as error:
-        place, got, expected = first_fault(error, content)
+        place, got, expected = _first_fault(error, content)
         if got == _UNKNOWN:
             known = ", ".join(keys(place) if callable(keys) else keys)
             expected = known and f"one of {known}"
-        location = ".".join(map(str, (*inside, *place))) or "the top"
-        raise InputError(wrong.replace("{}", location), got=got, expected=expected or None, path=path) from error
+        what = wrong.replace("{}", ".".join(str(part)[:60] for part in (*inside, *place)) or "the top")
+        if got is None:
+            what, expected = f"{what}: {expected}", None
+        raise InputError(what, got=got, expected=expected or None, path=path) from error
 
 
 _UNKNOWN = "a field of another name"
 _KINDS: dict[str, str] = {
     "float": "a number", "int": "a whole number", "string": "text", "bool": "true or false", "tuple": "a list",
-    "list": "a list", "dict": "an object {...}", "dataclass": "an object {...}", "model": "an object {...}",
+    "list": "a list", "set": "a list", "frozen": "a list", "dict": "an object {...}", "dataclass": "an object {...}",
+    "model": "an object {...}",
 }  # fmt: skip
 
 
-def first_fault(error: ValidationError, content: Any) -> tuple[tuple[Any, ...], str, str]:
+def _first_fault(error: ValidationError, content: Any) -> tuple[tuple[Any, ...], str | None, str]:
     """The keys and numbers that lead to the first fault of a content, what stands there, and what is asked for.
 
     Of a value that may be of several kinds it is that of the kind which fits furthest; where none fits, all are told.
+    Where a rule of our own is broken, nothing and what the rule says.
     """
+    if isinstance(content, str | bytes):
+        with suppress(ValueError, RecursionError):
+            content = parse_json(content)
     every = [(_place(content, fault["loc"], fault["type"] == "missing"), fault) for fault in error.errors()]
     first = every[0][0]
     place, fault = max((one for one in every if one[0][: len(first)] == first), key=lambda one: len(one[0]))
-    kind, value = fault["type"], fault["input"]
+    kind, value, told = fault["type"], fault["input"], fault.get("ctx", {})
+    if kind in ("value_error", "assertion_error"):
+        return place, None, str(told["error"])
+    if kind.startswith("union_tag"):
+        place = (*place, told["discriminator"].strip("'"))
+        got = _quoted(told["tag"]) if "tag" in told else "nothing"
+        return place, got, f"one of {told['expected_tags']}" if "tag" in told else "a value"
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return place, _UNKNOWN, ""
     if kind == "missing" and not isinstance(value, list | tuple):
         return place, "nothing", "a value"
     beside = [other for at, other in every if at == place and other["loc"][:-1] == fault["loc"][:-1]]
-    words = [f"{len(value) + len(beside)} values"] if kind == "missing" else dict.fromkeys(map(_asked, beside))
-    got = json.dumps(value, ensure_ascii=False, default=str)
-    return place, got if len(got) <= 60 else f"{got[:57]}...", " or ".join(words)
+    words = [f"{len(value) + len(beside)} values"] if kind == "missing" else dict.fromkeys(map(asked, beside))
+    return place, _quoted(value), " or ".join(words)
 
 
-def _asked(fault: Any) -> str:
-    """What is asked for in place of a value that one kind does not fit."""
+def _quoted(value: Any) -> str:
+    value = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    got = json.dumps(value, ensure_ascii=False, default=str, skipkeys=True)
+    return got if len(got) <= 60 else f"{got[:57]}..."
+
+
+def asked(fault: Any) -> str:
+    """What is asked for in place of a value that one kind does not fit: of one of pydantic's `errors()`."""
     kind, told = fault["type"], fault.get("ctx", {})
+    if kind == "json_invalid":
+        return f"JSON ({told['error']})"
     if kind == "too_short":
         return f"at least {told['min_length']} values"
     if kind == "too_long":
         return f"at most {told['max_length']} values"
     if kind == "string_too_short":
         return "text that is not empty"
-    bound = fault["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    bound = fault["msg"].removeprefix("Input should be ")
     bound = bound.replace("greater than or equal to", "at least").replace("less than or equal to", "at most")
     return str(told["expected"]) if kind == "literal_error" else _KINDS.get(kind.split("_")[0]) or bound
 
 
 def _place(content: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any, ...]:
     """A location without what is neither a key nor a number of the content, but the name of one of several kinds."""
-    if isinstance(content, str | bytes):
-        return location
+
+    def leads(inside: Any, k: int) -> bool:
+        if isinstance(inside, dict):
+            return location[k] in inside or (missing and k == len(location) - 1 and isinstance(location[k], str))
+        return isinstance(inside, list | tuple) and location[k] in range(len(inside))
+
     found = []
-    for part in location:
-        known = content if isinstance(content, dict) else ()
-        if isinstance(content, list | tuple) and isinstance(part, int):
-            known = range(len(content))
-        if part in known:
-            content = content[part]
+    for k, part in enumerate(location):
+        if not leads(content, k):
+            continue
+        below = content[part] if not isinstance(content, dict) else content.get(part)
+        # The name of a kind may be a key as well: then it is the next part that leads on from here.
+        if k + 1 == len(location) or leads(below, k + 1) or not leads(content, k + 1):
             found.append(part)
-        elif missing and isinstance(content, dict) and part is location[-1]:
-            found.append(part)
+            content = below
     return tuple(found)
 
 

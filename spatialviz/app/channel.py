@@ -18,9 +18,10 @@ from typing import Annotated, Any, Literal, TypeAlias
 from weakref import WeakSet
 
 import websockets.exceptions
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
 from pipeline.system.errors import InputError
+from pipeline.system.reading import checked
 
 WAITING_BYTES = 8 * 2**20
 """A browser that lets so much wait is cut off; it comes back and is sent the page as it is then."""
@@ -268,11 +269,7 @@ def read(text: str | bytes) -> Incoming:
     InputError
         For what is none.
     """
-    try:
-        message = _INCOMING.validate_json(text)
-    except ValidationError as error:
-        found = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        raise InputError("not a message of the page", got=f"{found['loc']}: {found['msg']}") from None
+    message = checked(_INCOMING.validate_json, text, "not a message of the page, at {}")
     if isinstance(message, Command) and len(message.text) > LONGEST_COMMAND and not message.text.startswith(DRAWING):
         raise InputError("not a message of the page", got=f"a command of {len(message.text)} characters")
     return message

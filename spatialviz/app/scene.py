@@ -18,27 +18,18 @@ import viser.transforms as vtf
 from pipeline.diagnosis.whatif.answer_view import Ghost
 from pipeline.diagnosis.whatif.shown import NOTHING, Shown
 from pipeline.diagnosis.whatif.state import CameraView
-from pipeline.geometry.boxes import Box3D, boxes_on_ray, edge_lines
+from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, boxes_on_ray, edge_lines
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.cloud import Cloud
-from pipeline.geometry.palette import RGB, Role, hex_color, palette
+from pipeline.geometry.palette import FACE_OPACITY, LINE_WIDTH, RGB, Role, hex_color, palette
 from pipeline.geometry.viewpoints import viewpoint
 from pipeline.system.errors import needed
 from spatialviz.app.markup import detector_score
 from spatialviz.app.scene_client import SceneClient, triple
 from spatialviz.app.state import State
 
-CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], np.float32)
-CUBE_FACES = np.array(
-    [
-        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
-    ]
-)  # fmt: skip
-LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.2, "target": 3.2, "truth": 1.6, "edited": 2.5}
 GHOST_GROWTH = 0.012
 """Ghosts are drawn this much larger, metres, so that they do not lie in the very lines of the answer's boxes."""
-FACE_OPACITY: dict[Role, float] = {"other": 0.035, "reference": 0.15, "target": 0.15}
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.diagnosis.answer import Answer
-from pipeline.geometry.boxes import Box3D, edge_lines
+from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, edge_lines
 from pipeline.geometry.cloud import cloud_of, drawn_pixels
-from pipeline.geometry.palette import RGB, Role, palette
-from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
+from pipeline.geometry.palette import FACE_OPACITY, LINE_WIDTH, RGB, Role, palette
 from spatialviz.app.site import Nobody, served_by
 from spatialviz.report.picture import AnswerRoles, answer_roles
 

@@ -165,11 +165,17 @@ def test_a_file_of_edits_is_saved_as_one_or_not_at_all(full_corrector: Corrector
     assert isinstance(apply_actions(full_corrector, journal, actions_of([{**entries[1], "base": 1}]), "bob"), Conflict)
     assert isinstance(apply_actions(full_corrector, journal, actions_of([{**entries[1], "base": 2}]), "bob"), Saved)
     count = len(journal.events())
-    for wrong in (
-        [], {}, [entries[0], {"edit": "paint", "frame": FRAME}], [{**entries[1], "object": "1"}],
-        [{**entries[1], "colour": 1}], [{**entries[0], "to": "X"}], [{"edit": "class", "frame": FRAME}],
+    for wrong, words in (
+        ([], "not empty"), ({}, "not empty"), ([3], "edit 0 cannot be this; got 3; expected an object"),
+        ([entries[0], {"edit": "paint", "frame": FRAME}], r'edit 1\.edit .*; got "paint"; expected one of \'class\', '),
+        ([{"frame": FRAME}], r"edit 0\.edit cannot be this; got nothing; expected a value"),
+        ([{**entries[1], "object": "1"}], r'edit 0\.object cannot be this; got "1"; expected a whole number'),
+        ([{**entries[1], "colour": 1}], r"edit 0\.colour cannot be this; got a field of another name"),
+        ([{**entries[0], "to": "X"}], r"edit 0\.to cannot be this; got \"X\"; expected 'T', 'U' or 'F'"),
+        ([{"edit": "class", "frame": FRAME}], r"edit 0\.object cannot be this; got nothing; expected a value"),
+        ([{"edit": "mask", "frame": FRAME, "object": a, "rectangle": [1]}], "edit 0 cannot be this: a rectangle has"),
     ):  # fmt: skip
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match=words):
             actions_of(wrong)
     absent = actions_of([{**entries[4], "to": None}, {**entries[1], "object": 999}])
     with pytest.raises(InputError, match="edit 1: "):

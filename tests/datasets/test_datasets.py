@@ -169,6 +169,7 @@ def test_settings_keep_every_digit(tmp_path_factory: pytest.TempPathFactory, num
         ("depth-scale = 1000", ["unknown setting", "depth_scale"]),
         ("depth_scale = true", ["depth_scale must be a finite number"]),
         ("depth_scale = nan", ["depth_scale must be a finite number"]),
+        ("depth_scale = 1e308", ["depth_scale must be a finite number; got 1e+308; expected up to 1e12"]),
         ("world_up = [0, 0, 0]", ["world_up"]),
         ('world_up = "z"', ["world_up must be 3 finite numbers"]),
         ("intrinsics = [1, 2, 3]", ["intrinsics must be 4 finite numbers"]),

@@ -145,8 +145,18 @@ def test_a_network_of_ones_own_is_described_beside_it(picture: Path, tmp_path: P
     with pytest.raises(InputError, match=r"the model has no output metres; got depth.*own\.toml"):
         open_dataset(picture, depth_model=str(file), intrinsics=CAMERA)
     described.write_text(described.read_text() + "speed = 1\n")
-    with pytest.raises(InputError, match=r"wrong at output\.speed; got a key that there is not; expected one of depth"):
+    with pytest.raises(InputError, match=r"wrong at output\.speed; got a field of another name; expected one of depth"):
         open_dataset(picture, depth_model=str(file))
+    for line, words in (
+        ("size = [1, 2]", r"at input\.size\.0; got 1; expected at least 8"),
+        ("mean = [0, 1]", r"at input\.mean; got \[0, 1\]; expected 3 values"),
+        ("scale = nan", r"at input\.scale; got NaN; expected a finite number"),
+        ('fit = "crop"', r"""at input\.fit; got "crop"; expected 'letterbox', """),
+        ("pad = 300", r"at input\.pad; got 300; expected at most 255 or a list"),
+    ):
+        described.write_text(f'[input]\n{line}\n[output]\ndepth = "depth"\n')
+        with pytest.raises(InputError, match=f"{words}.*own\\.toml"):
+            open_dataset(picture, depth_model=str(file))
 
 
 def test_what_is_not_used_says_why(picture: Path, tmp_path: Path, moge: str) -> None:

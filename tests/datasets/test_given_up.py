@@ -204,6 +204,7 @@ def test_an_up_that_contradicts_the_declared_one_is_noted(tmp_path: Path, degree
     ("told", "words"),
     [
         ({"up": "0,0,0"}, ["up must be a vector"]),
+        ({"up": "1e308,0,0"}, ["up must be a vector"]),
         ({"up": "0,nan,1"}, ["X,Y,Z"]),
         ({"up": "sky:0,0,1"}, ["world:X,Y,Z"]),
         ({"up": "0,1"}, ["got '0,1'"]),

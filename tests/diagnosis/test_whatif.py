@@ -363,7 +363,34 @@ def test_a_scorer_that_is_none_is_refused(spec: str) -> None:
 
 
 def test_an_unknown_field_of_edits_is_named_with_the_known_ones() -> None:
-    with pytest.raises(InputError, match=r"there is no field 'objects'; expected format, boxes, .*hidden"):
+    with pytest.raises(InputError, match=r"objects .*; got a field of another name; expected one of format, .*hidden"):
         read_edits({"objects": {}})
-    with pytest.raises(InputError, match=r"there is no field 'boxes\.a\.angle'"):
-        read_edits({"boxes": {"a": {"center": [0, 0, 1], "R": np.eye(3).tolist(), "size": [1, 1, 1], "angle": 3}}})
+    with pytest.raises(InputError, match=r"boxes\.a\.angle cannot be this; got a field of another name$"):
+        read_edits({"boxes": {"a": {**BOX, "angle": 3}}})
+
+
+BOX = {"center": [0, 0, 1], "R": np.eye(3).tolist(), "size": [1, 1, 1]}
+
+
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [
+        ({"boxes": {"a": 3}}, "the edits: boxes.a cannot be this; got 3; expected an object {...}"),
+        ({"boxes": {"a": {**BOX, "center": [0, 0]}}}, "boxes.a.center cannot be this; got [0, 0]; expected 3 values"),
+        ({"boxes": {"a": {**BOX, "center": [0, 0, 1e9]}}}, "boxes.a.center.2 cannot be this; got 1000000000.0; "),
+        ({"boxes": {"a": {**BOX, "R": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}}}, "boxes.a cannot be this: R of a 3D box"),
+        ({"boxes": {"a": {"R": BOX["R"]}}}, "boxes.a.center cannot be this; got nothing; expected a value"),
+        ({"hidden": "x"}, 'hidden cannot be this; got "x"; expected a list'),
+        ({"k": "3"}, 'k cannot be this; got "3"; expected a whole number'),
+        ({"k": 0}, "k cannot be this; got 0; expected at least 1"),
+        ({"rank": {"target_weight": "1"}}, 'rank: target_weight cannot be this; got "1"; expected a number'),
+        ({"lift": {"near": None}}, "lift: near cannot be this; got null; expected a number"),
+        ({"x" * 1000: 1}, f"the edits: {'x' * 60} cannot be this; got a field of another name"),
+        ([1], "the edits: the top cannot be this; got [1]; expected an object {...}"),
+    ],
+)
+def test_what_is_wrong_with_edits_is_told_in_plain_words(record: Any, words: str) -> None:
+    for given in (record, json.dumps(record)):
+        with pytest.raises(InputError) as caught:
+            read_edits(given)
+        assert words in str(caught.value)

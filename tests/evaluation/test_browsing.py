@@ -154,12 +154,19 @@ def test_who_marks_at_once_loses_nothing(tmp_path: Path) -> None:
     assert len(notes.filters) == 12
 
 
-@pytest.mark.parametrize("text", ["{", '{"format": "other", "marks": {}}', '{"marks": [1]}'])
-def test_damaged_notes_are_said_in_a_line(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", 'got "{"; expected JSON (EOF'),
+        ('{"format": "other", "marks": {}}', "of another release"),
+        ('{"marks": [1]}', "at marks; got [1]; expected an object {...}"),
+    ],
+)
+def test_damaged_notes_are_said_in_a_line(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / FILE).write_text(text)
     with pytest.raises(InputError) as refused:
         RunRows(TABLES[0], tmp_path)
-    assert "notes" in str(refused.value)
+    assert words in str(refused.value)
     assert "\n" not in str(refused.value)
 
 

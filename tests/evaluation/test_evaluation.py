@@ -322,7 +322,7 @@ def test_published_figures_name_their_source(tmp_path: Path) -> None:
     assert row.cells[2] == 0.5
     assert row.cells[0] is None
     (tmp_path / "mine.json").write_text('{"rows": [{"name": "X"}]}')
-    with pytest.raises(InputError, match="published figures"):
+    with pytest.raises(InputError, match=r"published figures: rows\.0\.table is wrong; got nothing; expected a value"):
         read_reported(tmp_path / "mine.json")
 
 

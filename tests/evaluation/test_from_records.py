@@ -86,3 +86,13 @@ def test_dicts_are_records_and_what_is_wrong_with_one_names_its_number(traced: P
     with pytest.raises(pipeline.InputError, match="there are no predictions"):
         pipeline.Run.from_records([], "demo", demo_labels(), tmp_path / "a")
     assert not (tmp_path / "a").exists()
+
+
+def test_a_line_that_a_killed_writer_left_is_told(traced: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.jsonl"
+    cut.write_bytes(traced.read_bytes().rstrip()[:-3])
+    told = read_predictions(cut).unread
+    assert told is not None
+    assert told.endswith("is cut off, as a killed writer leaves it, and is not read")
+    with pytest.warns(UserWarning, match=f"^{told}$"):
+        pipeline.Run.from_records(cut, "demo", demo_labels(), tmp_path / "run", plots=False)

@@ -15,7 +15,7 @@ from benchmarks.other_pipeline import CENTRES, Line, lines
 
 from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.opening import open_pipeline
-from pipeline.answering.predictions import Prediction, write_predictions
+from pipeline.answering.predictions import Prediction, read_predictions, write_predictions
 from pipeline.datasets.demo import demo_labels
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.asking import known_truth
@@ -73,7 +73,8 @@ def kept(tmp_path_factory: pytest.TempPathFactory, labels: Labels, asked: list[t
 
 
 def replayed(folder: Path, predictions: Path | None = None) -> Iterator[Result]:
-    return replay_all(sorted((folder / "cases").iterdir()), predictions=predictions)
+    read = None if predictions is None else read_predictions(predictions)
+    return replay_all(sorted((folder / "cases").iterdir()), predictions=read)
 
 
 def test_a_case_holds_what_its_verdict_was_found_by(kept: Path, asked: list[tuple[Line, Line]]) -> None:

@@ -88,6 +88,15 @@ def test_constraints_agree_with_the_models(data: st.DataObject) -> None:
     assert {v.column for v in violations(rows, table)} == refused
 
 
+def test_what_a_cell_may_not_be_is_told_in_plain_words() -> None:
+    row = GOOD_ROWS["objects"] | {"score": 1.5, "bbox": [0.0]}
+    rows = pa.Table.from_pylist([row], schema=pa.schema([pa.field(f.name, f.type) for f in arrow_schema("objects")]))
+    assert {v.column: v.message for v in violations(rows, "objects")} == {
+        "score": "score: got 1.5; expected at most 1",
+        "bbox": "bbox: got [0.0]; expected at least 4 values",
+    }
+
+
 ROW = {"frame": "f", "frame_index": 0}
 GOOD_ROWS = {
     "frames": ROW | {

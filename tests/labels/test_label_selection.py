@@ -75,6 +75,8 @@ def test_what_a_rare_relation_leaves_goes_to_the_others() -> None:
     rows = (ids, np.arange(n), relation, np.zeros(n, int), np.zeros(n, int))
     kept = select(*rows, SelectConfig(total=300, per_frame=None, balance=None))
     assert np.bincount(relation[kept]).tolist() == [145, 145, 10]
+    boundless = select(*rows, SelectConfig(total=None, per_frame=None, balance=1e308))
+    assert np.array_equal(boundless, select(*rows, SelectConfig(total=None, per_frame=None, balance=None)))
     kept = select(*rows, SelectConfig(total=None, per_frame=None, balance=2.0))
     assert np.bincount(relation[kept]).tolist() == [2 * SCARCE, 2 * SCARCE, 10]
 

@@ -26,7 +26,7 @@ from pipeline.labels.merge import SelectConfig, merge_labels
 from pipeline.labels.plan import LabelConfig, SourceSpec, load_plan, make_plan, part_of, save_plan
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import PART_TABLES, open_labels, read_table
-from pipeline.labels.schema import Manifest
+from pipeline.labels.schema import SCHEMA_VERSION, Manifest
 from pipeline.labels.store import Store
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.system.errors import InputError
@@ -201,6 +201,9 @@ def test_missing_shards_are_named_with_the_command_that_makes_them(tmp_path: Pat
         open_labels(out)
     with pytest.raises(InputError, match="no labels here"):
         open_labels(tmp_path / "nowhere")
+    (tmp_path / "manifest.json").write_text(json.dumps({"schema_version": SCHEMA_VERSION, "name": 3}))
+    with pytest.raises(InputError, match=r"manifest is damaged at \w+; got .*; expected .*manifest\.json"):
+        open_labels(tmp_path)
     (out / "plan.json").write_text('{"spec": 3')
     with pytest.raises(InputError, match=r"plan.json is damaged"):
         merge_labels(out)

@@ -298,9 +298,9 @@ def test_maps_of_concept_graphs_are_played_back(tmp_path: Path, frame: Frame, pr
     # A map without what is asked for, and one without objects.
     gap = {key: value for key, value in mug.items() if key != "conf"}
     sure = mug | {"conf": [np.float32(1.5)] * 3}
-    wrong = "object 0: not as ConceptGraphs writes it; got "
+    wrong = "object 0: not as ConceptGraphs writes it"
     for content, message in (
-        ([gap], f"{wrong}no 'conf'"), ([], "no map"), ([sure], f"{wrong}score: 1.5; expected at most 1"),
+        ([gap], f"{wrong}; got no 'conf'"), ([], "no map"), ([sure], f"{wrong}, at score; got 1.5; expected at most 1"),
     ):  # fmt: skip
         refused(write_map(path, content, 4), frame, message)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, create_model, model_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model, model_validator
 
 from pipeline.corrections.drawing.depth_region import TOLERANCE
 from pipeline.corrections.drawing.gestures import Canvas, drawn, gesture_of
@@ -26,6 +26,7 @@ from pipeline.corrections.side_views import drag_box
 from pipeline.relations.relations import F, T, U
 from pipeline.system.door import read_json
 from pipeline.system.errors import InputError, require
+from pipeline.system.reading import checked
 
 _STATES = {"T": T, "U": U, "F": F}
 SHAPES = ("polygon", "rectangle", "strokes", "seeds")
@@ -266,13 +267,7 @@ def actions_of(entries: Any, path: Path | None = None) -> list[Any]:
     if not isinstance(entries, list) or not entries:
         got = "an empty list" if entries == [] else type(entries).__name__
         raise InputError("edits must be a list that is not empty", got=got, path=path)
-    try:
-        return _LIST.validate_python(entries)
-    except ValidationError as error:
-        first = error.errors()[0]
-        index, where = first["loc"][0], ".".join(str(p) for p in first["loc"][2:])
-        message = f"edit {index}: {where}: {first['msg']}" if where else f"edit {index}: {first['msg']}"
-        raise InputError(message, got=repr(first.get("input"))[:60], path=path) from error
+    return checked(_LIST.validate_python, entries, "edit {} cannot be this", path)
 
 
 def apply_actions(

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.answering.given_places import check_places
 from pipeline.answering.imported import ImportedPipeline
 from pipeline.answering.objects import SAME_BOX_IOU
-from pipeline.answering.predictions import Predictions, read_predictions
+from pipeline.answering.predictions import Predictions
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
 from pipeline.diagnosis.cases.manifest import Expected, ExpectedObject, checked_expected
@@ -253,7 +253,7 @@ def replay_all(
     detector: str | None = None,
     model: Path | None = None,
     min_score: float | None = None,
-    predictions: Path | None = None,
+    predictions: Predictions | None = None,
 ) -> Iterator[Result]:
     """Run cases again, one at a time.
 
@@ -268,29 +268,28 @@ def replay_all(
         Take the answers of now as the expected ones.
     detector, model, min_score
         A detector that looks at the pictures now; None for the kept detections.
-    predictions : Path, optional
-        What another pipeline gives now, as a file of predictions with a line for each case.
+    predictions : Predictions, optional
+        What another pipeline gives now, with a line for each case.
 
     Raises
     ------
     InputError
-        The relation scorer that was asked for cannot be used with any case; the predictions cannot be read, or are not
-        in the coordinates that their header says.
+        The relation scorer that was asked for cannot be used with any case; the predictions are not in the coordinates
+        that their header says.
     """
-    read = None if predictions is None else read_predictions(predictions)
     if srm is not None:
         # Said once, and not of every case: none of them is damaged by it.
         make_scorer(srm, vectors)
-    if read is not None:
-        _check_places(folders, read)
+    if predictions is not None:
+        _check_places(folders, predictions)
     for folder in folders:
         try:
             opened = open_case(folder, srm=srm, vectors=vectors)
             if detector is not None:
                 opened = opened.with_detector(detector, model, min_score)
-            if read is not None:
-                opened = opened.with_predictions(read)
-            replay = replay_case(opened, tolerance, live=detector is not None or read is not None)
+            if predictions is not None:
+                opened = opened.with_predictions(predictions)
+            replay = replay_case(opened, tolerance, live=detector is not None or predictions is not None)
             moved = replay.record != opened.manifest.expected
             if update and moved:
                 opened.expect(replay.record)

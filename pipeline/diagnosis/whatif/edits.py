@@ -17,12 +17,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter
 
 from pipeline.answering.ranking import RankConfig
 from pipeline.geometry.boxes import Box3D
@@ -31,6 +31,7 @@ from pipeline.geometry.masks import RunLength
 from pipeline.relations.relations import Profile
 from pipeline.system.door import parse_json, read_bytes
 from pipeline.system.errors import InputError, require
+from pipeline.system.reading import checked
 
 Record = dict[str, Any]
 _T = TypeVar("_T")
@@ -115,14 +116,10 @@ def _checked(
     for name in values:
         require(name in known, f"{where} has no setting {name!r}", expected=", ".join(known))
     try:
-        whole = adapter(kind).validate_json(json.dumps(dict(values), allow_nan=False), strict=True)
-    except ValidationError as error:
-        first = error.errors()[0]
-        index = ".".join(str(p) for p in first["loc"])
-        got = repr(first["input"])[:80]
-        raise InputError(f"{where}: {index} cannot be this", got=got, expected=first["msg"]) from error
+        text = json.dumps(dict(values), allow_nan=False)
     except (TypeError, ValueError) as error:
         raise InputError(f"{where}: a value is no finite number", got=str(error)) from error
+    whole = checked(partial(adapter(kind).validate_json, strict=True), text, f"{where}: {{}} cannot be this")
     found = {name: getattr(whole, name) for name in values}
     for name, value in found.items():
         least, most = bounds(name) or (-np.inf, np.inf)
@@ -385,16 +382,9 @@ def validated(kind: type[_T], record: Record | str | bytes, what: str) -> _T:
         text = json.dumps(value, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{what} cannot be read as JSON", got=str(error)[:120]) from error
-    try:
-        return adapter(kind).validate_json(text, strict=True)
-    except ValidationError as error:
-        first = error.errors()[0]
-        told = first.get("ctx", {}).get("error")
-        if isinstance(told, InputError):
-            raise told from None
-        index = ".".join(str(p)[:60] for p in first["loc"])
-        where = f"{what}: {index}" if index else what
-        if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-            names = ", ".join(f.name for f in fields(kind)) if len(first["loc"]) == 1 else None  # pyright: ignore
-            raise InputError(f"{what}: there is no field {index!r}", expected=names) from error
-        raise InputError(f"{where} cannot be this", got=repr(first["input"])[:80], expected=first["msg"]) from error
+    def known(place: tuple[Any, ...]) -> list[str]:
+        return [f.name for f in fields(kind)] if len(place) == 1 else []  # pyright: ignore
+
+    return checked(
+        partial(adapter(kind).validate_json, strict=True), text, f"{what}: {{}} cannot be this", keys=known
+    )

@@ -25,7 +25,8 @@ from pipeline.labels.schema import ADDED_COLUMNS, TABLES
 from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa
 from pipeline.system.door import open_parquet
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, Shown, require
+from pipeline.system.reading import asked
 
 BATCH_ROWS = 8_192
 
@@ -361,7 +362,7 @@ def _messages(rows: pa.Table, table: str, row: int) -> dict[str, str]:
         TABLES[table].model_validate(record)
     except ValidationError as error:
         return {
-            str(e["loc"][0]): f"{e['msg']}, got {repr(e.get('input'))[:60]}"
+            str(e["loc"][0]): f"got {Shown(e['input'])}; expected {asked(e)}"
             for e in reversed(error.errors())
             if e["loc"]
         }
