@@ -1,12 +1,12 @@
 """Two more pipelines that are not ours (`eighth_parts`), with faults that stand in code: each is a rule; held out.
 
-OPM-TARGET, OPM-REF  a name gets the other name's boxes, or none; only the two largest go on; things inside larger ones
-          are suppressed, small and thin ones dropped
-LIFT      boxes of all candidates: depth cut at a greatest value, or wrapped round beyond a range; masks that run over;
+OPM-TARGET, OPM-REF  a name gets the other name's boxes, or none; things inside larger ones are suppressed, small and
+          thin ones dropped; of targets only the two largest go on
+LIFT      boxes of all candidates: depth wrapped round beyond a range; masks that run over;
           another picture's pose; joined with what they stand on; points of the thing beside; depths scaled by what a
           class usually measures; depth read at another stride
-SRM       arguments swapped; sides of a room instead of the viewer's; the matrix laid out by columns; two axes
-          exchanged; a margin in another unit; yes for no; the first pair of the same two names for all of them
+SRM       arguments swapped; sides of a room instead of the viewer's; the matrix laid out by columns; a margin
+          in another unit; yes for no
 OPM-CONF  sure of a thing whatever its name; a class turned round; a class that is sure of any name; larger ones surer;
           all turned round; one place along
 PRM       a factor ignored; any factor for all; the second; an index taken apart by the wrong width; the
@@ -53,12 +53,11 @@ from .sixth_pipeline import HALF, Scene, scenes, truly
 from .sixth_pipeline import wrong_points as by_sixth
 from .third_pipeline import put, told_rows
 
-MISSED = ("phrase", "vocabulary", "largest", "inside", "thin")
 KINDS = {
-    "OPM-TARGET": MISSED,
-    "OPM-REF": MISSED,
-    "LIFT": ("cut", "wrapped", "bleeding", "pose", "support", "switched", "scale", "stride"),
-    "SRM": ("swapped", "room", "columns", "axes", "margin", "no", "cache"),
+    "OPM-TARGET": ("phrase", "vocabulary", "largest", "inside", "thin"),
+    "OPM-REF": ("phrase", "vocabulary", "inside", "thin"),
+    "LIFT": ("wrapped", "bleeding", "pose", "support", "switched", "scale", "stride"),
+    "SRM": ("swapped", "room", "columns", "margin", "no"),
     "OPM-CONF": ("objectness", "turned", "oversure", "larger", "negated", "along"),
     "PRM": ("ignores", "any", "second", "width", "first", "least", "stale"),
 }
@@ -67,18 +66,16 @@ SHARE = 0.5
 """Of the lines in which a fault is tried; many of them keep their answer, so that some fifth is broken."""
 OFTEN = np.array([1, 1.5, 6, 3, 2, 2]) / 15.5
 """How often each of FAULTS is tried; boxes seldom change an answer."""
-RARE = {"largest", "inside", "thin", "cut", "bleeding", "support", "stride", "cache", "larger", "any"}
+RARE = {"largest", "inside", "thin", "bleeding", "support", "stride", "larger", "any"}
 """Kinds that seldom change an answer: tried before others of their module where some lines are broken."""
 DENSER = {
     **dict.fromkeys((f"{m} {k}" for m in ("OPM-TARGET", "OPM-REF") for k in ("inside", "thin")), 2.5),
     **dict.fromkeys((f"LIFT {k}" for k in KINDS["LIFT"]), 2.0),
-    **dict.fromkeys((f"LIFT {k}" for k in RARE), 4.5),
-    "OPM-TARGET vocabulary": 0.4, "OPM-REF vocabulary": 0.4, "OPM-REF phrase": 2.0, "OPM-REF largest": 2.0,
-    "SRM swapped": 0.7, "SRM axes": 1.5, "SRM margin": 1.5, "SRM cache": 4.0, "OPM-CONF larger": 2.5,
+    **dict.fromkeys((f"LIFT {k}" for k in ("bleeding", "support", "stride")), 4.5),
+    "OPM-TARGET vocabulary": 0.4, "OPM-REF vocabulary": 0.4, "OPM-REF phrase": 2.0,
+    "SRM swapped": 0.7, "SRM margin": 1.5, "OPM-CONF larger": 2.5,
 }  # fmt: skip
 """How many times as many expressions a whole file has of a kind than one of the others."""
-UNLIKE = {"above": "behind", "behind": "above", "below": "front", "front": "below"}
-"""By z for y and y for z."""
 
 
 def planted(
@@ -165,8 +162,6 @@ def wrong_points(parts: Parts, kind: str, met: Met, t: Thing, after: Frame) -> n
         return by_sixth(cast(Made, parts), kind, frame, t)
     points = points_of(frame, t.id)
     z = points[:, 2:]
-    if kind == "cut":
-        return points * np.minimum(1, float(np.quantile(frame.depth[frame.depth > 0], 0.35)) / z)
     if kind == "wrapped":
         far = float(np.quantile(frame.depth[frame.depth > 0], 0.5))
         return points * ((z % far) / z)[:, :1]
@@ -202,7 +197,7 @@ def wrong_points(parts: Parts, kind: str, met: Met, t: Thing, after: Frame) -> n
 def judged_wrong(parts: Parts, own: OtherPipeline, kind: str, met: Met, whole: bool) -> Met | None:
     """With wrong probabilities of all pairs; some kinds in a whole file for half of the relations."""
     relation, known, viewer = met.asked.case.relation, met.known, met.viewer
-    if (kind == "room" and AXES[relation][0] == 1) or (kind == "axes" and relation not in UNLIKE):
+    if kind == "room" and AXES[relation][0] == 1:
         return None
     if whole and kind == "no" and relation not in HALF:
         return None
@@ -215,8 +210,6 @@ def judged_wrong(parts: Parts, own: OtherPipeline, kind: str, met: Met, whole: b
         one, other = known[a], known[b]
         if kind == "swapped":
             return parts.probability(relation, other, one, viewer)
-        if kind == "axes":
-            return parts.probability(UNLIKE[relation], one, other, viewer)
         if kind == "margin":
             return parts.judge(relation, one, other, viewer, 1.0, 1.0)
         if kind == "no":
@@ -226,9 +219,6 @@ def judged_wrong(parts: Parts, own: OtherPipeline, kind: str, met: Met, whole: b
     if kind == "columns":
         by_columns = sorted(right_ones, key=lambda pair: list(met.asked.references).index(pair[1]))
         said = dict(zip(by_columns, right_ones.values(), strict=True))
-    elif kind == "cache":
-        first: dict[tuple[str, str], float] = {}
-        said = {(a, b): first.setdefault((known[a].name, known[b].name), q) for (a, b), q in right_ones.items()}
     else:
         said = {pair: p(*pair) for pair in right_ones}
     return replace(met, asked=replace(met.asked, relations=said))
