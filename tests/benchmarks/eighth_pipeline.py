@@ -2,15 +2,15 @@
 
 OPM-TARGET, OPM-REF  a name gets the other name's boxes, or none; things inside larger ones are suppressed, small and
           thin ones dropped; of targets only the two largest go on
-LIFT      boxes of all candidates: depth wrapped round beyond a range; masks that run over;
-          another picture's pose; joined with what they stand on; points of the thing beside; depths scaled by what a
-          class usually measures; depth read at another stride
-SRM       arguments swapped; sides of a room instead of the viewer's; the matrix laid out by columns; a margin
-          in another unit; yes for no
+LIFT      boxes of all candidates: depth wrapped round beyond a range; masks that run over; another picture's pose;
+          joined with what they stand on; points of the thing beside; depths scaled by what a class usually measures;
+          depth read at another stride
+SRM       arguments swapped; sides of a room instead of the viewer's; the matrix laid out by columns; a margin in another
+          unit; yes for no
 OPM-CONF  sure of a thing whatever its name; a class turned round; a class that is sure of any name; larger ones surer;
           all turned round; one place along
-PRM       a factor ignored; any factor for all; the second; an index taken apart by the wrong width; the
-          first that will do; the least; a winner by the place of another line's
+PRM       a factor ignored; any factor for all; the second; an index taken apart by the wrong width; the first
+          that will do; the least; a winner by the place of another line's
 
 Two ways: some lines of a file broken, each by some kind; and a file for each kind, in which the rule is applied to
 every line, also where the answer stays as it was. A fault counts where the pipeline answers right without it, by a
