@@ -5,8 +5,8 @@ OPM-TARGET, OPM-REF  a name gets the other name's boxes, or none; things inside 
 LIFT      boxes of all candidates: depth wrapped round beyond a range; masks that run over; another picture's pose;
           joined with what they stand on; points of the thing beside; depths scaled by what a class usually measures;
           depth read at another stride
-SRM       arguments swapped; sides of a room instead of the viewer's; the matrix laid out by columns; a margin in another
-          unit; yes for no
+SRM       arguments swapped; sides of a room instead of the viewer's; the matrix laid out by columns; a margin in
+          another unit; yes for no
 OPM-CONF  sure of a thing whatever its name; a class turned round; a class that is sure of any name; larger ones surer;
           all turned round; one place along
 PRM       a factor ignored; any factor for all; the second; an index taken apart by the wrong width; the first
