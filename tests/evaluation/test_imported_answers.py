@@ -7,10 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from benchmarks.other_pipeline import CENTRES, lines
 
 from pipeline.answering.opening import open_pipeline
+from pipeline.answering.pair_rules import factors_of
 from pipeline.answering.predictions import GivenAnswer, Header, Prediction, write_predictions
 from pipeline.datasets.demo import demo_labels
 from pipeline.evaluation.adapters import import_published
@@ -23,14 +25,20 @@ from pipeline.system.errors import InputError
 
 
 @pytest.fixture(scope="module")
-def given() -> list[Prediction]:
-    """What a pipeline without a fault gives of one frame in level 3, where it answers right."""
+def every_frame() -> list[Prediction]:
+    """What a pipeline without a fault gives in level 3, where it answers right."""
     dataset, labels = open_pipeline("demo", srm="rule").dataset, open_labels(demo_labels())
-    found = [x.line for x in lines(CENTRES, dataset, labels, 4, every=10, share=0.0)]
-    return [line for line in found if line.frame == found[0].frame]
+    return [x.line for x in lines(CENTRES, dataset, labels, 4, every=10, share=0.0)]
+
+
+@pytest.fixture(scope="module")
+def given(every_frame: list[Prediction]) -> list[Prediction]:
+    """That of one frame."""
+    return [line for line in every_frame if line.frame == every_frame[0].frame]
 
 
 def imported(folder: Path, given: list[Prediction], header: Header = CENTRES.header) -> tuple[RunReport, list[str]]:
+    folder.mkdir(exist_ok=True)
     write_predictions(folder / "p.jsonl", header, given)
     report = import_run(folder / "p.jsonl", "demo", demo_labels(), folder / "run", plots=False)
     return report, open_run(folder / "run").records.column("verdict").to_pylist()
@@ -149,3 +157,56 @@ def test_a_converted_file_is_told_by_its_own_name(tmp_path: Path) -> None:
     file.write_text(json.dumps([{"image_id": 1, "category_id": 1, "bbox": box, "score": 0.9} for box in boxes]))
     with pytest.raises(InputError, match=r"turned into lines of ours.*coco\.json\]$"):
         import_published(file, "demo", demo_labels(), tmp_path / "run", key=key)
+
+
+def ranked(line: Prediction, change: Callable[[float], float]) -> Prediction:
+    """With other probabilities, the sums of the logs of the factors as scores, and the answer by these."""
+    rows = {k: tuple((*r[:-1], change(r[-1])) for r in pairs) for k, pairs in (line.relations or {}).items()}
+    changed = replace(line, relations=rows)
+    scores = {pair: float(np.log(np.clip(f, 1e-6, 1)).sum()) for pair, f in factors_of(changed).items()}
+    first = max(scores, key=scores.__getitem__)
+    pairs = tuple((a, b, s) for (a, b), s in scores.items())
+    return replace(changed, pairs=pairs, answer=GivenAnswer(object=first[0], reference=first[1]))
+
+
+def numbered_apart(line: Prediction, k: int) -> Prediction:
+    """With ids that no other line has."""
+
+    def of(i: int) -> int:
+        return 1000 * (k + 1) + i
+
+    assert line.proposals is not None
+    return replace(
+        line,
+        proposals={n: tuple(replace(p, id=of(p.id)) for p in found) for n, found in line.proposals.items()},
+        boxes_3d={of(i): box for i, box in (line.boxes_3d or {}).items()},
+        relations={n: tuple((of(a), of(b), p) for a, b, p in rows) for n, rows in (line.relations or {}).items()},
+        pairs=None, answer=None,
+    )  # fmt: skip
+
+
+def test_a_relation_that_is_as_probable_of_every_pair_is_the_scorers_fault(
+    every_frame: list[Prediction], tmp_path: Path
+) -> None:
+    asked = [line for line in every_frame if len(factors_of(line)) >= 3]
+    _, verdicts = imported(tmp_path, [ranked(line, lambda p: 0.31 + 0.01 * p) for line in asked])
+    wrong = [v for v in verdicts if v not in ("CORRECT", "LABEL")]
+    assert wrong.count("SRM") > 0.5 * len(wrong) > 0
+    assert "LIFT" not in wrong
+
+
+def test_a_relation_of_a_box_that_is_off_as_no_other_is_the_boxs_fault(given: list[Prediction], tmp_path: Path) -> None:
+    asked = [numbered_apart(line, k) for k, line in enumerate(given) if len(factors_of(line)) >= 2]
+    broken = [ranked(line, (lambda p: 1 - p) if k % 4 == 0 else float) for k, line in enumerate(asked)]
+
+    def moved(line: Prediction) -> Prediction:
+        boxes = {i: replace(b, center=(b.center[0], b.center[1], b.center[2] + 1.5)) for i, b in line.boxes_3d.items()}
+        return replace(line, boxes_3d=boxes)
+
+    _, as_usual = imported(tmp_path / "usual", broken)
+    _, off = imported(tmp_path / "off", [moved(line) if k % 4 == 0 else line for k, line in enumerate(broken)])
+    scorers = [k for k, v in enumerate(as_usual) if v == "SRM" and k % 4 == 0]
+    assert len(scorers) >= 2
+    assert all(off[k] == "LIFT" for k in scorers)
+    # What another line's boxes are changes nothing where they are as they were.
+    assert all(off[k] == v for k, v in enumerate(as_usual) if k % 4)

@@ -182,9 +182,9 @@ FINE = {"sentence": LEFT_MUG, "targets": [MUG]}
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        ("{", "Invalid JSON"),
+        ("{", "expected JSON"),
         ("[1]", "object"),
-        ('{"frame": 0, "sentence": "\\ud800", "targets": []}', "Invalid JSON"),
+        ('{"frame": 0, "sentence": "\\ud800", "targets": []}', "expected JSON"),
         ({"targets": [MUG]}, "sentence"),
         ({"sentence": " ", "targets": [MUG]}, "sentence"),
         ({"sentence": LEFT_MUG}, "one of targets, points and boxes"),
