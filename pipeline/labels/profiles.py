@@ -297,7 +297,7 @@ def as_given(judged: Judged, numbers: Sequence[int], given: Sequence[GivenExpres
 
 
 NONE, TRAINED = "none", "trained"
-LEAST_OF_T, MOST_OF_F = 0.9, 0.1
+LEAST_OF_T, MOST_OF_F = 0.95, 0.05
 """The network agrees with T from this probability on, and with F up to that one. Chosen on rooms of solids
 (`synthetic.solids`), where its probabilities are calibrated: 1.4 in 1,000 decided cells are then flipped (by 0.8 and
 0.2 it would be 1.9, with one cell in a hundred more decided)."""
