@@ -106,7 +106,7 @@ class Train(Output):
     pairs: int | None = None
     """Learn from at most so many pairs, drawn at random. Default: all."""
     rooms: int | None = None
-    """Rooms, 150: 7 in 10 to learn from, 1 to calibrate, 2 to measure; and as many scattered ones to learn from."""
+    """Rooms, 600: 7 in 10 to learn from, 1 to calibrate, 2 to measure; twice as many scattered ones are learnt from."""
     views: int | None = None
     """Views of each room, 4."""
     width: int | None = None

@@ -55,7 +55,7 @@ Progress = Callable[[str, int, int], None]
 class RoomConfig:
     """The rooms to learn from."""
 
-    rooms: int = 150
+    rooms: int = 600
     views: int = 4
     width: int = 480
     height: int = 360

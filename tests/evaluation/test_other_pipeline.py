@@ -14,7 +14,7 @@ MOST = 0.95
 
 def test_the_verdict_names_the_planted_module_of_another_pipeline() -> None:
     labels = open_labels(demo_labels())
-    found = list(lines(CENTRES, open_pipeline("demo", srm="rule").dataset, labels, 4, every=30, share=0.7))
+    found = list(lines(CENTRES, open_pipeline("demo", srm="rule").dataset, labels, 4, every=10, share=0.7))
     counts = tally(verdicts(CENTRES, "demo", labels, found))
     planted = {fault: found for fault, found in counts.items() if fault in FAULTS}
     assert len(planted) >= 5

@@ -188,10 +188,11 @@ def test_labels_of_rooms_of_another_maker_agree_with_exact_geometry(
         yes, true = (said[:, k] > 0) & decided[:, k], (truth[:, k] > 0) & decided[:, k]
         f1 = 2 * (yes & true).sum() / (yes.sum() + true.sum())
         assert f1 >= 0.985, (relation, f1)
-    assert 1000 * (said * truth == -1).mean() < 2
+    assert 1000 * (said * truth == -1).mean() < 0.5
     # Doubt is no way out: nearly all that is decidable is decided.
-    assert (decided.sum() / (truth != 0).sum()) > 0.92
-    assert ((said > 0) & (truth > 0)).sum() / (truth > 0).sum() > 0.9
+    assert (decided.sum() / (truth != 0).sum()) > 0.94
+    # T is likely enough for the network less often than F is unlikely enough.
+    assert ((said > 0) & (truth > 0)).sum() / (truth > 0).sum() > 0.87
 
 
 @pytest.mark.parametrize("regime", ["low", "usual", "high"])
@@ -208,7 +209,7 @@ def test_labels_hold_from_low_and_from_high(regime: str) -> None:
         rows.append(tallied(network.of_pairs(objects, viewer), labels, truth))
     found = dict(zip(FIGURES, figures(np.sum(rows, axis=0)[None])[0], strict=True))
     assert found["above/below F1 of labels"] >= 0.97
-    assert found[FLIPS] < 3
+    assert found[FLIPS] < 1.5
     assert found["decided"] > 0.9
 
 
