@@ -106,7 +106,9 @@ class Predictions:
     @property
     def unread(self) -> str | None:
         """What to tell of a line that is not read."""
-        return self.cut_off and f"line {self.cut_off} is cut off, as a killed writer leaves it, and is not read"
+        if not self.cut_off:
+            return None
+        return f"line {self.cut_off} is cut off, as a killed writer leaves it, and is not read"
 
     def line(self, frame: str, text: str) -> Prediction | None:
         """The line of an expression, whatever its spaces and capitals; None where there is none."""

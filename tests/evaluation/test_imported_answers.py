@@ -13,7 +13,7 @@ from benchmarks.other_pipeline import CENTRES, lines
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.pair_rules import factors_of
-from pipeline.answering.predictions import GivenAnswer, Header, Prediction, write_predictions
+from pipeline.answering.predictions import GivenAnswer, GivenBox, Header, Prediction, write_predictions
 from pipeline.datasets.demo import demo_labels
 from pipeline.evaluation.adapters import import_published
 from pipeline.evaluation.importing import import_run
@@ -180,7 +180,7 @@ def numbered_apart(line: Prediction, k: int) -> Prediction:
         line,
         proposals={n: tuple(replace(p, id=of(p.id)) for p in found) for n, found in line.proposals.items()},
         boxes_3d={of(i): box for i, box in (line.boxes_3d or {}).items()},
-        relations={n: tuple((of(a), of(b), p) for a, b, p in rows) for n, rows in (line.relations or {}).items()},
+        relations={n: tuple((of(r[0]), of(r[1]), r[-1]) for r in rows) for n, rows in (line.relations or {}).items()},
         pairs=None, answer=None,
     )  # fmt: skip
 
@@ -200,8 +200,13 @@ def test_a_relation_of_a_box_that_is_off_as_no_other_is_the_boxs_fault(given: li
     broken = [ranked(line, (lambda p: 1 - p) if k % 4 == 0 else float) for k, line in enumerate(asked)]
 
     def moved(line: Prediction) -> Prediction:
-        boxes = {i: replace(b, center=(b.center[0], b.center[1], b.center[2] + 1.5)) for i, b in line.boxes_3d.items()}
-        return replace(line, boxes_3d=boxes)
+        def farther(box: GivenBox | None) -> GivenBox:
+            assert box is not None
+            assert box.center is not None
+            x, y, z = box.center
+            return replace(box, center=(x, y, z + 1.5))
+
+        return replace(line, boxes_3d={i: farther(box) for i, box in (line.boxes_3d or {}).items()})
 
     _, as_usual = imported(tmp_path / "usual", broken)
     _, off = imported(tmp_path / "off", [moved(line) if k % 4 == 0 else line for k, line in enumerate(broken)])
