@@ -116,6 +116,8 @@ class Person:
         width = round(self.chance.uniform(0.2, 0.6), 3)
         width = width if abs(width - now) > 1e-3 else width + 0.01
         entry.fill(f"{width:.3f}")
+        # The next item may have come up since: whose number this is, the page says.
+        name = page.evaluate(EDITED)
         entry.press("Enter")
         yield
         done = ("box", f"{self.tab.frame} {name.partition('·')[2]}", width)
