@@ -53,15 +53,18 @@ def settle_by_keys(tab: Tab, journal: Path, labels: Path) -> None:
 def object_shown(tab: Tab) -> None:
     """Open an item about an object, and wait until its three views have its points."""
     tab.click("queue-kind:object")
-    # The queue may be renewed by what a detector has found meanwhile, whose first items are about what is not
-    # labelled; what is wanted is an item about an object.
+    # A detector may meanwhile put many items about what is not labelled before those about objects.
+    find = tab.page.locator("#queue-find")
+    find.fill("cut by the image border")
     shown = f"document.querySelector('#crop figcaption b')?.textContent === {CLAIM}"
-    for _ in range(15):
+    for _ in range(60):
         tab.press("j")
         with suppress(AssertionError):
-            tab.poll(shown, seconds=4)
+            tab.poll(shown, seconds=2)
             break
     tab.poll(shown)
+    find.fill("")
+    tab.press("Escape")
     tab.see("#sides .side-view canvas")
     # The points may come after the words.
     tab.poll("document.getElementById('sides').dataset.of === document.querySelector('#crop figcaption b').textContent")
