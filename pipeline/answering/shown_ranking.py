@@ -17,6 +17,8 @@ from typing import Literal
 
 import numpy as np
 
+from pipeline.answering.rivals import standing
+
 LEAST_COMPARED, MOST_COMPARED = 30, 12_000
 """Comparisons: of fewer nothing is said, of more some are taken, evenly."""
 MOST_ODD = 0.25
@@ -37,7 +39,6 @@ _MOST_STEPS, _SHORT = 30, 1e-7
 _BENDS = (0.25, 0.5, 0.75)
 _STEPS = tuple(k / 10 for k in range(1, 10))
 
-_FIRST = (1, 2, 3, 5)
 _FEW = 0.05
 CLEARER = 0.7
 _NOTHING = 1e-12
@@ -68,24 +69,6 @@ def curves(factors: np.ndarray) -> np.ndarray:
     either = [1 - (1 - t) * (1 - r), 1 - (1 - t) * (1 - p), 1 - (1 - r) * (1 - p), 1 - (1 - t) * (1 - r) * (1 - p)]
     mixed = np.stack([*joined, clear.min(axis=-1), *either], axis=-1)
     return np.concatenate([clear, *bends, np.log(clear), odds, mixed, *(clear > step for step in _STEPS)], axis=-1)
-
-
-def standing(factors: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """(..., P, K) float64: how the target, the reference and the relation of each of P pairs with these ids (P, 2)
-    stand among those of all, of factors (..., P, 3): the share that is not surer, whether among the first few, and how
-    many pairs it is above. What was not proposed (an id below 0) is no rival."""
-    lines = factors.reshape(-1, *factors.shape[-2:])
-    found, known = [], ids.min(axis=1) >= 0
-    for part in range(3):
-        numbers = np.arange(len(ids)) if part == 2 else ids[:, part]
-        _, first, own = np.unique(numbers, return_index=True, return_inverse=True)
-        rivals = first[ids[first].min(axis=1) >= 0] if part == 2 else first[numbers[first] >= 0]
-        values = -lines[:, :, part]
-        above = [np.searchsorted(np.sort(v[rivals]), v[first], side="left")[own.ravel()] for v in values]
-        rank = np.array(above).reshape(lines.shape[:2])
-        found += [1 - rank / max(len(rivals), 1), *(rank < k for k in _FIRST)]
-        found += [[np.searchsorted(np.sort(v[known]), v, side="left") for v in -values]]
-    return np.stack([np.asarray(f) for f in found], axis=-1).reshape(*factors.shape[:-1], -1).astype(np.float64)
 
 
 @dataclass(frozen=True)

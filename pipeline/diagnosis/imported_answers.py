@@ -192,7 +192,11 @@ def against(found: OracleScores, diagnosis: Diagnosis, bits: Sequence[int]) -> l
         return list(bits)
     surer = winner.p_target > right.p_target or winner.p_reference > right.p_reference
     related = [bit for bit in bits if bit in (LIFT, SRM)] if _denied(found) else []
-    return related[:1] + [bit for bit in bits if bit == CONF and surer]
+    blamed = related[:1] + [bit for bit in bits if bit == CONF and surer]
+    rule = found.table.config.rule
+    # One module is wrong more often than two: one that all but mends, for all that is known of the ranking.
+    nearly = [bit for bit in blamed if rule is not None and found.margins[bit] > -rule.unit * LIKELY]
+    return nearly if len(nearly) == 1 else blamed
 
 
 def _denied(found: OracleScores) -> bool:
