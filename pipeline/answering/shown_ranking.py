@@ -40,7 +40,9 @@ _BENDS = (0.25, 0.5, 0.75)
 _STEPS = tuple(k / 10 for k in range(1, 10))
 
 _FEW = 0.05
+"""A scale is tried that can hold all scores but this share."""
 CLEARER = 0.7
+"""How things stand among others is believed where it leaves no more than this of what the factors alone do not tell."""
 _NOTHING = 1e-12
 
 Compared = tuple[np.ndarray, np.ndarray, np.ndarray]
