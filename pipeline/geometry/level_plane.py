@@ -14,6 +14,7 @@ from pipeline.geometry.floor_or_wall import (
     PARALLEL_DEG,
     UPRIGHT,
     SurfaceBlocks,
+    block_noise,
     is_floor,
     may_be_wall,
     plane_tolerance,
@@ -55,6 +56,11 @@ ALONE_SCORE = 0.6
 
 FAR_FROM_LEVEL_DEG = 45.0
 """A surface that was called level and is so far off the frame's level planes is worth a note: a wall was meant?"""
+
+NOISES = (1, 3, 5)
+"""How noisy a sensor is taken to be, one after the other, until something is decided."""
+NOISY = 0.45
+"""Blocks of a structured-light camera are less noisy: of such a frame, and of a smoother one, nothing more is to be had."""
 
 DIRECTIONS = 96
 MAX_HYPOTHESES = 5
@@ -141,7 +147,15 @@ def up_hypotheses(depth: np.ndarray, camera: Camera) -> tuple[UpHypothesis, ...]
     depth : (H, W) float32
         Metres.
     """
-    surface = surface_blocks(depth, camera)
+    found: list[tuple[UpHypothesis, ...]] = []
+    for noise in NOISES if block_noise(depth) > NOISY else NOISES[:1]:
+        found.append(_of_surface(surface_blocks(depth, camera, noise)))
+        if decided(found[-1]) is not None:
+            return found[-1]
+    return max(found, key=lambda of: of[0].score if of else 0.0)
+
+
+def _of_surface(surface: SurfaceBlocks) -> tuple[UpHypothesis, ...]:
     if len(surface.points) < MIN_POINTS or surface.flat.sum() < MIN_POINTS:
         return ()
     found = [*_of_one_side(surface, "floor"), *_of_one_side(surface, "ceiling")]

@@ -22,7 +22,9 @@ def depth_noise(z: np.ndarray) -> np.ndarray:
     return np.float32(0.001) + np.float32(0.0012) * (np.float32(0.4) + z * z)
 
 
-def surface_normals(depth: np.ndarray, camera: Camera, radius: int = 4) -> tuple[np.ndarray, np.ndarray]:
+def surface_normals(
+    depth: np.ndarray, camera: Camera, radius: int = 4, noise: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Unit normals by least squares in inverse depth, where a plane is an affine function of the pixel.
 
     Parameters
@@ -31,6 +33,8 @@ def surface_normals(depth: np.ndarray, camera: Camera, radius: int = 4) -> tuple
         Metres, 0 where missing.
     radius : int
         The window has 2 * radius + 1 pixels a side.
+    noise : float
+        How many times as noisy as `depth_noise` the sensor is.
 
     Returns
     -------
@@ -64,7 +68,7 @@ def surface_normals(depth: np.ndarray, camera: Camera, radius: int = 4) -> tuple
     residual = np.sqrt(np.maximum(qq - a * qx - b * qy, 0.0))
     # The noise of 1/z is that of z divided by z squared.
     known = has & (count >= MIN_SHARE * side * side) & (length > 1e-9)
-    known &= residual < MAX_RESIDUAL * depth_noise(depth) * inverse * inverse
+    known &= residual < MAX_RESIDUAL * noise * depth_noise(depth) * inverse * inverse
     return (-plane / np.maximum(length, 1e-9)[..., None]).astype(np.float32), known
 
 

@@ -72,7 +72,7 @@ def test_all_frames_of_a_scene_take_the_up_that_they_agree_on() -> None:
         assert angle_deg(camera.up, up_of(scene.pitches[frame_id], 4)) < 1
         context = prepare_frame(scene, frame)
         assert context.viewer.up_source == "scene"
-        np.testing.assert_array_equal(context.viewer.up, camera.up)
+        np.testing.assert_allclose(context.viewer.up, camera.up, rtol=0, atol=1e-12)
 
 
 def test_one_frame_that_lies_is_outvoted_and_reported() -> None:
