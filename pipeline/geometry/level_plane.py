@@ -57,10 +57,10 @@ ALONE_SCORE = 0.6
 FAR_FROM_LEVEL_DEG = 45.0
 """A surface that was called level and is so far off the frame's level planes is worth a note: a wall was meant?"""
 
-NOISES = (1, 3, 5)
+NOISES = (1, 3, 5, 8)
 """How noisy a sensor is taken to be, one after the other, until something is decided."""
 NOISY = 0.45
-"""Blocks of a structured-light camera are less noisy: of such a frame, and of a smoother one, nothing more is to be had."""
+"""Blocks of a structured-light camera are less noisy than this, and wider windows tell no more of its frames."""
 
 DIRECTIONS = 96
 MAX_HYPOTHESES = 5

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from benchmarks.house_worlds import house_world
 from benchmarks.mesh_worlds import mesh_world
 from box_worlds import box_world
 from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied
@@ -37,7 +38,7 @@ def worlds(maker: str, regime: str, count: int) -> Iterator[Seen]:
         if maker == "boxes":
             found = Seen(*box_world(seed, 400, 300, REGIMES[regime])[:3])
         else:
-            found = mesh_world(seed, REGIMES[regime])
+            found = (house_world if maker == "houses" else mesh_world)(seed, REGIMES[regime])
         if found is not None and len(found.objects) >= FEWEST_OBJECTS:
             yield found
 
@@ -62,7 +63,7 @@ def main(count: int, paths: Sequence[Path]) -> None:
     networks = [OnnxScorer(path) for path in paths]
     print(f"| rooms | cameras | pairs | scorer | {' | '.join(FIGURES)} |")
     print("|---" * (4 + len(FIGURES)) + "|")
-    for maker in ("boxes", "meshes"):
+    for maker in ("boxes", "meshes", "houses"):
         for regime in REGIMES:
             if maker == "boxes" and REGIMES[regime].close:
                 continue

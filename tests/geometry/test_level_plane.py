@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from box_worlds import random_boxes
@@ -12,9 +13,11 @@ from test_viewer import noisy
 
 from pipeline.datasets.synthetic import camera_at, make_room, sense_view
 from pipeline.geometry.camera import IMAGE_UP, Camera
-from pipeline.geometry.floor_or_wall import LOOKED_UP_DEG, may_be_wall
+from pipeline.geometry.floor_or_wall import LOOKED_UP_DEG, block_noise, may_be_wall, surface_blocks
 from pipeline.geometry.level_plane import (
     MIN_SCORE,
+    NOISY,
+    _of_surface,
     decided,
     far_from_level,
     level_normal_at,
@@ -61,6 +64,34 @@ def test_an_up_that_is_claimed_is_right_at_any_pitch(
         assert floor < 0.05 or (may_be_wall(up) and not told)
     else:
         assert angle_deg(found, up) < 5
+
+
+def stereo(depth: np.ndarray, seed: int, error: float = 0.35) -> np.ndarray:
+    """As a stereo camera gives it: an error of disparity that neighbours share, and steps of it."""
+    rng, product = np.random.default_rng(seed), CAMERA.fx * 0.05
+    shared = cv2.GaussianBlur(rng.standard_normal(depth.shape), (0, 0), 2.0) * 4 * error
+    disparity = product / np.maximum(depth, 0.1) + shared + rng.normal(0, 0.1, depth.shape)
+    return np.where(depth > 0, product / np.maximum(np.round(disparity * 8) / 8, 0.5), 0).astype(np.float32)
+
+
+@pytest.mark.parametrize(("pitch", "roll"), [(30.0, -9.0), (40.0, 5.0), (48.0, 12.0)])
+def test_up_is_found_in_the_noise_of_a_stereo_camera(pitch: float, roll: float) -> None:
+    for seed in range(3):
+        _, up, seen = world(pitch, roll, 1.9, seed=seed, wall=4.0)
+        depth = stereo(seen.depth, seed)
+        assert block_noise(depth) > NOISY
+        assert decided(_of_surface(surface_blocks(depth, CAMERA))) is None, "the case says nothing"
+        found = level_plane(depth, CAMERA)
+        assert found is not None
+        assert angle_deg(found, up) < 5
+
+
+def test_how_noisy_a_frame_is() -> None:
+    _, _, seen = world(35, 3, 1.5)
+    assert block_noise(seen.depth) < 0.02
+    assert 0.15 < block_noise(noisy(seen.depth)) < 0.35
+    assert block_noise(stereo(seen.depth, 1, 0.25)) < block_noise(stereo(seen.depth, 1)) < 10
+    assert block_noise(np.zeros((120, 160), np.float32)) == 0
 
 
 @settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.too_slow])
