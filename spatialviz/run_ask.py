@@ -289,6 +289,8 @@ def _warn_assumed(viewer: ViewerAxes | None, depth_source: str) -> None:
         say(f"depth is {depth_source}", style="yellow")
     if viewer is not None and viewer.up_source == "assumed":
         say(f"{ASSUMED}; {DECLARE}", style="yellow")
+    if viewer is not None and viewer.up_doubt:
+        say(f"up may be wrong: {viewer.up_doubt}", style="yellow")
 
 
 def print_overlooked(found: MissedNames) -> None:

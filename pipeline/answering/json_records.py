@@ -65,8 +65,8 @@ def present(**values: Any) -> Record:
 
 
 def viewer_record(viewer: ViewerAxes) -> Record:
-    """The up vector that was used, and how it is known."""
-    return {"up": _numbers(viewer.up, 6), "up_source": viewer.up_source}
+    """The up vector that was used, how it is known, and with "up_doubt" what the frame says against it."""
+    return {"up": _numbers(viewer.up, 6), "up_source": viewer.up_source} | present(up_doubt=viewer.up_doubt or None)
 
 
 def expression_record(query: Query) -> Record:

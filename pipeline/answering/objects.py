@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.base import Dataset
-from pipeline.datasets.up import resolved_camera
+from pipeline.datasets.up import resolved_camera, scene_doubt
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.camera import backproject
 from pipeline.geometry.frame import Frame
@@ -75,6 +75,8 @@ class PreparedFrame:
     config : LiftConfig, optional
     boxes : bool
         Fit 3D boxes; without them lifting is a third cheaper, and all relations are the same.
+    up_doubt : str
+        See `ViewerAxes`.
 
     Attributes
     ----------
@@ -87,14 +89,16 @@ class PreparedFrame:
         What making it took.
     """
 
-    def __init__(self, frame: Frame, config: LiftConfig | None = None, *, boxes: bool = True) -> None:
+    def __init__(
+        self, frame: Frame, config: LiftConfig | None = None, *, boxes: bool = True, up_doubt: str = ""
+    ) -> None:
         start = perf_counter()
         self.boxes = boxes
         self.config = config or LiftConfig()
         camera = resolve_up(frame.depth, frame.camera)
         assert camera.up is not None
         self.frame = replace(frame, camera=camera)
-        self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed")
+        self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed", up_doubt)
         self.edges = depth_edges(frame.depth, self.config)
         self._lifted: dict[tuple[str, int], tuple[LiftedObject, np.ndarray]] = {}
         self.seconds = perf_counter() - start
@@ -160,7 +164,9 @@ def prepare_frame(
     dataset: Dataset, frame: Frame, config: LiftConfig | None = None, *, boxes: bool = True
 ) -> PreparedFrame:
     """A frame of a dataset made ready: where it has a pose and no up vector of its own, its scene's is taken."""
-    return PreparedFrame(replace(frame, camera=resolved_camera(dataset, frame)), config, boxes=boxes)
+    camera = resolved_camera(dataset, frame)
+    doubt = "" if camera.untold else scene_doubt(dataset, frame, camera)
+    return PreparedFrame(replace(frame, camera=camera), config, boxes=boxes, up_doubt=doubt)
 
 
 def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BOX_MARGIN_M) -> np.ndarray:

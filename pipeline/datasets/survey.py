@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.datasets.base import Dataset, dataset_notes, has_moves, moves
 from pipeline.datasets.settings import ASSUMED, DECLARE, DEPTH_SCALE
-from pipeline.datasets.up import own_disagreement, resolved_camera, scene_vote
+from pipeline.datasets.up import resolved_camera, scene_doubt
 from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
@@ -114,14 +114,8 @@ def up_notes(dataset: Dataset, frame: Frame, camera: Camera) -> tuple[str, ...]:
         Of the frame, with its up vector resolved.
     """
     notes = (f"{ASSUMED}; {DECLARE}",) if camera.up_source == "assumed" else ()
-    if camera.T_world_camera is None or camera.up_source not in ("scene", "plane", "assumed"):
-        return notes
-    vote = scene_vote(dataset, frame.id)
-    off = own_disagreement(frame, vote)
-    if off is None:
-        return notes
-    most = f"{vote.agreeing} of {vote.voting} frames that were asked"
-    return (*notes, f"its own level plane is {off:.0f} degrees off the up of its scene, on which {most} agree")
+    doubt = scene_doubt(dataset, frame, camera)
+    return (*notes, doubt) if doubt else notes
 
 
 LITTLE_DEPTH = 0.1

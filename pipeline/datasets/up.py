@@ -304,5 +304,26 @@ def own_disagreement(frame: Frame, vote: SceneVote) -> float | None:
     return angle if angle > AGREE_DEG else None
 
 
+OFF_SCENE = "degrees off the up of its scene"
+
+
+def scene_doubt(dataset: Dataset, frame: Frame, camera: Camera) -> str:
+    """That a frame's own planes decide against its scene's up, in words; "" where they do not.
+
+    Parameters
+    ----------
+    frame : Frame
+        As its reader gives it.
+    camera : Camera
+        Of the frame, with its up vector resolved.
+    """
+    if camera.T_world_camera is None or camera.up_source not in ("scene", "plane", "assumed"):
+        return ""
+    vote = scene_vote(dataset, frame.id)
+    off = own_disagreement(frame, vote)
+    most = f"{vote.agreeing} of {vote.voting} frames that were asked"
+    return "" if off is None else f"its own level plane is {off:.0f} {OFF_SCENE}, on which {most} agree"
+
+
 def _degrees(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.rad2deg(np.arccos(np.clip(a @ b, -1.0, 1.0))))

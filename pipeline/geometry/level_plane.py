@@ -54,8 +54,8 @@ MIN_LEAD = 2.0
 ALONE_SCORE = 0.6
 """A plane that may be a wall is assumed to be level where it explains the frame so well."""
 
-FAR_FROM_LEVEL_DEG = 45.0
-"""A surface that was called level and is so far off the frame's level planes is worth a note: a wall was meant?"""
+FAR_FROM_LEVEL_DEG = 10.0
+"""A surface that was called level and is so far off the frame's level planes is worth a note: a wall?"""
 
 NOISES = (1, 3, 5, 8)
 """How noisy a sensor is taken to be, one after the other, until something is decided."""

@@ -31,12 +31,15 @@ class ViewerAxes:
     right, up, forward : (3,) float64
     up_source : str
         How `up` is known.
+    up_doubt : str
+        What the frame itself says against it, in words; "" for nothing.
     """
 
     right: np.ndarray
     up: np.ndarray
     forward: np.ndarray
     up_source: UpSource
+    up_doubt: str = ""
 
     @cached_property
     def matrix(self) -> np.ndarray:
@@ -54,7 +57,7 @@ class ViewerAxes:
         return float(np.arcsin(np.clip(-self.up[2], -1.0, 1.0)))
 
 
-def viewer_axes(up: np.ndarray, up_source: UpSource = "declared") -> ViewerAxes:
+def viewer_axes(up: np.ndarray, up_source: UpSource = "declared", up_doubt: str = "") -> ViewerAxes:
     """The level axes for an up vector ((3,), camera frame).
 
     Forward is the camera's z made level. Looking nearly straight down (or up),
@@ -67,7 +70,7 @@ def viewer_axes(up: np.ndarray, up_source: UpSource = "declared") -> ViewerAxes:
     heading = z if abs(tilt) <= STEEP else -np.sign(tilt) * IMAGE_UP
     forward = heading - (heading @ up) * up
     forward /= np.linalg.norm(forward)
-    return ViewerAxes(right=np.cross(forward, up), up=up, forward=forward, up_source=up_source)
+    return ViewerAxes(right=np.cross(forward, up), up=up, forward=forward, up_source=up_source, up_doubt=up_doubt)
 
 
 def resolve_up(depth: np.ndarray, camera: Camera, scene_up: np.ndarray | None = None) -> Camera:

@@ -95,7 +95,7 @@ def label_objects(
         judged = as_given(judged, ids, given)
     up_source = str(context.viewer.up_source)
     return FrameLabels(
-        _frame_rows(frame, frame_index, scene, len(objects)),
+        _frame_rows(frame, frame_index, scene, len(objects), context.viewer.up_doubt),
         _rows(rows),
         _relation_columns(frame.id, frame_index, ids, judged, config),
         candidate_expressions(
@@ -162,7 +162,7 @@ def centroid(lifted: LiftedObject, viewer: ViewerAxes) -> np.ndarray:
     return viewer.matrix @ lifted.points.mean(axis=0, dtype=np.float64)
 
 
-def _frame_rows(frame: Frame, frame_index: int, scene: str, objects: int) -> Columns:
+def _frame_rows(frame: Frame, frame_index: int, scene: str, objects: int, doubt: str) -> Columns:
     camera = frame.camera
     pose = camera.T_world_camera
     row = {
@@ -180,7 +180,7 @@ def _frame_rows(frame: Frame, frame_index: int, scene: str, objects: int) -> Col
         "rgb_hash": frame.content_hash,
         "depth_hash": xxhash.xxh3_128_hexdigest(np.ascontiguousarray(frame.depth).data),
         "objects": objects,
-        "notes": list(frame.notes),
+        "notes": [*frame.notes, *([doubt] if doubt else [])],
     }
     return _rows([row])
 

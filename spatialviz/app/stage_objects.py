@@ -110,6 +110,7 @@ def lift_evidence(state: State, trace: Trace) -> list[Child]:
     doubt = "" if state.loaded is None else state.loaded.doubt
     said = (
         (trace.viewer.up_source == "assumed", "The up vector is assumed."),
+        (trace.viewer.up_doubt, f"Up may be wrong: {trace.viewer.up_doubt}."),
         (trace.frame.depth_source, f"The depth is {trace.frame.depth_source}."),
         (doubt, f"{doubt[:1].upper()}{doubt[1:]}"),
     )

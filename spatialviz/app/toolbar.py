@@ -182,7 +182,7 @@ HOW = "Click here (Shift+U), then a surface that is level: up is then known."
 
 
 def up_chip(state: State) -> Element | None:
-    """How up is known, small; loud where it is only assumed. A click asks for a level surface.
+    """How up is known, small; loud where it is only assumed or doubted. A click asks for a level surface.
 
     Of labels that are shown it is the up that they were made with, which no click changes.
     """
@@ -192,8 +192,10 @@ def up_chip(state: State) -> Element | None:
     source: UpSource | None = state.loaded.context.viewer.up_source if labels is None else labels.frame.row["up_source"]
     if source is None:
         return None
-    loud = source == "assumed"
-    said = f"{ASSUMED[0].upper()}{ASSUMED[1:]}." if loud else f"Up: {SOURCES[source]}."
+    doubt = state.loaded.context.viewer.up_doubt if labels is None else ""
+    loud = source == "assumed" or bool(doubt)
+    said = f"{ASSUMED[0].upper()}{ASSUMED[1:]}." if source == "assumed" else f"Up: {SOURCES[source]}."
+    said += f" It may be wrong: {doubt}." if doubt else ""
     chip = h.button if labels is None else h.span
     return chip(
         f"up {source}",

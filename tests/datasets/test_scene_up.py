@@ -12,12 +12,15 @@ from box_worlds import random_boxes
 from scenes import Plane, angle_deg, camera_of, cast, up_of
 from test_viewer import noisy
 
+from pipeline.answering.json_records import viewer_record
 from pipeline.answering.objects import prepare_frame
 from pipeline.datasets.base import frames_of_scene, scene_of
 from pipeline.datasets.up import MAX_VOTERS, own_disagreement, resolved_camera, scene_vote
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import resolve_up, viewer_axes
+from pipeline.labels.labelling import label_objects
+from pipeline.labels.plan import LabelConfig
 from pipeline.system.errors import InputError
 
 WORLD_UP = np.array([0.0, 0.6, 0.8])
@@ -86,6 +89,14 @@ def test_one_frame_that_lies_is_outvoted_and_reported() -> None:
     assert angle == pytest.approx(35, abs=2)
     assert own_disagreement(scene.load("a/2"), found) == pytest.approx(angle)
     assert own_disagreement(scene.load("a/1"), found) is None
+    doubted, clean = (prepare_frame(scene, scene.load(name)).viewer for name in ("a/2", "a/1"))
+    assert clean.up_doubt == ""
+    assert doubted.up_doubt.endswith("degrees off the up of its scene, on which 3 of 4 frames that were asked agree")
+    assert "up_doubt" not in viewer_record(clean)
+    assert viewer_record(doubted)["up_doubt"] == doubted.up_doubt
+    lying = prepare_frame(scene, scene.load("a/2"))
+    rows = label_objects(lying, (), LabelConfig(), frame_index=2, scene="a", exact=True)
+    assert rows.frames["notes"] == [[doubted.up_doubt]]
 
 
 def test_the_vote_does_not_depend_on_who_asks_and_is_taken_once() -> None:

@@ -269,6 +269,7 @@ def test_a_wall_that_is_called_level_is_doubted() -> None:
     off = far_from_level(depth, CAMERA, wall)
     assert off == pytest.approx(90, abs=3)
     assert far_from_level(depth, CAMERA, up) is None
+    assert far_from_level(depth, CAMERA, up_of(45, 5)) == pytest.approx(20, abs=2)
 
 
 def test_a_pixel_that_names_no_plane_is_refused_in_one_line() -> None:

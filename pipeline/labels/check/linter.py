@@ -14,6 +14,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from pipeline.datasets.settings import ASSUMED
+from pipeline.datasets.up import OFF_SCENE
 from pipeline.labels.check.expressions import TEXTS_KEPT, ExpressionRules, check_expressions, triple_of
 from pipeline.labels.check.objects import (
     SizeSurvey,
@@ -172,6 +173,9 @@ class UpRules:
         if frames["up_source"][0] == "assumed":
             yield view.finding("frame/up-assumed", (), ASSUMED)
             return
+        for note in frames["notes"][0]:
+            if OFF_SCENE in note:
+                yield view.finding("frame/up-disagrees", (), note)
         pose = frames["T_world_camera"][0].reshape(4, 4)
         if np.isfinite(pose).all():
             self._ups.append((view.id, pose[:3, :3] @ view.viewer.up))

@@ -231,6 +231,7 @@ def _arrays(block: pa.Table, table: str) -> dict[str, np.ndarray]:
         kind = column.type
         if pa.types.is_list(kind):
             if pa.types.is_string(kind.value_type):
+                found[name] = np.fromiter((tuple(words or ()) for words in column.to_pylist()), object, len(column))
                 continue
             fixed = constraint.shortest == constraint.longest
             found[name] = _vectors(column, constraint.shortest) if fixed else _lists(column)

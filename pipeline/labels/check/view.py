@@ -300,7 +300,7 @@ RULES: dict[str, Rule] = {
     "row/dangling": _error("a row names a frame or an object that does not exist"),
     "frame/camera": _error("intrinsics, pose or up vector are not those of a camera"),
     "frame/up-assumed": _warning("nothing says where up is: it was assumed, and every direction rests on it"),
-    "frame/up-disagrees": _warning("in the world of its scene, the up vector of a frame is not that of most others"),
+    "frame/up-disagrees": _warning("a frame's up vector, or its own level plane, is not that of most of its scene"),
     "frame/implausible-depth": _warning("its things are all too large or too small: is the depth scale another?"),
     "frame/objects": _error("the frame's number of objects is not that of its rows"),
     "object/mask": _error("a mask cannot be decoded, or is not of the frame's size or stated area"),
