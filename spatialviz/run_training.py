@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,10 @@ from spatialviz.options import warn
 from spatialviz.printing import figure, print_rows, print_table, progress_bars, say
 
 ROOMS = "rooms"
-OF_ROOMS, OF_LABELS = ("rooms", "views", "width", "height"), ("vectors", "split", "pairs", "normalised")
+OF_ROOMS, OF_LABELS = ("rooms", "views", "width", "height", "members"), ("vectors", "split", "pairs", "normalised")
 """Options of training on the one alone."""
+MEMBERS = 3
+"""Networks that the one of rooms is the mean of, where nothing is said."""
 FIGURES = {"precision": "precision", "recall": "recall", "F1": "f1"}
 BARS = "▁▂▃▄▅▆▇█"
 SHOWN_CELLS = 5
@@ -40,10 +43,11 @@ def run_train(command: Train) -> None:
             f"--{name} belongs to training on {'a labels folder' if on_rooms else 'the word rooms'}",
             got=f"training on {command.labels!r}",
         )
-    features = CLI_FEATURES[command.features or ("rel26" if on_rooms else "rel14")]
+    features = CLI_FEATURES[command.features or ("rel38" if on_rooms else "rel14")]
     config = TrainConfig(features, command.vocabulary, batch=command.batch, epochs=command.epochs, seed=command.seed)
     if on_rooms:
         given = {name: getattr(command, name) for name in OF_ROOMS if getattr(command, name) is not None}
+        config = replace(config, members=given.pop("members", MEMBERS))
         rooms = RoomConfig(**given, seed=command.seed)
         with progress_bars() as advance:
             card = train_on_rooms(command.out, rooms, config, workers=command.workers, progress=advance)

@@ -12,6 +12,7 @@ from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.metrics.calibration_metrics import ECE_BINS
 from pipeline.metrics.intervals import f1_of
+from pipeline.relations.features import Appearance
 
 MIN_PIXELS, MIN_POINTS = 200, 16
 
@@ -53,6 +54,11 @@ def seen_objects(depth: np.ndarray, camera: Camera, masks: Sequence[np.ndarray],
     lifted = lift(depth, camera, masks, viewer)
     kept = [k for k, item in enumerate(lifted) if item.quality.points >= MIN_POINTS]
     return Seen([lifted[k] for k in kept], [exact[k] for k in kept], viewer)
+
+
+def unnamed(objects: Sequence[LiftedObject]) -> Appearance:
+    """What objects look like of whose names and 2D boxes nothing is known."""
+    return Appearance(np.zeros((len(objects), 4)), ("",) * len(objects), 640, 480)
 
 
 def tallied(probabilities: np.ndarray, labels: np.ndarray, truth: np.ndarray) -> np.ndarray:

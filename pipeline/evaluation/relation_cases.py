@@ -11,7 +11,8 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
-from pipeline.labels.reading import Labels, read_table
+from pipeline.labels.reading import Labels, read_table, with_added
+from pipeline.labels.schema import ADDED_COLUMNS
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import FrameKey
 from pipeline.proposals import make_detector
@@ -22,7 +23,7 @@ from pipeline.relations.features import geometry_of
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
-from pipeline.system.door import read_json, read_parquet
+from pipeline.system.door import open_parquet, read_json, read_parquet
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import metadata, open_session
 from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, known_pairs, object_rows, rows_of_frame
@@ -34,6 +35,7 @@ PAPER_NAMES = {
     "canon30": "3D-Geom, canonical",
     "rel14": "relative extents",
     "rel26": "relative extents, places and cuts",
+    "rel38": "the same, and what bounds what is not seen",
 }
 Geometry = Literal["lifted", "stored"]
 
@@ -91,7 +93,7 @@ def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | 
     relations = tuple(r for r in PAIRWISE if r in labels.relation_names)
     wanted = {
         "frames": ("frame", "frame_index", "scene", "width", "height", "up"),
-        "objects": ("frame_index", "object", "label", "usable", *_GEOMETRY),
+        "objects": tuple(dict.fromkeys(("frame_index", "object", "label", "usable", *_GEOMETRY))),
         "relations": ("frame_index", "a", "b", *relations),
     }
     frames, objects, rows = (_part(labels, table, names, first, stop) for table, names in wanted.items())
@@ -122,8 +124,10 @@ def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | 
 
 def _part(labels: Labels, table: str, names: Sequence[str], first: int, stop: int) -> dict[str, np.ndarray]:
     chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
-    found = read_parquet(labels.root / f"{table}.parquet", list(names), chosen)
-    return column_arrays(found.select(list(names)))
+    path = labels.root / f"{table}.parquet"
+    with open_parquet(path) as file:
+        there = [name for name in names if name not in ADDED_COLUMNS or name in file.schema_arrow.names]
+    return column_arrays(with_added(read_parquet(path, there, chosen), table, names))
 
 
 def labelled_detector(source: Pipeline) -> Detector:

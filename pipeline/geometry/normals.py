@@ -22,6 +22,11 @@ def depth_noise(z: np.ndarray) -> np.ndarray:
     return np.float32(0.001) + np.float32(0.0012) * (np.float32(0.4) + z * z)
 
 
+def surface_step(depth: np.ndarray) -> np.ndarray:
+    """By how much neighbouring pixels of one surface differ at most, at these depths: max(3 cm, 3 %), metres."""
+    return np.maximum(np.float32(0.03), np.float32(0.03) * depth)
+
+
 def surface_normals(
     depth: np.ndarray, camera: Camera, radius: int = 4, noise: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:

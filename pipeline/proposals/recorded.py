@@ -318,9 +318,7 @@ def _each_thing_once(index: np.ndarray, found: FrameDetections) -> np.ndarray:
     return np.sort(index[order[first]])
 
 
-def _of_frames(
-    found: Detections, ids: Sequence[str], path: Path
-) -> tuple[dict[str, FrameDetections], list[Picture]]:
+def _of_frames(found: Detections, ids: Sequence[str], path: Path) -> tuple[dict[str, FrameDetections], list[Picture]]:
     """Published detections by frame, and the pictures of no frame; FrameUnusable where it is not clear of which."""
     names, shared = FrameNames(ids), dict[str, str]()
     frames: dict[str, FrameDetections] = {}

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from pipeline.relations.installed import installed_network, installed_networks
+from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer
 from pipeline.system.errors import InputError, require
 from pipeline.system.paths import asset_path
@@ -48,6 +49,4 @@ def make_scorer(name: str | Path = RULE, vectors: Path | None = None) -> Relatio
                 f"there is no relation scorer {str(name)!r}", expected=f"{expected} ({names})" if names else expected
             )
         path = installed
-    from pipeline.relations.model import OnnxScorer
-
     return OnnxScorer(path, vectors)

@@ -39,6 +39,7 @@ from pipeline.system.plugins import versions_of
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.train import TrainConfig, TrainedModel, check_room_config, require_training, train_srm
 from pipeline.training.training_data import (
+    ASSEMBLED_A_ROOM,
     SCALES,
     SCATTERED_A_ROOM,
     FrameSamples,
@@ -55,7 +56,7 @@ Progress = Callable[[str, int, int], None]
 class RoomConfig:
     """The rooms to learn from."""
 
-    rooms: int = 600
+    rooms: int = 400
     views: int = 4
     width: int = 480
     height: int = 360
@@ -172,18 +173,18 @@ def held_out_figures(scorer: OnnxScorer, plain: OnnxScorer, frames: Sequence[Fra
 
 def _room_ranges(rooms: RoomConfig) -> dict[str, list[int]]:
     """First and last room seed of each part; calibrated on are rooms of solids, measured on furnished ones."""
-    train, calibration, test = room_seeds(rooms.seed, rooms.rooms)
-    scattered = [train[0], train[0] + SCATTERED_A_ROOM * rooms.rooms - 1]
-    parts = {"train": train, "calibration": calibration, "test": test}
-    return {**{f"{name}_rooms": [part[0], part[-1]] for name, part in parts.items()}, "scattered_rooms": scattered}
+    train, *others = room_seeds(rooms.seed, rooms.rooms)
+    parts = dict(zip(("train", "calibration", "test"), (train, *others), strict=True))
+    for name, each in (("scattered", SCATTERED_A_ROOM), ("assembled", ASSEMBLED_A_ROOM)):
+        parts[name] = tuple(range(train[0], train[0] + each * rooms.rooms))
+    return {f"{name}_rooms": [part[0], part[-1]] for name, part in parts.items()}
 
 
 def _command(out: Path, rooms: RoomConfig, config: TrainConfig) -> str:
-    return (
-        f"spatialviz train rooms --out {out.name} --rooms {rooms.rooms} --views {rooms.views} --seed {rooms.seed} "
-        f"--features {cli_features(config.features)} --width {rooms.width} --height {rooms.height} "
-        f"--epochs {config.epochs}" + ("" if config.batch is None else f" --batch {config.batch}")
-    )
+    batch = "" if config.batch is None else f" --batch {config.batch}"
+    of_rooms = f"--rooms {rooms.rooms} --views {rooms.views} --seed {rooms.seed}"
+    size = f"--width {rooms.width} --height {rooms.height} --epochs {config.epochs} --members {config.members}{batch}"
+    return f"spatialviz train rooms --out {out.name} {of_rooms} --features {cli_features(config.features)} {size}"
 
 
 def versions() -> dict[str, str]:
@@ -196,9 +197,7 @@ def rounded(value: Any) -> Any:
     """A card with its floats cut to six decimals."""
     if isinstance(value, dict):
         return {key: rounded(inside) for key, inside in value.items()}
-    if isinstance(value, (float, np.floating)):
-        return round(float(value), 6)
-    return value
+    return round(float(value), 6) if isinstance(value, (float, np.floating)) else value
 
 
 OPSET = 13

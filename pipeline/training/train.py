@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -33,6 +33,9 @@ from pipeline.training.training_data import FrameSamples, iterate_pairs
 OUTPUTS: dict[str, Output] = {name: "softmax" if name == "semantic-abstraction" else "sigmoid" for name in VOCABULARIES}
 """What the paper trains on each vocabulary: several relations may hold, or exactly one fits. "all" is for review."""
 
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
+"""W (inputs, outputs) and b of each layer, float32."""
+
 FEWEST_EXAMPLES = 10
 """A class of a softmax network with fewer examples gets no output: the rule scores it."""
 
@@ -52,13 +55,15 @@ class TrainConfig:
     learning_rate: float = 1e-3
     halve_every: int = 3
     seed: int = 0
+    members: int = 1
+    """So many networks from other initial weights, as one of as many times the width: its logits are their means."""
 
     def check(self) -> None:
         """Raise InputError where the numbers make no sense."""
         require(
-            min(self.hidden, self.epochs, self.halve_every, 1 if self.batch is None else self.batch) >= 1
+            min(self.hidden, self.epochs, self.halve_every, self.members, 1 if self.batch is None else self.batch) >= 1
             and self.learning_rate > 0,
-            "width, batch, epochs, halving and learning rate must be positive",
+            "width, batch, epochs, halving, members and learning rate must be positive",
             got=self,
         )
         require(0 <= self.seed < 1 << 63, "a seed must be from 0 to 2^63 - 1", got=self.seed)
@@ -109,7 +114,7 @@ class TrainedModel:
     """
 
     config: TrainConfig
-    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    layers: Layers
     mean: np.ndarray
     std: np.ndarray
     curve: tuple[Epoch, ...]
@@ -180,7 +185,34 @@ def train_srm(
     features = np.concatenate([f for f, _ in views]) if views else np.zeros((0, dimension))
     states = np.concatenate([s for _, s in views]) if views else np.zeros((0, len(DIRECTIONAL)), np.int8)
     tell = None if progress is None else lambda epoch: progress(epoch.number, epoch.loss)
-    return train_pairs(PairSet(features, states), config, progress=tell)
+    pairs = PairSet(features, states)
+    found = [
+        train_pairs(pairs, replace(config, seed=config.seed + k), progress=tell if k == 0 else None)
+        for k in range(config.members)
+    ]
+    return replace(found[0], config=config, layers=averaged([model.layers for model in found]))
+
+
+def averaged(networks: Sequence[Layers]) -> Layers:
+    """Networks of equal sizes as one of as many times the width, whose logits are the mean of theirs."""
+    if len(networks) == 1:
+        return networks[0]
+    first, *middle, last = zip(*networks, strict=True)
+    share = np.float32(1 / len(networks))
+    return (
+        (np.concatenate([w for w, _ in first], axis=1), np.concatenate([b for _, b in first])),
+        *((_blocks([w for w, _ in layer]), np.concatenate([b for _, b in layer])) for layer in middle),
+        (np.concatenate([w for w, _ in last]) * share, np.sum([b for _, b in last], axis=0, dtype=np.float32) * share),
+    )
+
+
+def _blocks(matrices: Sequence[np.ndarray]) -> np.ndarray:
+    """The matrices along the diagonal of one, zeros elsewhere."""
+    rows, columns = np.array([m.shape for m in matrices]).T
+    whole = np.zeros((rows.sum(), columns.sum()), np.float32)
+    for matrix, row, column in zip(matrices, np.cumsum(rows), np.cumsum(columns), strict=True):
+        whole[row - len(matrix) : row, column - matrix.shape[1] : column] = matrix
+    return whole
 
 
 def check_room_config(config: TrainConfig) -> None:

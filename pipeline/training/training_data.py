@@ -5,8 +5,8 @@ features come from noisy depth through masks that are a little wrong. The
 network therefore has to learn more than the rule: what a thing is like behind
 the part of it that is seen.
 
-It learns from furnished rooms and from scattered ones, seen by cameras of every
-kind; its probabilities are fitted on rooms of solids, which another program
+It learns from furnished rooms, from scattered ones and from those of another make,
+seen by cameras of every kind; its probabilities are fitted on rooms of solids, which another program
 makes and sees.
 """
 
@@ -20,13 +20,14 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.synthetic import Instance, Room, choose_views, make_room, sense_view
+from pipeline.datasets.synthetic.assembled import assembled_view
 from pipeline.datasets.synthetic.scattered import make_scattered, roaming_cameras
 from pipeline.datasets.synthetic.solids import solid_view
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.lifting import lift
 from pipeline.geometry.masks import mask_box
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.relations.features import FEATURES, Appearance
+from pipeline.relations.features import FEATURES, Appearance, FeatureSet
 from pipeline.relations.relations import directional_states
 from pipeline.system.errors import require
 from pipeline.system.worker_pool import results_of
@@ -47,15 +48,18 @@ ROUGH_MASK_PIXELS, ROUGH_SHIFT_PIXELS = (-4, 4), 2
 STEREO_SHARE = 0.5
 """So many of the views that are learnt from have a stereo camera's steps of disparity added to their noise."""
 
-Maker = Literal["furnished", "varied", "scattered", "solids"]
+Maker = Literal["furnished", "varied", "scattered", "assembled", "solids"]
 """furnished: the rooms and cameras of `spatialviz render`. varied: those rooms, cameras, noise and masks of every kind.
-scattered: `synthetic.scattered`, likewise. solids: `synthetic.solids`."""
+scattered: `synthetic.scattered`, likewise. assembled, solids: `synthetic.assembled`, `synthetic.solids`."""
 
 Job = tuple[int, int, int, int, Maker]
 """Seed, views, width, height and maker of a room."""
 
 SCATTERED_A_ROOM = 2
 """Scattered rooms for each furnished one: they teach more of other makers' rooms than furnished ones do."""
+
+ASSEMBLED_A_ROOM = 20
+"""Assembled rooms, each seen once, for each furnished one."""
 
 SOLIDS_A_VIEW = 2
 """Rooms of solids, each seen once, for each view that a room to calibrate on would have."""
@@ -98,13 +102,19 @@ class FrameSamples:
         return directional_states(self.seen_lo, self.seen_hi)
 
     def scaled(self, factor: float) -> FrameSamples:
-        """The same view of a scene `factor` times as large. Its labels are judged anew: the rule knows metres."""
-        rows = {
-            name: described * np.where(np.isin(np.arange(described.shape[1]), FEATURES[name].lengths), factor, 1.0)
-            for name, described in self.rows.items()
-        }
+        """The same view of a scene `factor` times as large, whose things are no longer what their names say.
+
+        Its labels are judged anew: the rule knows metres.
+        """
+        rows = {name: _scaled(FEATURES[name], described, factor) for name, described in self.rows.items()}
         extents = (e * factor for e in (self.seen_lo, self.seen_hi, self.exact_lo, self.exact_hi))
         return FrameSamples(self.room, rows, *extents)
+
+
+def _scaled(contract: FeatureSet, rows: np.ndarray, factor: float) -> np.ndarray:
+    column = np.arange(rows.shape[1])
+    by = np.where(np.isin(column, contract.lengths), factor, 1.0)
+    return rows * np.where(np.isin(column, contract.named), 0.0, by)
 
 
 def with_other_sizes(samples: Sequence[FrameSamples], seed: int) -> tuple[FrameSamples, ...]:
@@ -195,9 +205,9 @@ def make_split(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[tuple[FrameSamples, ...], tuple[FrameSamples, ...], tuple[FrameSamples, ...]]:
-    """Samples of `rooms` rooms, split by room, and of twice as many scattered ones: to train, to calibrate, to test.
+    """Samples of `rooms` rooms, split by room, and of scattered and assembled ones: to train, to calibrate, to test.
 
-    Trained on are varied views of furnished rooms and of the scattered ones, and every second furnished room as
+    Trained on are varied views of furnished rooms and of the others, and every second furnished room as
     `spatialviz render` shows it; calibrated on rooms of solids; measured on furnished rooms as rendered.
     `progress` is called with (rooms done, rooms in all); for the rest see `make_samples`.
     """
@@ -206,6 +216,7 @@ def make_split(
         (train, "varied"),
         (train[::2], "furnished"),
         (range(train[0], train[0] + SCATTERED_A_ROOM * rooms), "scattered"),
+        (range(train[0], train[0] + ASSEMBLED_A_ROOM * rooms), "assembled"),
         (calibration, "solids"),
         (test, "furnished"),
     ]
@@ -233,6 +244,11 @@ def _room_samples(job: Job) -> tuple[FrameSamples, ...]:
     rng = np.random.default_rng([seed, 17])
     if maker == "solids":
         return tuple(_solid_samples(seed, k, width, height) for k in range(SOLIDS_A_VIEW * views))
+    if maker == "assembled":
+        view = assembled_view(seed, width, height, MIN_PIXELS)
+        return (
+            () if view is None else (_seen_samples(seed, view.depth, view.camera, view.masks, view.exact, view.labels),)
+        )
     if maker == "scattered":
         room = make_scattered(seed)
         return tuple(view_samples(room, c, rng, rough=True) for c in roaming_cameras(room, views, rng, width, height))
@@ -250,7 +266,7 @@ def _solid_samples(seed: int, number: int, width: int, height: int) -> FrameSamp
     assert view.camera.up is not None
     viewer = viewer_axes(view.camera.up)
     exact = [(lo, hi) for lo, hi in view.exact(viewer.matrix)]
-    return _seen_samples(seed, view.depth, view.camera, view.masks, exact)
+    return _seen_samples(seed, view.depth, view.camera, view.masks, exact, ("",) * len(exact))
 
 
 def varied_camera(camera: Camera, rng: np.random.Generator) -> Camera:
@@ -280,9 +296,9 @@ def view_samples(room: Room, camera: Camera, rng: np.random.Generator, *, rough:
     numbers = np.flatnonzero(np.bincount(instances[instances >= 0], minlength=1) >= MIN_PIXELS)
     spoilt = _roughened if rough else degraded
     masks = [spoilt(instances == number, rng) for number in numbers]
-    return _seen_samples(
-        room.seed, depth, camera, masks, [_exact_extents(room.instances[n], camera, viewer) for n in numbers]
-    )
+    shown = [room.instances[n] for n in numbers]
+    exact = [_exact_extents(instance, camera, viewer) for instance in shown]
+    return _seen_samples(room.seed, depth, camera, masks, exact, [instance.model.label for instance in shown])
 
 
 def _seen_samples(
@@ -291,14 +307,15 @@ def _seen_samples(
     camera: Camera,
     masks: Sequence[np.ndarray],
     exact: Sequence[tuple[np.ndarray, np.ndarray]],
+    labels: Sequence[str],
 ) -> FrameSamples:
-    """The samples of what these masks show of things with these exact extents."""
+    """The samples of what these masks show of things with these exact extents and class names."""
     assert camera.up is not None
     viewer = viewer_axes(camera.up)
     lifted = lift(depth, camera, masks, viewer, boxes=False)
     kept = [k for k, item in enumerate(lifted) if item.quality.points >= MIN_POINTS]
     boxes = np.array([mask_box(masks[k]) for k in kept], np.float64).reshape(-1, 4)
-    seen = Appearance(boxes, ("",) * len(kept), camera.width, camera.height)
+    seen = Appearance(boxes, tuple(labels[k] for k in kept), camera.width, camera.height)
     rows = {name: contract.describe([lifted[k] for k in kept], viewer, seen) for name, contract in FEATURES.items()}
     whole = np.array([exact[k] for k in kept], np.float64).reshape(-1, 2, 3)
     return FrameSamples(room, rows, rows["rel14"][:, :3], rows["rel14"][:, 3:], whole[:, 0], whole[:, 1])

@@ -86,9 +86,7 @@ CONVENTIONS = ([-1, 1, 1], [1, -1, 1], [1, -1, -1])
 """Signs of x, y and z in other camera frames."""
 
 
-def planted(
-    graph: Graph, own: OtherPipeline, fault: str, met: Met, rng: np.random.Generator
-) -> Met | None:
+def planted(graph: Graph, own: OtherPipeline, fault: str, met: Met, rng: np.random.Generator) -> Met | None:
     """With the fault, where the answer was right by a right reference, and the fault makes it wrong."""
     if own.told is None or not right_pair(own.told(own, met), met):
         return None

@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.house_worlds import house_world
-from benchmarks.mesh_worlds import mesh_world
 from box_worlds import box_world
-from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied
+from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied, unnamed
 
 from pipeline.labels.labelling import judge_objects, with_undecided
 from pipeline.labels.plan import LabelConfig
@@ -38,7 +37,7 @@ def worlds(maker: str, regime: str, count: int) -> Iterator[Seen]:
         if maker == "boxes":
             found = Seen(*box_world(seed, 400, 300, REGIMES[regime])[:3])
         else:
-            found = (house_world if maker == "houses" else mesh_world)(seed, REGIMES[regime])
+            found = house_world(seed, REGIMES[regime])
         if found is not None and len(found.objects) >= FEWEST_OBJECTS:
             yield found
 
@@ -52,8 +51,8 @@ def tallies(networks: Sequence[OnnxScorer], seen: Seen) -> list[np.ndarray]:
     rules = with_undecided(rules, np.array([o.quality.fallback for o in seen.objects], np.bool_))
     found = []
     for network in networks:
-        labels = doubted(rules, network, seen.objects, seen.viewer).states[..., :6]
-        found.append(tallied(network.of_pairs(seen.objects, seen.viewer), labels, truth))
+        labels = doubted(rules, network, seen.objects, seen.viewer, unnamed(seen.objects)).states[..., :6]
+        found.append(tallied(network.of_pairs(seen.objects, seen.viewer, unnamed(seen.objects)), labels, truth))
     bare = rule_probabilities(RuleScorer().score(seen.objects, seen.viewer, relations=DIRECTIONAL).states)
     return [*found, tallied(bare, rules.states[..., :6], truth)]
 
@@ -63,7 +62,7 @@ def main(count: int, paths: Sequence[Path]) -> None:
     networks = [OnnxScorer(path) for path in paths]
     print(f"| rooms | cameras | pairs | scorer | {' | '.join(FIGURES)} |")
     print("|---" * (4 + len(FIGURES)) + "|")
-    for maker in ("boxes", "meshes", "houses"):
+    for maker in ("boxes", "houses"):
         for regime in REGIMES:
             if maker == "boxes" and REGIMES[regime].close:
                 continue

@@ -5,8 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 from damaged_labels import Tables
-from label_damages import Listed, Where, item, pair, put, said
+from label_damages import Listed, Where, item, pair, put, row_of, said
 from label_damages import damages as damages_into
+
+from pipeline.datasets.up import OFF_SCENE
 
 PAIR_DAMAGES: Listed = []
 damages = partial(damages_into, into=PAIR_DAMAGES)
@@ -273,3 +275,9 @@ def all_depth_is_five_times_too_far(t: Tables) -> set[Where]:
         if row["frame"] == "room/0":
             put(row, size=[5 * edge for edge in row["size"]])
     return {("room/0", ())}
+
+
+@damages("frame/up-disagrees", "warning")
+def a_frame_said_that_its_plane_is_another(t: Tables) -> set[Where]:
+    put(row_of(t["frames"], frame="room/1"), notes=[f"its own level plane is 40 {OFF_SCENE}"])
+    return {("room/1", ())}

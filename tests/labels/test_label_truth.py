@@ -9,7 +9,7 @@ import pytest
 from box_worlds import box_world
 from label_checks import DEMO, demo  # noqa: F401
 from label_sets import validate_rows
-from other_makers import FIGURES, FLIPS, REGIMES, figures, tallied
+from other_makers import FIGURES, FLIPS, REGIMES, figures, tallied, unnamed
 from scenes import frame_of, upright
 
 from pipeline.answering.objects import PreparedFrame, all_objects
@@ -168,7 +168,7 @@ def worlds() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         if len(objects) < 2:
             continue
         rules = judge_objects(objects, viewer, LabelConfig())
-        with_doubt = doubted(rules, network, objects, viewer)
+        with_doubt = doubted(rules, network, objects, viewer, unnamed(objects))
         truth = directional_states(np.array([e[0] for e in exact]), np.array([e[1] for e in exact]))
         found.append((rules.states[..., :6], with_doubt.states[..., :6], truth))
     return found
@@ -206,7 +206,7 @@ def test_labels_hold_from_low_and_from_high(regime: str) -> None:
             continue
         truth = directional_states(np.array([e[0] for e in exact]), np.array([e[1] for e in exact]))
         labels = judge_list_of(objects, viewer, network)
-        rows.append(tallied(network.of_pairs(objects, viewer), labels, truth))
+        rows.append(tallied(network.of_pairs(objects, viewer, unnamed(objects)), labels, truth))
     found = dict(zip(FIGURES, figures(np.sum(rows, axis=0)[None])[0], strict=True))
     assert found["above/below F1 of labels"] >= 0.97
     assert found[FLIPS] < 1.5
@@ -217,7 +217,7 @@ def judge_list_of(objects: list[LiftedObject], viewer: ViewerAxes, network: Onnx
     rules = with_undecided(
         judge_objects(objects, viewer, LabelConfig()), np.array([o.quality.fallback for o in objects], np.bool_)
     )
-    return doubted(rules, network, objects, viewer).states[..., :6]
+    return doubted(rules, network, objects, viewer, unnamed(objects)).states[..., :6]
 
 
 def test_the_second_opinion_only_ever_doubts(worlds: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:

@@ -14,7 +14,7 @@ from scenes import filled_cloud, up_of, upright
 from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.relations.features import FEATURES, feature_set
+from pipeline.relations.features import FEATURES, Appearance, feature_set
 from pipeline.system.errors import InputError
 
 
@@ -83,6 +83,26 @@ def test_rel26_adds_place_size_and_cut_of_each_to_rel14() -> None:
     assert {k for k in range(5) if features[k, 0, 19]} == {2}
 
 
+def test_rel38_adds_what_bounds_each_to_rel26() -> None:
+    viewer = viewer_axes(up_of(15))
+    objects = some_objects(viewer)
+    objects[1] = replace(objects[1], clearance=np.array([0.1, 0.4, 0.8]))
+    labels = ("mug", "beds", "no such thing", "cup", "sofa")
+    shown = Appearance(np.zeros((5, 4)), labels, 640, 480)
+    contract = feature_set("rel38")
+    rows = contract.describe(objects, viewer, shown)
+    features = contract.pair(rows)
+    assert features.shape == (5, 5, 38) == (5, 5, contract.dimension)
+    np.testing.assert_array_equal(features[..., :26], FEATURES["rel26"].pair(rows[:, :7]))
+    np.testing.assert_allclose(features[1, 0, 26:29], [0.1, 0.4, 0.8])
+    np.testing.assert_allclose(features[1, 0, 32:35], [2, 2, 0])
+    np.testing.assert_allclose(features[1, 2, 29:32], [1, np.log(0.9), np.log(3.0)])
+    np.testing.assert_array_equal(features[1, 2, 35:], 0)
+    np.testing.assert_array_equal(rows[:, list(contract.named)], features[:, 0, 29:32])
+    with pytest.raises(InputError, match="class names"):
+        contract.describe(objects, viewer)
+
+
 def test_paper30_is_both_raw_boxes_in_the_camera_frame() -> None:
     viewer = viewer_axes(up_of(25))
     objects = some_objects(viewer)
@@ -113,7 +133,7 @@ def test_features_do_not_depend_on_how_the_shown_box_is_fitted() -> None:
     viewer = viewer_axes(up_of(20))
     rng = np.random.default_rng(3)
     cloud = filled_cloud(upright((0.3, 0.2, 2), (0.5, 0.3, 0.2), 30), rng, 500) @ viewer.R_level_camera
-    for contract in (c for c in FEATURES.values() if not c.boxes):
+    for contract in (c for c in FEATURES.values() if not c.shown):
         one, other = (contract.describe([lifted(cloud, viewer, mode)], viewer) for mode in ("gravity", "pca-raw"))
         np.testing.assert_array_equal(one, other)
 
@@ -123,7 +143,7 @@ def test_an_object_of_which_only_a_box_is_known_has_features() -> None:
     seen = some_objects(viewer)[0]
     assert seen.box is not None
     drawn = replace(seen, points=np.empty((0, 3), np.float32))
-    for contract in (c for c in FEATURES.values() if not c.boxes):
+    for contract in (c for c in FEATURES.values() if not c.shown):
         row = contract.describe([drawn], viewer)
         assert np.isfinite(row).all()
     np.testing.assert_array_equal(FEATURES["paper30"].describe([drawn], viewer)[0, :3], seen.box.center)

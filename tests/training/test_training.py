@@ -20,6 +20,7 @@ from pipeline.training import card
 from pipeline.training.card import RoomConfig, save_onnx, write_onnx
 from pipeline.training.train import TrainConfig, require_training, train_srm
 from pipeline.training.training_data import (
+    ASSEMBLED_A_ROOM,
     SCATTERED_A_ROOM,
     SOLIDS_A_VIEW,
     FrameSamples,
@@ -114,6 +115,9 @@ def test_a_scene_of_another_size_is_judged_anew(samples: tuple[FrameSamples, ...
     rows, shrunk = frame.rows["paper30"], small.rows["paper30"]
     np.testing.assert_allclose(shrunk[:, 3:12], rows[:, 3:12])
     np.testing.assert_allclose(shrunk[:, list(box.lengths)], rows[:, list(box.lengths)] * 0.1)
+    named = list(FEATURES["rel38"].named)
+    assert frame.rows["rel38"][:, named].any()
+    assert not small.rows["rel38"][:, named].any(), "what is of another size is no longer what its name says"
     assert (small.truth == 0).sum() > (frame.truth == 0).sum(), "dead zones are metres"
     both = with_other_sizes(samples, 3)
     assert len(both) == 2 * len(samples)
@@ -148,7 +152,7 @@ def test_progress_counts_all_rooms() -> None:
     train, calibration, test = make_split(
         1, 3, views=1, width=64, height=48, progress=lambda done, of: seen.append((done, of))
     )
-    total = 4 + 3 * SCATTERED_A_ROOM
+    total = 4 + 3 * (SCATTERED_A_ROOM + ASSEMBLED_A_ROOM)
     assert seen == [(k, total) for k in range(1, total + 1)]
     assert len(test) == 1
     assert len(calibration) == SOLIDS_A_VIEW
@@ -158,7 +162,7 @@ def test_progress_counts_all_rooms() -> None:
 # That it learns.
 
 
-@pytest.mark.parametrize("name", ["rel26", "rel14", "paper30", "canon30"])
+@pytest.mark.parametrize("name", ["rel38", "rel26", "rel14", "paper30", "canon30"])
 def test_training_lowers_the_loss(name: str, samples: tuple[FrameSamples, ...]) -> None:
     model = train_srm(samples, TrainConfig(features=name, hidden=32, epochs=9, batch=16, halve_every=9))
     assert len(model.losses) == 9

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.datasets.synthetic import Room, exact_view
+from pipeline.datasets.synthetic.assembled import assembled_view
 from pipeline.datasets.synthetic.layout import Instance, overlaps, part_boxes
 from pipeline.datasets.synthetic.scattered import (
     NEAR_SHARE,
@@ -147,9 +148,30 @@ def test_views_of_solids_show_what_is_there() -> None:
     np.testing.assert_array_equal(again.depth, solid_view(3, 0, WIDTH, HEIGHT).depth)
 
 
-@pytest.mark.parametrize("maker", ["varied", "scattered", "solids"])
+def test_assembled_views_show_what_is_there() -> None:
+    views = [view for seed in range(12) if (view := assembled_view(seed, 160, 120, 60)) is not None]
+    assert len(views) >= 8
+    errors, names = [], set()
+    for view in views:
+        assert view.camera.up is not None
+        assert len(view.masks) == len(view.labels) == len(view.exact)
+        axes = viewer_axes(view.camera.up).matrix.T
+        names |= set(view.labels)
+        for mask, (lo, hi) in zip(view.masks, view.exact, strict=True):
+            v, u = np.nonzero(mask & (view.depth > 0))
+            middle = np.median(lift_pixels(view.depth[v, u], view.camera, v, u) @ axes, axis=0) if len(v) else lo
+            errors.append(np.maximum(lo - middle, middle - hi).max())
+    assert np.mean(np.array(errors) < 0.05) > 0.9
+    assert len(names) > 8
+    again = assembled_view(3, 160, 120, 60)
+    assert again is not None
+    np.testing.assert_array_equal(again.depth, assembled_view(3, 160, 120, 60).depth)  # pyright: ignore
+
+
+@pytest.mark.parametrize("maker", ["varied", "scattered", "assembled", "solids"])
 def test_samples_of_every_maker_see_less_than_there_is(maker: str) -> None:
-    frames = make_samples([700_001], views=3, width=480, height=360, maker=maker)  # pyright: ignore
+    seeds = range(700_001, 700_009 if maker == "assembled" else 700_002)
+    frames = make_samples(seeds, views=3, width=480, height=360, maker=maker)  # pyright: ignore
     seen = np.concatenate([f.seen_hi - f.seen_lo for f in frames])
     exact = np.concatenate([f.exact_hi - f.exact_lo for f in frames])
     assert len(seen) > 10

@@ -382,9 +382,8 @@ def validated(kind: type[_T], record: Record | str | bytes, what: str) -> _T:
         text = json.dumps(value, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{what} cannot be read as JSON", got=str(error)[:120]) from error
+
     def known(place: tuple[Any, ...]) -> list[str]:
         return [f.name for f in fields(kind)] if len(place) == 1 else []  # pyright: ignore
 
-    return checked(
-        partial(adapter(kind).validate_json, strict=True), text, f"{what}: {{}} cannot be this", keys=known
-    )
+    return checked(partial(adapter(kind).validate_json, strict=True), text, f"{what}: {{}} cannot be this", keys=known)

@@ -1,29 +1,81 @@
-"""Rooms and table tops of a third maker, for measuring: trimesh's primitives, a pattern camera's errors, bad masks.
+"""Rooms and table tops assembled from trimesh's primitives, with a stereo camera's errors and bad masks: to learn from.
 
-No network learns from them or is calibrated on them. Objects are meshes in a world with z up, metres.
+Another make than the furnished and the scattered rooms: neither their models nor their plans, cameras, noise or masks.
+A network that has seen rooms of several makes is better on those of yet another. World frame with z up, metres.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-import trimesh
-from other_makers import MIN_PIXELS, Regime, Seen, seen_objects
-from trimesh import creation
 
-from pipeline.datasets.synthetic.raycast import Tracer
+from pipeline.datasets.synthetic.raycast import Tracer, pixel_rays, pose_of
+from pipeline.datasets.synthetic.render import camera_at
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.viewer import viewer_axes
+from pipeline.system.arrow import LazyModule
+
+if TYPE_CHECKING:
+    import trimesh
+    from trimesh import creation
+
+    Mesh = trimesh.Trimesh
+else:
+    trimesh, creation, Mesh = LazyModule("trimesh"), LazyModule("trimesh.creation"), Any
 
 Rng = np.random.Generator
-Mesh = trimesh.Trimesh
 Top = tuple[float, float, float]
 """Height of a place to put things on, and half its sides."""
 
 Made = tuple[Mesh, tuple[Top, ...]]
-BASELINE_M = 0.075
+BASELINE_M, NEAREST_M, NEAR_SHARE = 0.075, 0.3, 0.05
+"""At most this share of the picture may be nearer than a depth camera measures."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """How a camera is held: metres above the floor (`close`: from the table's middle), degrees down and of roll."""
+
+    height: tuple[float, float]
+    pitch: tuple[float, float]
+    roll: float
+    close: bool = False
+
+
+HELD = (
+    Held((0.25, 0.8), (-10, 20), 8),
+    Held((0.8, 1.7), (-2, 40), 8),
+    Held((1.6, 2.4), (10, 65), 12),
+    Held((0.45, 1.2), (10, 68), 12, close=True),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class AssembledView:
+    """A view of such a room.
+
+    Attributes
+    ----------
+    depth : (H, W) float32
+        Metres with the sensor's errors; 0 where nothing came back.
+    masks : tuple of (H, W) bool
+    labels : tuple of str
+        Class names.
+    camera : Camera
+        It knows what is up.
+    exact : tuple of ((3,), (3,)) float64
+        Least and greatest of the whole things along the viewer's (right, up, forward), metres from the camera.
+    """
+
+    depth: np.ndarray
+    masks: tuple[np.ndarray, ...]
+    labels: tuple[str, ...]
+    camera: Camera
+    exact: tuple[tuple[np.ndarray, np.ndarray], ...]
 
 
 def _box(w: float, d: float, h: float, x: float = 0, y: float = 0, z: float = 0) -> Mesh:
@@ -40,7 +92,7 @@ def _rod(r: float, h: float, x: float = 0, y: float = 0, z: float = 0) -> Mesh:
 
 def _joined(*meshes: Mesh) -> Mesh:
     found = trimesh.util.concatenate(list(meshes))
-    assert isinstance(found, Mesh)
+    assert isinstance(found, trimesh.Trimesh)
     return found
 
 
@@ -144,9 +196,11 @@ def _case(r: Rng) -> Made:
     return _box(w, d, h), ((h, w * 0.4, d * 0.4),)
 
 
-LARGE: tuple[Callable[[Rng], Made], ...] = (
-    _table, _table, _round_table, _chair, _chair, _sofa, _bed, _cupboard, _cupboard, _shelf, _shelf, _stool, _bin,
-    _floor_lamp, _plant, _beanbag, _case, _case,
+LARGE: tuple[tuple[str, Callable[[Rng], Made]], ...] = (
+    ("table", _table), ("table", _table), ("table", _round_table), ("chair", _chair), ("chair", _chair),
+    ("sofa", _sofa), ("bed", _bed), ("cabinet", _cupboard), ("cabinet", _cupboard), ("bookshelf", _shelf),
+    ("bookshelf", _shelf), ("stool", _stool), ("trash can", _bin), ("floor lamp", _floor_lamp),
+    ("potted plant", _plant), ("beanbag", _beanbag), ("box", _case), ("box", _case),
 )  # fmt: skip
 
 
@@ -201,20 +255,25 @@ def _screen(r: Rng) -> Made:
     return _joined(_box(w, 0.03, h, 0, 0, 0.1), _box(w * 0.4, 0.18, 0.015), _box(0.05, 0.03, 0.15)), ()
 
 
-SMALL: tuple[Callable[[Rng], Made], ...] = (
-    _can, _can, _ball, _cone, _capsule, _roll, _carton, _carton, _carton, _book, _book, _bowl, _mug, _screen,
+SMALL: tuple[tuple[str, Callable[[Rng], Made]], ...] = (
+    ("can", _can), ("can", _can), ("ball", _ball), ("cone", _cone), ("bottle", _capsule), ("roll", _roll),
+    ("box", _carton), ("box", _carton), ("box", _carton), ("book", _book), ("book", _book), ("bowl", _bowl),
+    ("mug", _mug), ("computer monitor", _screen),
 )  # fmt: skip
 
 
 class _World:
-    """Meshes placed so that their upright boxes share nothing, but where they are meant to lean or to stand inside."""
+    """Named meshes whose upright boxes share nothing, but where they are meant to lean or to stand inside."""
 
     def __init__(self, rng: Rng) -> None:
         self.rng = rng
         self.meshes: list[Mesh] = []
+        self.labels: list[str] = []
         self.places: list[tuple[np.ndarray, float, Top, int]] = []
 
-    def put(self, made: Made, at: Sequence[float] | np.ndarray, yaw: float, inside: int = -1) -> Mesh | None:
+    def put(
+        self, label: str, made: Made, at: Sequence[float] | np.ndarray, yaw: float, inside: int = -1
+    ) -> Mesh | None:
         mesh, tops = made
         mesh = _turned(mesh.copy(), yaw)
         mesh.apply_translation(at)
@@ -224,6 +283,7 @@ class _World:
             if k != inside and (np.minimum(high, b) - np.maximum(low, a) > 0.004).all():
                 return None
         self.meshes.append(mesh)
+        self.labels.append(label)
         self.places += [(np.asarray(at, float), yaw, top, len(self.meshes) - 1) for top in tops]
         return mesh
 
@@ -236,7 +296,8 @@ class _World:
             place, yaw, (height, a, b), base = self.places[int(rng.integers(len(self.places)))]
             u, v = rng.uniform(-a, a), rng.uniform(-b, b)
             at = place + np.array([np.cos(yaw) * u - np.sin(yaw) * v, np.sin(yaw) * u + np.cos(yaw) * v, height])
-            mesh = self.put(SMALL[int(rng.integers(len(SMALL)))](rng), at, rng.uniform(0, 6.28), base)
+            label, make = SMALL[int(rng.integers(len(SMALL)))]
+            mesh = self.put(label, make(rng), at, rng.uniform(0, 6.28), base)
             if mesh is None:
                 continue
             things -= 1
@@ -249,12 +310,13 @@ class _World:
     def touch(self, mesh: Mesh, floor: float) -> None:
         """Something beside a thing, at most a centimetre away."""
         rng, (low, high) = self.rng, mesh.bounds
-        made = SMALL[int(rng.integers(len(SMALL)))](rng)
+        label, make = SMALL[int(rng.integers(len(SMALL)))]
+        made = make(rng)
         axis, side = int(rng.integers(2)), float(rng.choice([-1, 1]))
         size = made[0].bounds[1] - made[0].bounds[0]
         at = (low + high) / 2
         at[axis] += side * ((high - low)[axis] + size[axis] + rng.uniform(0, 0.02)) / 2
-        self.put(made, (at[0], at[1], floor), 0.0)
+        self.put(label, made, (at[0], at[1], floor), 0.0)
 
     def lean(self, mesh: Mesh, floor: float) -> None:
         """A board leaning on a thing's side, its top over the thing where it is the longer."""
@@ -272,15 +334,17 @@ class _World:
         centre = board.bounds.mean(axis=0)[:2]
         board.apply_translation((*((low + high)[:2] / 2 - towards * away - centre), floor - board.bounds[0][2]))
         self.meshes.append(board)
+        self.labels.append("board")
 
 
 def _room(rng: Rng) -> tuple[_World, list[Mesh], np.ndarray]:
     world, size = _World(rng), rng.uniform(3.6, 6.5, 2)
     for _ in range(int(rng.integers(6, 14))):
-        made = LARGE[int(rng.integers(len(LARGE)))](rng)
+        label, make = LARGE[int(rng.integers(len(LARGE)))]
+        made = make(rng)
         for _ in range(12):
             yaw = np.pi / 2 * rng.integers(4) + (rng.uniform(-0.8, 0.8) if rng.random() < 0.33 else 0.0)
-            mesh = world.put(made, (*rng.uniform(0.5, size - 0.5), 0.0), yaw)
+            mesh = world.put(label, made, (*rng.uniform(0.5, size - 0.5), 0.0), yaw)
             if mesh is not None:
                 if rng.random() < 0.12:
                     world.lean(mesh, 0.0)
@@ -301,56 +365,52 @@ def _table_top(rng: Rng) -> tuple[_World, list[Mesh], np.ndarray]:
     return world, [_box(2 * a, 2 * b, 0.04, 0, 0, height - 0.04), _box(6, 6, 0.1, 0, 0, -0.1)], np.array([0, 0, height])
 
 
-def _camera(regime: Regime, place: np.ndarray, rng: Rng, width: int, height: int) -> Camera:
-    roll = np.deg2rad(rng.uniform(-regime.roll, regime.roll))
-    pitch = np.deg2rad(rng.uniform(*regime.pitch))
-    if regime.close:
+def _camera(held: Held, place: np.ndarray, rng: Rng, width: int, height: int) -> Camera:
+    roll = np.deg2rad(rng.uniform(-held.roll, held.roll))
+    pitch = np.deg2rad(rng.uniform(*held.pitch))
+    if held.close:
         heading = rng.uniform(0, 2 * np.pi)
         ahead = np.array([np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), -np.sin(pitch)])
-        eye = place + np.array([*rng.uniform(-0.15, 0.15, 2), 0]) - rng.uniform(*regime.height) * ahead
+        eye = place + np.array([*rng.uniform(-0.15, 0.15, 2), 0]) - rng.uniform(*held.height) * ahead
     else:
-        eye = np.array([*rng.uniform(0.25, place - 0.25), rng.uniform(*regime.height)])
+        eye = np.array([*rng.uniform(0.25, place - 0.25), rng.uniform(*held.height)])
         gap = place * rng.uniform(0.25, 0.75, 2) - eye[:2]
         heading = np.arctan2(gap[1], gap[0])
-    ahead = np.array([np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), -np.sin(pitch)])
-    right = np.array([np.sin(heading), -np.cos(heading), 0.0])
-    x = np.cos(roll) * right + np.sin(roll) * np.cross(ahead, right)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.stack([x, np.cross(ahead, x), ahead], axis=1), eye
+    found = camera_at(eye, float(heading), float(pitch), float(roll), width, height)
     f = rng.uniform(0.75, 1.1) * width
-    K = intrinsics(f, f, (width - 1) / 2, (height - 1) / 2)
-    return Camera(K, width, height, pose, pose[:3, :3].T @ np.array([0, 0, 1.0]), "declared")
+    return replace(found, K=intrinsics(f, f, (width - 1) / 2, (height - 1) / 2))
 
 
-def mesh_world(seed: int, regime: Regime, width: int = 480, height: int = 360) -> Seen | None:
-    """What is seen of one world; None where the camera stands in something."""
-    rng = np.random.default_rng([seed, 777])
-    world, shell, place = (_table_top if regime.close else _room)(rng)
-    camera = _camera(regime, place, rng, width, height)
-    pose = camera.T_world_camera
-    assert pose is not None
+def assembled_view(seed: int, width: int = 480, height: int = 360, least_pixels: int = 200) -> AssembledView | None:
+    """What is seen of the room of this seed, always the same; None where the camera stands in something."""
+    rng = np.random.default_rng([seed, 41])
+    held = HELD[seed % len(HELD)]
+    world, shell, place = (_table_top if held.close else _room)(rng)
+    camera = _camera(held, place, rng, width, height)
+    pose = pose_of(camera)
     meshes = [*shell, *world.meshes]
     starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = np.concatenate([np.asarray(m.faces) + s for m, s in zip(meshes, starts, strict=False)])
     owner = np.repeat(np.arange(len(meshes)) - len(shell), [len(m.faces) for m in meshes])
     tracer = Tracer(np.concatenate([np.asarray(m.vertices) for m in meshes]), faces)
-    v, u = np.mgrid[:height, :width]
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
-    hits = tracer.first(pose[:3, 3], rays.reshape(-1, 3) @ pose[:3, :3].T)
-    if not regime.close and (hits.t < 0.3).mean() > 0.05:
+    v, u = (g.ravel() for g in np.indices((height, width)))
+    hits = tracer.first(pose[:3, 3], pixel_rays(camera, v, u))
+    if not held.close and (hits.t < NEAREST_M).mean() > NEAR_SHARE:
         return None
     met = hits.face >= 0
     ids = np.where(met, owner[np.maximum(hits.face, 0)], -1).reshape(height, width)
     depth = _sensed(np.where(met, hits.t, 0).reshape(height, width).astype(np.float32), rng, camera.fx)
-    viewer = viewer_axes(camera.up if camera.up is not None else np.array([0, -1.0, 0]))
-    masks, exact = [], []
+    assert camera.up is not None
+    axes = pose[:3, :3] @ viewer_axes(camera.up).matrix.T
+    masks, labels, exact = [], [], []
     for k, mesh in enumerate(world.meshes):
         mask = ids == k
-        if mask.sum() >= MIN_PIXELS:
-            along = (np.asarray(mesh.vertices) - pose[:3, 3]) @ pose[:3, :3] @ viewer.matrix.T
-            masks.append(_spoilt(mask, rng))
+        if mask.sum() >= least_pixels:
+            along = (np.asarray(mesh.vertices) - pose[:3, 3]) @ axes
+            masks.append(_spoilt(mask, rng, least_pixels))
+            labels.append(world.labels[k])
             exact.append((along.min(axis=0), along.max(axis=0)))
-    return seen_objects(depth, camera, masks, exact)
+    return AssembledView(depth, tuple(masks), tuple(labels), camera, tuple(exact))
 
 
 def _sensed(depth: np.ndarray, rng: Rng, focal: float) -> np.ndarray:
@@ -376,13 +436,13 @@ def _sensed(depth: np.ndarray, rng: Rng, focal: float) -> np.ndarray:
     return noisy
 
 
-def _spoilt(mask: np.ndarray, rng: Rng) -> np.ndarray:
+def _spoilt(mask: np.ndarray, rng: Rng, least_pixels: int) -> np.ndarray:
     """Eroded or dilated by up to 4 pixels; every second one shifted by up to 2."""
     pixels = int(rng.integers(-4, 5))
     if pixels:
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * abs(pixels) + 1,) * 2)
         changed = (cv2.dilate if pixels > 0 else cv2.erode)(mask.view(np.uint8), kernel).view(np.bool_)
-        mask = changed if changed.sum() >= MIN_PIXELS // 2 else mask
+        mask = changed if changed.sum() >= least_pixels // 2 else mask
     if rng.random() < 0.5:
         (x, y), (height, width) = rng.integers(-2, 3, 2), mask.shape
         v, u = np.clip(np.arange(height) - y, 0, height - 1), np.clip(np.arange(width) - x, 0, width - 1)
