@@ -192,7 +192,8 @@ def up_chip(state: State) -> Element | None:
     source: UpSource | None = state.loaded.context.viewer.up_source if labels is None else labels.frame.row["up_source"]
     if source is None:
         return None
-    doubt = state.loaded.context.viewer.up_doubt if labels is None else ""
+    viewer = state.loaded.context.viewer
+    doubt = viewer.up_doubt if viewer.up_source == source else ""
     loud = source == "assumed" or bool(doubt)
     said = f"{ASSUMED[0].upper()}{ASSUMED[1:]}." if source == "assumed" else f"Up: {SOURCES[source]}."
     said += f" It may be wrong: {doubt}." if doubt else ""
