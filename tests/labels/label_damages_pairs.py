@@ -279,5 +279,5 @@ def all_depth_is_five_times_too_far(t: Tables) -> set[Where]:
 
 @damages("frame/up-disagrees", "warning")
 def a_frame_said_that_its_plane_is_another(t: Tables) -> set[Where]:
-    put(row_of(t["frames"], frame="room/1"), notes=[f"its own level plane is 40 {OFF_SCENE}"])
-    return {("room/1", ())}
+    put(row_of(t["frames"], frame="room/0"), notes=[f"its own level plane is 40 {OFF_SCENE}"])
+    return {("room/0", ())}
