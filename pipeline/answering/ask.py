@@ -282,7 +282,7 @@ def of_run(proposals: Proposals, detector: Detector, k: int) -> Proposals:
 def merged(
     context: PreparedFrame, detector: Detector, found: dict[str, Proposals], calibration: ScoreCalibration | None
 ) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
-    """All proposals as one list in which a detection that several names found stands once."""
+    """All proposals as one list in which a detection stands once for each label that it was given."""
     return joined({name: (p, context.lift(p, detector)) for name, p in found.items()}, calibration)
 
 
@@ -291,17 +291,19 @@ def joined(
 ) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
     """`merged` of proposals that are lifted already, each name's in the order of its proposals."""
     objects: list[SceneObject] = []
-    known: dict[int, int] = {}
+    # By label too: a network that knows names must score a thing as the question calls it, whatever else is asked.
+    known: dict[tuple[int, str], int] = {}
     candidates: dict[str, Candidates] = {}
     for name, (proposals, lifted) in found.items():
         index = []
         for entry in lifted:
-            at = known.get(entry.id) if entry.id >= 0 else None
+            key = entry.id, entry.label
+            at = known.get(key) if entry.id >= 0 else None
             if at is None:
                 at = len(objects)
                 objects.append(entry)
                 if entry.id >= 0:
-                    known[entry.id] = at
+                    known[key] = at
             index.append(at)
         labels = tuple(proposals.label(i) for i in range(len(proposals)))
         raw = proposals.scores.astype(np.float64)

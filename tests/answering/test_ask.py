@@ -311,7 +311,7 @@ def test_the_demo_answers_its_own_question() -> None:
     trace = source.ask(source.prepare(0), DEMO_EXPRESSION)
     assert trace.ranking is not None
     assert trace.ranking.pairs[0].p_relation > 0.9
-    assert trace.scorer == "rel26"
+    assert trace.scorer == "rel38"
     assert demo_path().is_dir()
 
 
@@ -321,7 +321,7 @@ def test_suggested_expressions_have_exactly_one_right_answer() -> None:
     asked = 0
     for context in contexts(source, "all"):
         objects = all_objects(context, detector)
-        scores = source.scorer.score([o.lifted for o in objects], context.viewer)
+        scores = source.score(context, objects)
         texts = suggest_expressions(objects, scores, context.viewer, 3)
         assert len(texts) == len(set(texts)) <= 3
         for text in texts:
@@ -340,7 +340,7 @@ def test_suggestions_are_words_even_where_class_names_are_not() -> None:
     source = open_pipeline("demo")
     (context,) = contexts(source, 0)
     objects = all_objects(context, source.needed_detector())
-    scores = source.scorer.score([o.lifted for o in objects], context.viewer)
+    scores = source.score(context, objects)
     expected = suggest_expressions(objects, scores, context.viewer, 5)
     assert any("potted plant" in text for text in expected)
     raw = [replace(o, label=o.label.replace(" ", "_")) for o in objects]

@@ -56,6 +56,8 @@ def test_a_result_shows_as_the_face_says_and_without_one_as_its_repr(
     run: pipeline.Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(InNotebook, "html_by", "builtins:repr")
-    assert run.failures("verdict:SRM")._repr_html_() == "<Failures 'verdict:SRM': 2 expressions>"
+    found = run.failures("verdict:SRM")
+    assert len(found) > 1
+    assert found._repr_html_() == f"<Failures 'verdict:SRM': {len(found)} expressions>"
     monkeypatch.setattr(InNotebook, "html_by", "")
     assert run._repr_html_() is None
