@@ -32,7 +32,7 @@ TOLD = (InputError, MissingExtra, OSError)
 
 Flag = FlagCreatePairsOff[bool]
 """Off by default, so that there is nothing for --no-x to say; what is on by default is a plain bool: --x and --no-x."""
-Features = Literal["2d", "3d", "canon", "rel14", "rel26", "rel38"]
+Features = Literal["2d", "3d", "canon", "rel14", "rel26", "rel32"]
 DatasetArg = Positional[Annotated[str, arg(help='Dataset folder, or "demo".')]]
 FrameArg = Positional[Annotated[str, arg(help='Frame id, its index, or "all".')]]
 OneFrameArg = Positional[Annotated[str, arg(help="Frame id, or its index.")]]

@@ -43,7 +43,7 @@ def run_train(command: Train) -> None:
             f"--{name} belongs to training on {'a labels folder' if on_rooms else 'the word rooms'}",
             got=f"training on {command.labels!r}",
         )
-    features = CLI_FEATURES[command.features or ("rel38" if on_rooms else "rel14")]
+    features = CLI_FEATURES[command.features or ("rel32" if on_rooms else "rel14")]
     config = TrainConfig(features, command.vocabulary, batch=command.batch, epochs=command.epochs, seed=command.seed)
     if on_rooms:
         given = {name: getattr(command, name) for name in OF_ROOMS if getattr(command, name) is not None}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,15 +45,20 @@ class Seen:
     objects: list[LiftedObject]
     exact: list[Extents]
     viewer: ViewerAxes
+    looks: Appearance
 
 
-def seen_objects(depth: np.ndarray, camera: Camera, masks: Sequence[np.ndarray], exact: Sequence[Extents]) -> Seen:
+def seen_objects(
+    depth: np.ndarray, camera: Camera, masks: Sequence[np.ndarray], exact: Sequence[Extents], names: Sequence[str] = ()
+) -> Seen:
     """Those of which enough is seen."""
     assert camera.up is not None
     viewer = viewer_axes(camera.up)
     lifted = lift(depth, camera, masks, viewer)
     kept = [k for k, item in enumerate(lifted) if item.quality.points >= MIN_POINTS]
-    return Seen([lifted[k] for k in kept], [exact[k] for k in kept], viewer)
+    found = [lifted[k] for k in kept]
+    looks = replace(unnamed(found), labels=tuple(names[k] for k in kept)) if names else unnamed(found)
+    return Seen(found, [exact[k] for k in kept], viewer, looks)
 
 
 def unnamed(objects: Sequence[LiftedObject]) -> Appearance:

@@ -96,7 +96,7 @@ def test_an_answer_shows_the_picture_the_ranking_and_the_verdict_and_all_names_a
     tags = Tags(html)
     assert tags.names == {"div", "p", "b", "span", "img", "table", "thead", "tbody", "tr", "th", "td"}
     assert answer.sentence in tags.text
-    assert "detector annotations · relations by rel38 · up declared" in tags.text
+    assert "detector annotations · relations by rel32 · up declared" in tags.text
     assert "CORRECT" in tags.text
     assert 'src="data:image/jpeg;base64,' in html
     assert f"{answer.pairs[0].probability:.3f}" in tags.text

@@ -24,7 +24,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import RelationScorer, RuleScorer
 from pipeline.system.errors import InputError
 
-_POINTED = ("paper30", "canon30", "rel38")
+_POINTED = ("paper30", "canon30")
 
 DEFAULT_CONFIDENCE = 0.5
 """Confidence of a recalled object where no right detection is known to take it from."""

@@ -11,8 +11,7 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
-from pipeline.labels.reading import Labels, read_table, with_added
-from pipeline.labels.schema import ADDED_COLUMNS
+from pipeline.labels.reading import Labels, read_table
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import FrameKey
 from pipeline.proposals import make_detector
@@ -23,7 +22,7 @@ from pipeline.relations.features import geometry_of
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
-from pipeline.system.door import open_parquet, read_json, read_parquet
+from pipeline.system.door import read_json, read_parquet
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import metadata, open_session
 from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, known_pairs, object_rows, rows_of_frame
@@ -35,7 +34,7 @@ PAPER_NAMES = {
     "canon30": "3D-Geom, canonical",
     "rel14": "relative extents",
     "rel26": "relative extents, places and cuts",
-    "rel38": "the same, and what bounds what is not seen",
+    "rel32": "the same, and how long classes are",
 }
 Geometry = Literal["lifted", "stored"]
 
@@ -124,10 +123,8 @@ def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | 
 
 def _part(labels: Labels, table: str, names: Sequence[str], first: int, stop: int) -> dict[str, np.ndarray]:
     chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
-    path = labels.root / f"{table}.parquet"
-    with open_parquet(path) as file:
-        there = [name for name in names if name not in ADDED_COLUMNS or name in file.schema_arrow.names]
-    return column_arrays(with_added(read_parquet(path, there, chosen), table, names))
+    found = read_parquet(labels.root / f"{table}.parquet", list(names), chosen)
+    return column_arrays(found.select(list(names)))
 
 
 def labelled_detector(source: Pipeline) -> Detector:

@@ -16,7 +16,6 @@ import numpy as np
 
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, lift_pixels
-from pipeline.geometry.clearance import Outlined, clearances
 from pipeline.geometry.fitting import extents_of, gravity_box, pca_box
 from pipeline.geometry.normals import surface_step
 from pipeline.geometry.viewer import ViewerAxes
@@ -175,8 +174,6 @@ class LiftedObject:
         "points", or "box" where only a box was there.
     evidence : Evidence or None
     quality : Quality
-    clearance : (3,) float64 or None
-        How far behind it other surfaces are, see `pipeline.geometry.clearance`; None where not known, as of a box.
     """
 
     points: np.ndarray
@@ -187,13 +184,12 @@ class LiftedObject:
     extents_from: Literal["points", "box"]
     evidence: Evidence | None
     quality: Quality
-    clearance: np.ndarray | None = None
 
     def __repr__(self) -> str:
         return f"<LiftedObject {len(self.points)} points, {self.box or 'no box'}>"
 
     def moved_to(self, box: Box3D, viewer: ViewerAxes) -> LiftedObject:
-        """The object after an edit of its box: its points move by one affine map; what is behind it stays."""
+        """The object after an edit of its box: its points move by the same affine map."""
         if self.box is None or not len(self.points):
             lo, hi, source = extents(np.empty((0, 3)), box, viewer)
             return replace(self, box=box, lo=lo, hi=hi, extents_from=source)
@@ -355,15 +351,7 @@ def lift(
     config = config or LiftConfig()
     if edges is None:
         edges = depth_edges(depth, config)
-    found = [_lift_one(depth, camera, m, viewer, config, mask_source, edges, boxes) for m in masks]
-    behind = clearances([_outlined(item) for item in found], [item.hi[2] for item in found], depth, camera, viewer)
-    return tuple(replace(item, clearance=row) for item, row in zip(found, behind, strict=True))
-
-
-def _outlined(item: LiftedObject) -> Outlined:
-    assert item.evidence is not None
-    codes = item.evidence.codes
-    return codes != Pixel.OUTSIDE, codes == Pixel.KEPT, item.evidence.x0, item.evidence.y0
+    return tuple(_lift_one(depth, camera, m, viewer, config, mask_source, edges, boxes) for m in masks)
 
 
 def _lift_one(

@@ -228,7 +228,6 @@ def _object_row(
         "lo": lifted.lo.tolist() if known else None,
         "hi": lifted.hi.tolist() if known else None,
         "centroid": None if centre is None else centre.tolist(),
-        "clearance": None if lifted.clearance is None else lifted.clearance.tolist(),
         "exact_center": None if exact is None else exact.center.tolist(),
         "exact_R": None if exact is None else exact.R.ravel().tolist(),
         "exact_size": None if exact is None else exact.size.tolist(),

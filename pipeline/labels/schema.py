@@ -21,16 +21,17 @@ from pipeline.geometry.camera import UpSource
 from pipeline.labels.profiles import canonical_hash
 from pipeline.language.relation_names import PAIRWISE, RELATIONS, version_numbers
 
-SCHEMA_VERSION = max("1.3.0", *(r.since for r in RELATIONS.values()), key=version_numbers)
+SCHEMA_VERSION = max("1.2.0", *(r.since for r in RELATIONS.values()), key=version_numbers)
 """Semantic version of the tables below: a new major number means that old readers must refuse, and a relation that is
 declared anew raises the minor one."""
-ADDED_COLUMNS = {"clearance": "1.3.0"} | {
+ADDED_COLUMNS = {
     column: RELATIONS[name].since
     for name in PAIRWISE
     if RELATIONS[name].since != "1.0.0"
     for column in (name, f"{name}_margin")
 }
-"""Columns that came later, with the version that brought them: a file of an older one has none, and reads as null."""
+"""Columns of relations that came later, with the version that brought them: a file of an older one has none, and
+reads as null."""
 
 State = Annotated[Literal[-1, 0, 1] | None, Field(json_schema_extra={"arrow": "int8"})]
 """1 the relation holds (T), 0 too close to call (U), -1 it does not (F); null where the profile does not judge it."""
@@ -84,8 +85,6 @@ class ObjectRow(Row):
     as PCA gives them: what the feature contracts paper30 and canon30 are made
     from. `occluded` is the share of the mask's border beside which something is at
     least 5 cm nearer. Only `usable` objects are asked for in expressions.
-    `clearance` says how far behind the object other surfaces are seen beside it
-    (`pipeline.geometry.clearance`): null where that is not known.
     """
 
     object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
@@ -113,7 +112,6 @@ class ObjectRow(Row):
     lo: Vector | None
     hi: Vector | None
     centroid: Vector | None
-    clearance: Vector | None
     exact_center: Vector | None
     exact_R: Matrix | None
     exact_size: Vector | None

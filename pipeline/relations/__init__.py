@@ -21,7 +21,7 @@ def shipped_network() -> Path:
     InputError
         Where the installation lacks it.
     """
-    return asset_path("srm", "rel38.onnx")
+    return asset_path("srm", "rel32.onnx")
 
 
 def make_scorer(name: str | Path = RULE, vectors: Path | None = None) -> RelationScorer:

@@ -1,4 +1,4 @@
-"""What the network is given of a pair: `rel38`, `rel26`, `rel14`, `paper30`, `canon30`, `geom2d8` and `+lang`.
+"""What the network is given of a pair: `rel32`, `rel26`, `rel14`, `paper30`, `canon30`, `geom2d8` and `+lang`.
 
 Each contract first describes every object by a row of numbers, then every
 ordered pair by a row made from two of them, all pairs at once. `+lang` after
@@ -14,7 +14,6 @@ from typing import Protocol
 import numpy as np
 
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.clearance import NOTHING_BEHIND
 from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
@@ -34,7 +33,7 @@ CLI_FEATURES = {
     "canon": "canon30",
     "rel14": "rel14",
     "rel26": "rel26",
-    "rel38": "rel38",
+    "rel32": "rel32",
     "rel14+lang": "rel14+lang",
 }
 """Contracts by the names that the command line gives them: the paper's 2D-Geom, 3D-Geom and so on."""
@@ -230,40 +229,35 @@ def pair_viewed(rows: np.ndarray) -> np.ndarray:
     return np.concatenate([pair_relative(rows[..., :6]), pair_side_by_side(own)], axis=-1)
 
 
-def describe_bounded_extents(
+def describe_named_extents(
     objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
 ) -> np.ndarray:
-    """(N, 13): the extents and the cut, how far behind the object other surfaces are, and how long its class is.
+    """(N, 10): the extents and the cut, and how long things of the object's class are.
 
     Raises
     ------
     InputError
         Without the appearance.
     """
-    shown = needed(appearance, "rel38 needs the objects' class names", expected="their appearance in the image")
-    behind = [np.full(3, np.nan) if o.clearance is None else o.clearance for o in objects]
-    return with_bounds(describe_viewed_extents(objects, viewer), np.array(behind).reshape(-1, 3), shown.labels)
+    shown = needed(appearance, "rel32 needs the objects' class names", expected="their appearance in the image")
+    return with_class_lengths(describe_viewed_extents(objects, viewer), shown.labels)
 
 
-def with_bounds(viewed: np.ndarray, clearances: np.ndarray, labels: Sequence[str] | np.ndarray) -> np.ndarray:
-    """(N, 13): rows of `describe_viewed_extents` with clearances ((N, 3), NaN where unknown) and lengths of classes.
+def with_class_lengths(viewed: np.ndarray, labels: Sequence[str] | np.ndarray) -> np.ndarray:
+    """(N, 10): rows of `describe_viewed_extents` with lengths of classes.
 
     Of a class: 1 and the logarithms of the shortest and longest that its longest edge can be; 0, 0, 0 of one whose
     sizes are not known.
     """
-    behind = np.where(np.isfinite(clearances), clearances, NOTHING_BEHIND)
     ranges = [size_range(str(label)) for label in labels]
     lengths = np.array([(0.0, 0.0, 0.0) if r is None else (1.0, *np.log(r)) for r in ranges]).reshape(-1, 3)
-    return np.concatenate([viewed, behind, lengths], axis=1)
+    return np.concatenate([viewed, lengths], axis=1)
 
 
-def pair_bounded(rows: np.ndarray) -> np.ndarray:
-    """`rel38`: `rel26`, and of a and of b what bounds that which is not seen of them.
-
-    A cupboard ends before the wall behind it, a bed that the border cuts is as long as beds are.
-    """
-    viewed, bounds = rows[..., :_VIEWED], rows[..., _VIEWED:]
-    return np.concatenate([pair_viewed(viewed), pair_side_by_side(bounds)], axis=-1)
+def pair_named(rows: np.ndarray) -> np.ndarray:
+    """`rel32`: `rel26`, and of a and of b how long its class is: a bed that the border cuts is as long as beds are."""
+    viewed, lengths = rows[..., :_VIEWED], rows[..., _VIEWED:]
+    return np.concatenate([pair_viewed(viewed), pair_side_by_side(lengths)], axis=-1)
 
 
 def pair_side_by_side(rows: np.ndarray) -> np.ndarray:
@@ -293,17 +287,15 @@ _VIEWED_COLUMNS = _RELATIVE_COLUMNS + tuple(
 )
 _VIEWED = 7
 """Columns of `describe_viewed_extents`."""
-_BOUNDED_COLUMNS = _VIEWED_COLUMNS + tuple(
-    f"{what}_{which}"
-    for which in ("a", "b")
-    for what in ("clearance", "clearance_median", "clearance_share", "class_known", "log_class_least", "log_class_most")
+_NAMED_COLUMNS = _VIEWED_COLUMNS + tuple(
+    f"{what}_{which}" for which in ("a", "b") for what in ("class_known", "log_class_least", "log_class_most")
 )
 
 FEATURES: dict[str, FeatureSet] = {
     "rel14": FeatureSet("rel14", _RELATIVE_COLUMNS, describe_extents, pair_relative, tuple(range(6))),
     "rel26": FeatureSet("rel26", _VIEWED_COLUMNS, describe_viewed_extents, pair_viewed, tuple(range(6))),
-    "rel38": FeatureSet(
-        "rel38", _BOUNDED_COLUMNS, describe_bounded_extents, pair_bounded, (*range(6), 7, 8), (10, 11, 12), shown=True
+    "rel32": FeatureSet(
+        "rel32", _NAMED_COLUMNS, describe_named_extents, pair_named, tuple(range(6)), (7, 8, 9), shown=True
     ),
     "paper30": FeatureSet("paper30", _box_columns(), describe_raw_boxes, pair_side_by_side, _BOX_LENGTHS),
     "canon30": FeatureSet("canon30", _box_columns(), describe_level_boxes, pair_side_by_side, _BOX_LENGTHS),

@@ -174,9 +174,9 @@ def held_out_figures(scorer: OnnxScorer, plain: OnnxScorer, frames: Sequence[Fra
 def _room_ranges(rooms: RoomConfig) -> dict[str, list[int]]:
     """First and last room seed of each part; calibrated on are rooms of solids, measured on furnished ones."""
     train, *others = room_seeds(rooms.seed, rooms.rooms)
-    parts = dict(zip(("train", "calibration", "test"), (train, *others), strict=True))
+    parts: dict[str, Sequence[int]] = dict(zip(("train", "calibration", "test"), (train, *others), strict=True))
     for name, each in (("scattered", SCATTERED_A_ROOM), ("assembled", ASSEMBLED_A_ROOM)):
-        parts[name] = tuple(range(train[0], train[0] + each * rooms.rooms))
+        parts[name] = range(train[0], train[0] + each * rooms.rooms)
     return {f"{name}_rooms": [part[0], part[-1]] for name, part in parts.items()}
 
 

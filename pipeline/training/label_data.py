@@ -21,27 +21,16 @@ from pipeline.labels.reading import Labels, read_table
 from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION, FrameKey, SplitPlan
 from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import TrainedOn
-from pipeline.relations.features import feature_set, geometry_of, rows_2d, with_bounds
+from pipeline.relations.features import feature_set, geometry_of, rows_2d, with_class_lengths
 from pipeline.relations.relations import T, U
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import require
 
-_LENGTHS = {
-    "bbox": 4,
-    "lo": 3,
-    "hi": 3,
-    "clearance": 3,
-    "pca_center": 3,
-    "pca_R": 9,
-    "pca_size": 3,
-    "center": 3,
-    "R": 9,
-    "size": 3,
-}
+_LENGTHS = {"bbox": 4, "lo": 3, "hi": 3, "pca_center": 3, "pca_R": 9, "pca_size": 3, "center": 3, "R": 9, "size": 3}
 GEOMETRY_COLUMNS: dict[str, tuple[str, ...]] = {
     "rel14": ("lo", "hi"),
     "rel26": ("lo", "hi", "touches_border"),
-    "rel38": ("lo", "hi", "touches_border", "clearance", "label"),
+    "rel32": ("lo", "hi", "touches_border", "label"),
     "geom2d8": ("bbox",),
     "paper30": ("pca_center", "pca_R", "pca_size", "center", "R", "size"),
     "canon30": ("pca_center", "pca_R", "pca_size", "center", "R", "size"),
@@ -256,12 +245,10 @@ def object_rows(features: str, objects: dict[str, np.ndarray], mine: slice, fram
     """(N, K) float64 description of the objects; see `features`."""
     if features == "rel14":
         return np.concatenate([objects["lo"][mine], objects["hi"][mine]], axis=1)
-    if features in ("rel26", "rel38"):
+    if features in ("rel26", "rel32"):
         cut = objects["touches_border"][mine].astype(np.float64)[:, None]
         viewed = np.concatenate([objects["lo"][mine], objects["hi"][mine], cut], axis=1)
-        return (
-            viewed if features == "rel26" else with_bounds(viewed, objects["clearance"][mine], objects["label"][mine])
-        )
+        return viewed if features == "rel26" else with_class_lengths(viewed, objects["label"][mine])
     if features == "geom2d8":
         return rows_2d(objects["bbox"][mine], frame["width"], frame["height"])
     parts = [objects[f"pca_{name}"][mine] for name in ("center", "R", "size")]

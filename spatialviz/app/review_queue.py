@@ -381,7 +381,8 @@ class ReviewQueue(LabelPart):
             if queue.behind:
                 self._caught_up()
                 self._prefetch(item)
-            if queue.seen == QueueProgress():
+            # Labels that were begun by hand have nothing to queue yet.
+            if queue.seen == QueueProgress() and self.location.labels.manifest.tables["relations"].rows:
                 self.make()
                 self._take(queue)
             queue.names.update({(view.frame.frame, n): row["label"] for n, row in view.frame.objects.items()})

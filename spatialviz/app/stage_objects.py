@@ -216,7 +216,7 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
 
 
 def _scored_by(scores: RelationScores, scorer: str) -> str:
-    """The scorer, and what the relations it has nothing for are scored by: "rel38; on, in, near by rule"."""
+    """The scorer, and what the relations it has nothing for are scored by: "rel32; on, in, near by rule"."""
     others: dict[str, list[str]] = {}
     for relation in scores.relations:
         if scores.scored_by[relation] != scorer:

@@ -311,7 +311,7 @@ def test_the_demo_answers_its_own_question() -> None:
     trace = source.ask(source.prepare(0), DEMO_EXPRESSION)
     assert trace.ranking is not None
     assert trace.ranking.pairs[0].p_relation > 0.9
-    assert trace.scorer == "rel38"
+    assert trace.scorer == "rel32"
     assert demo_path().is_dir()
 
 

@@ -258,4 +258,5 @@ def _lifted(scene: _Scene, view: _View, camera: Camera, kept: np.ndarray, rng: R
     masks, kind = [view.ids == k for k in kept], int(rng.integers(3))
     if rng.random() < 0.5:
         masks = [_rough(mask, kind, rng) for mask in masks]
-    return seen_objects(depth, camera, masks, [(points.min(axis=0), points.max(axis=0)) for points in along])
+    names = [scene.house.placed[k].thing.kind for k in kept]
+    return seen_objects(depth, camera, masks, [(points.min(axis=0), points.max(axis=0)) for points in along], names)

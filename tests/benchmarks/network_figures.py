@@ -35,7 +35,8 @@ def worlds(maker: str, regime: str, count: int) -> Iterator[Seen]:
     """Views with at least FEWEST_OBJECTS objects, out of so many worlds."""
     for seed in range(count):
         if maker == "boxes":
-            found = Seen(*box_world(seed, 400, 300, REGIMES[regime])[:3])
+            objects, exact, viewer, *_ = box_world(seed, 400, 300, REGIMES[regime])
+            found = Seen(objects, exact, viewer, unnamed(objects))
         else:
             found = house_world(seed, REGIMES[regime])
         if found is not None and len(found.objects) >= FEWEST_OBJECTS:
@@ -51,8 +52,8 @@ def tallies(networks: Sequence[OnnxScorer], seen: Seen) -> list[np.ndarray]:
     rules = with_undecided(rules, np.array([o.quality.fallback for o in seen.objects], np.bool_))
     found = []
     for network in networks:
-        labels = doubted(rules, network, seen.objects, seen.viewer, unnamed(seen.objects)).states[..., :6]
-        found.append(tallied(network.of_pairs(seen.objects, seen.viewer, unnamed(seen.objects)), labels, truth))
+        labels = doubted(rules, network, seen.objects, seen.viewer, seen.looks).states[..., :6]
+        found.append(tallied(network.of_pairs(seen.objects, seen.viewer, seen.looks), labels, truth))
     bare = rule_probabilities(RuleScorer().score(seen.objects, seen.viewer, relations=DIRECTIONAL).states)
     return [*found, tallied(bare, rules.states[..., :6], truth)]
 

@@ -35,7 +35,7 @@ def ask(text: str = QUESTION, **given: Any) -> pipeline.Answer:
 def test_without_more_all_is_made_here() -> None:
     answer = ask()
     assert answer.holds
-    assert answer.needed_trace().scorer == "rel38"
+    assert answer.needed_trace().scorer == "rel32"
 
 
 def test_relations_that_are_given_rank_and_the_rest_is_made_here() -> None:

@@ -88,7 +88,9 @@ def spec_of(labels: Path, recording: Path | None, **options: Any) -> EvalSpec:
 
 
 # The simulated detector finds a thing under several names, and the trained network scores it by name.
-@pytest.mark.parametrize("chosen", [{"srm": "rule"}, {"srm": "trained"}, {"srm": "trained", "detector": "simulated"}], ids=str)
+@pytest.mark.parametrize(
+    "chosen", [{"srm": "rule"}, {"srm": "trained"}, {"srm": "trained", "detector": "simulated"}], ids=str
+)
 def test_winners_are_those_of_ask(labels: Path, recording: Path, chosen: dict[str, Any]) -> None:
     evaluator = Evaluator(spec_of(labels, None if "detector" in chosen else recording, **chosen))
     asked = 0

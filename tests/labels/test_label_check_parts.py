@@ -108,7 +108,7 @@ GOOD_ROWS = {
         "mask_source": "box", "mask_pixels": 1, "points": 1, "kept": 1.0, "depth_missing": 0.0,
         "touches_border": False, "fallback": False, "distance": 1.0, "center": [0.0] * 3, "R": [0.0] * 9,
         "size": [0.0] * 3, "yaw_confidence": 0.0, "estimator": "gravity", "lo": [0.0] * 3, "hi": [0.0] * 3,
-        "centroid": None, "clearance": None, "exact_center": None, "exact_R": None, "exact_size": None, "visible": None,
+        "centroid": None, "exact_center": None, "exact_R": None, "exact_size": None, "visible": None,
         "occluded": 0.0, "usable": True, "reason": None,
     },
     "relations": ROW | {"a": 0, "b": 1, "distance": 0.5, "doubted": 0} | dict.fromkeys(PAIRWISE, 0)

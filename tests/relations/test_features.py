@@ -83,22 +83,19 @@ def test_rel26_adds_place_size_and_cut_of_each_to_rel14() -> None:
     assert {k for k in range(5) if features[k, 0, 19]} == {2}
 
 
-def test_rel38_adds_what_bounds_each_to_rel26() -> None:
+def test_rel32_adds_the_lengths_of_each_class_to_rel26() -> None:
     viewer = viewer_axes(up_of(15))
     objects = some_objects(viewer)
-    objects[1] = replace(objects[1], clearance=np.array([0.1, 0.4, 0.8]))
     labels = ("mug", "beds", "no such thing", "cup", "sofa")
     shown = Appearance(np.zeros((5, 4)), labels, 640, 480)
-    contract = feature_set("rel38")
+    contract = feature_set("rel32")
     rows = contract.describe(objects, viewer, shown)
     features = contract.pair(rows)
-    assert features.shape == (5, 5, 38) == (5, 5, contract.dimension)
+    assert features.shape == (5, 5, 32) == (5, 5, contract.dimension)
     np.testing.assert_array_equal(features[..., :26], FEATURES["rel26"].pair(rows[:, :7]))
-    np.testing.assert_allclose(features[1, 0, 26:29], [0.1, 0.4, 0.8])
-    np.testing.assert_allclose(features[1, 0, 32:35], [2, 2, 0])
-    np.testing.assert_allclose(features[1, 2, 29:32], [1, np.log(0.9), np.log(3.0)])
-    np.testing.assert_array_equal(features[1, 2, 35:], 0)
-    np.testing.assert_array_equal(rows[:, list(contract.named)], features[:, 0, 29:32])
+    np.testing.assert_allclose(features[1, 2, 26:29], [1, np.log(0.9), np.log(3.0)])
+    np.testing.assert_array_equal(features[1, 2, 29:], 0)
+    np.testing.assert_array_equal(rows[:, list(contract.named)], features[:, 0, 26:29])
     with pytest.raises(InputError, match="class names"):
         contract.describe(objects, viewer)
 

@@ -32,7 +32,7 @@ from pipeline.metrics.calibration_metrics import (
 )
 from pipeline.proposals import AnnotationDetector
 from pipeline.relations import RuleScorer, make_scorer, shipped_network
-from pipeline.relations.features import FEATURES, with_bounds
+from pipeline.relations.features import FEATURES, with_class_lengths
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import directional_states
 from pipeline.relations.scorer import rule_probabilities, stacked_extents
@@ -43,13 +43,12 @@ from pipeline.training.card import clear_cut, clear_cut_report, evaluate
 LEFT, RIGHT, ABOVE, BELOW, FRONT, BEHIND = range(6)
 
 
-def bounded_rows(seed: int, count: int = 6) -> np.ndarray:
-    """Rows of rel38: some objects are cut by the border, of some what is behind them is not known."""
+def named_rows(seed: int, count: int = 6) -> np.ndarray:
+    """Rows of rel32: some objects are cut by the border, of some no size of their class is known."""
     rng = np.random.default_rng([seed, 1])
     cut = rng.integers(0, 2, (count, 1)).astype(np.float64)
-    behind = np.where(rng.random((count, 1)) < 0.5, rng.uniform(0, 1, (count, 3)), np.nan)
     labels = rng.choice(["mug", "bed", "sofa", "no such thing"], count).tolist()
-    return with_bounds(np.concatenate([random_rows(seed, count), cut], axis=1), behind, labels)
+    return with_class_lengths(np.concatenate([random_rows(seed, count), cut], axis=1), labels)
 
 
 @pytest.fixture(scope="module")
@@ -63,14 +62,14 @@ def shipped() -> OnnxScorer:
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_inverse_relations_are_each_others_mirror_to_the_last_bit(seed: int, shipped: OnnxScorer) -> None:
-    p = shipped.probabilities(bounded_rows(seed))
+    p = shipped.probabilities(named_rows(seed))
     for one, other in ((LEFT, RIGHT), (ABOVE, BELOW), (FRONT, BEHIND)):
         np.testing.assert_array_equal(p[..., one], p[..., other].T)
     assert ((p >= 0) & (p <= 1)).all()
 
 
 def test_a_permutation_of_the_objects_permutes_the_probabilities(shipped: OnnxScorer) -> None:
-    rows, order = bounded_rows(4, 9), np.random.default_rng(1).permutation(9)
+    rows, order = named_rows(4, 9), np.random.default_rng(1).permutation(9)
     np.testing.assert_allclose(
         shipped.probabilities(rows[order]), shipped.probabilities(rows)[np.ix_(order, order)], atol=1e-5
     )
@@ -174,9 +173,9 @@ def test_the_network_scores_six_relations_and_the_rule_the_others(scene: Frame, 
     context = PreparedFrame(scene)
     objects = [o.lifted for o in all_objects(context, AnnotationDetector(("a", "b", "c")))]
     scores, rule = shipped.score(objects, context.viewer, unnamed(objects)), RuleScorer().score(objects, context.viewer)
-    assert shipped.name == "rel38"
+    assert shipped.name == "rel32"
     assert scores.relations == PAIRWISE
-    assert scores.scored_by == {r: "rel38" if r in DIRECTIONAL else "rule" for r in PAIRWISE}
+    assert scores.scored_by == {r: "rel32" if r in DIRECTIONAL else "rule" for r in PAIRWISE}
     np.testing.assert_array_equal(scores.states, rule.states)
     np.testing.assert_array_equal(scores.probabilities[..., 6:], rule.probabilities[..., 6:])
     assert scores.of("left")[0, 1] > 0.95
@@ -203,11 +202,11 @@ def test_what_has_neither_points_nor_box_is_in_doubt(scene: Frame, shipped: Onnx
 
 def test_scorers_by_name(tmp_path: Path) -> None:
     assert isinstance(make_scorer("rule"), RuleScorer)
-    assert make_scorer("trained").name == "rel38"
+    assert make_scorer("trained").name == "rel32"
     copy = tmp_path / "mine.onnx"
     copy.write_bytes(shipped_network().read_bytes())
-    assert make_scorer(str(copy)).name == make_scorer(copy).name == "rel38"
-    assert open_pipeline("demo").scorer.name == "rel38"
+    assert make_scorer(str(copy)).name == make_scorer(copy).name == "rel32"
+    assert open_pipeline("demo").scorer.name == "rel32"
     assert open_pipeline("demo", srm="rule").scorer.name == "rule"
     with pytest.raises(InputError, match="no relation network"):
         make_scorer(tmp_path / "absent.onnx")
@@ -285,18 +284,18 @@ def test_the_shipped_network_on_rooms_it_has_not_seen(shipped: OnnxScorer) -> No
 
 @pytest.fixture(scope="module")
 def worlds() -> list[tuple[np.ndarray, np.ndarray]]:
-    """Of ten rooms of another maker, (rows of rel38 as seen, exact extents)."""
+    """Of ten rooms of another maker, (rows of rel32 as seen, exact extents)."""
     found = []
     for seed in range(10):
         objects, exact, viewer, _, _ = box_world(seed)
         whole = np.array([np.concatenate(e) for e in exact])
-        found.append((FEATURES["rel38"].describe(objects, viewer, unnamed(objects)), whole))
+        found.append((FEATURES["rel32"].describe(objects, viewer, unnamed(objects)), whole))
     return found
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.25])
 def test_rooms_and_table_tops_of_another_maker(scale: float, worlds: list, shipped: OnnxScorer) -> None:
-    lengths = np.isin(np.arange(13), FEATURES["rel38"].lengths)
+    lengths = np.isin(np.arange(10), FEATURES["rel32"].lengths)
     seen, exact = [rows * np.where(lengths, scale, 1.0) for rows, _ in worlds], [rows * scale for _, rows in worlds]
     extents_of = [(rows[:, :3], rows[:, 3:]) for rows in exact]
     truth = [directional_states(*e) for e in extents_of]

@@ -34,8 +34,7 @@ from pipeline.relations.pair_measures import NOT_JUDGED, F, T
 
 DERIVED = (
     "mask_pixels", "points", "kept", "depth_missing", "touches_border", "fallback", "distance", *BOX_COLUMNS,
-    "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo", "hi", "centroid", "clearance", "occluded", "usable",
-    "reason",
+    "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo", "hi", "centroid", "occluded", "usable", "reason",
 )  # fmt: skip
 """Columns that follow from an object's pixels."""
 OF_BOX = (*BOX_COLUMNS, "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo", "hi", "centroid")
@@ -149,8 +148,8 @@ def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Sett
         "box3d" if box is not None else "box", "mask_pixels": pixels, "points": 0, "kept": 0.0, "depth_missing": 0.0,
         "touches_border": False, "fallback": False, "distance": None, **values, "yaw_confidence": 0.0,
         "estimator": setting.config.lift.box, "pca_center": None, "pca_R": None, "pca_size": None, "lo": None,
-        "hi": None, "centroid": None, "clearance": None, "exact_center": None, "exact_R": None, "exact_size": None,
-        "visible": None, "occluded": 0.0, "usable": False, "reason": "not lifted yet",
+        "hi": None, "centroid": None, "exact_center": None, "exact_R": None, "exact_size": None, "visible": None,
+        "occluded": 0.0, "usable": False, "reason": "not lifted yet",
     }  # fmt: skip
 
 

@@ -158,7 +158,7 @@ def _annotation(
         "attributes": {"object": row["object"]},
         "bbox_xyxy": row["bbox"],
         **{key: _box(row, prefix) for key, prefix in BOXES.items()},
-        "extent": {key: row[key] for key in (*EXTENT, CLEARANCE)},
+        "extent": {key: row[key] for key in EXTENT},
         "quality": {key: row[key] for key in QUALITY},
     }
 
@@ -227,8 +227,6 @@ FRAME_KEYS = (
 BOXES = {"box3d": "", "exact_box3d": "exact_", "pca_box3d": "pca_"}
 """Boxes of an annotation, and the prefix of their columns."""
 EXTENT = ("lo", "hi", "centroid")
-CLEARANCE = "clearance"
-"""What came with schema 1.3.0: earlier exports have none."""
 QUALITY = (
     "mask_source", "points", "kept", "depth_missing", "touches_border", "fallback", "distance", "yaw_confidence",
     "estimator", "visible", "occluded", "usable", "reason",
@@ -297,7 +295,7 @@ def _object(annotation: dict[str, Any], frame: str, categories: dict[int, str]) 
         R = box["R"]
         row |= {f"{prefix}center": box["center"], f"{prefix}size": box["size"]}
         row[f"{prefix}R"] = None if R is None else [x for line in R for x in line]
-    row |= {key: annotation["extent"][key] for key in EXTENT} | {CLEARANCE: annotation["extent"].get(CLEARANCE)}
+    row |= {key: annotation["extent"][key] for key in EXTENT}
     return row | {key: annotation["quality"][key] for key in QUALITY}
 
 
