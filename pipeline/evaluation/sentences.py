@@ -208,8 +208,8 @@ class Judged:
     ----------
     sentence : Sentence
     outcome : str
-        CORRECT: the right object, or a refusal where nothing is right. PARSE: not read as it is. REFUSED: read, and yet
-        no answer. WRONG: an answer that is not right.
+        CORRECT: the right object, several that fit equally well and are all right, or a refusal where nothing is
+        right. PARSE: not read as it is. REFUSED: read, and yet no answer. WRONG: an answer that is not right.
     detail : str or None
         Of PARSE WORDS, GRAMMAR, UNSUPPORTED; of REFUSED MISSING (a name was not found), TIED (several things fit),
         DEGENERATE (too few different objects); of WRONG OBJECT, or NOTHING where a refusal would have been right.
@@ -322,6 +322,10 @@ def _judged(source: Pipeline, context: PreparedFrame, sentence: Sentence, path: 
     best = best_pair(trace)
     if best is None:
         reason, unused = why_no_answer(trace), why_unused(trace.query)
+        tied = [trace.objects[k] for k in trace.tied]
+        if tied and not sentence.nothing and all(sentence.accepts(o, right, trace.exact) for o in tied):
+            # "A chair": whichever of those that are named is meant, it is right.
+            return Judged(sentence, "CORRECT", None, True, None, reason, tied[0], trace)
         if trace.missing:
             outcome, detail = "REFUSED", "MISSING"
         elif unused is not None:

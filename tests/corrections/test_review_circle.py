@@ -97,9 +97,12 @@ def circle(
 
 
 def _failures(run: Path, held_out: set[str]) -> dict[tuple[str, str], dict]:
-    """Wrong answers about front and behind in the frames that were held out, where the labels are right."""
-    rows = read_records(run).to_pylist()
-    wanted = [r for r in rows if r["relation"] in ("front", "behind") and r["frame"] in held_out and not r["correct"]]
+    """Wrong answers about front and behind in the frames that were held out, where the labels are right.
+
+    LABEL: one of several right answers, and not the one that the label names.
+    """
+    rows = [r for r in read_records(run).to_pylist() if r["relation"] in ("front", "behind") and not r["correct"]]
+    wanted = [r for r in rows if r["frame"] in held_out and r["verdict"] != "LABEL"]
     return {(r["frame"], r["id"]): r for r in wanted}
 
 
@@ -116,7 +119,7 @@ def test_what_was_mended_is_learnt_and_the_failures_are_gone(
     left = _failures(circle.folder / AFTER, held_out)
     blamed = [{k for k, r in found.items() if r["verdict"] == "SRM"} for found in (wrong, left)]
     assert len(blamed[1]) < 0.3 * len(blamed[0])
-    assert len(left) < 0.5 * len(wrong)
+    assert len(left) < 0.3 * len(wrong)
     assert circle.replay is not None
     fixed = {(r["frame"], r["id"]) for r in circle.replay.fixed}
     gone = wrong.keys() - left.keys()

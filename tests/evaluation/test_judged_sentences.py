@@ -100,6 +100,14 @@ def test_classes_of_failure(source: Pipeline, tmp_path: Path, sentence: str, fai
     assert outcome(source, tmp_path / "s.jsonl", sentence, targets=[MUG]) == (*failed, False)
 
 
+def test_things_that_fit_equally_well_are_right_where_each_is(source: Pipeline, tmp_path: Path) -> None:
+    path, mugs = tmp_path / "s.jsonl", [o.index for o in source.dataset.load(FRAME).annotations if o.label == "mug"]
+    assert {MUG, OTHER_MUG} <= set(mugs)
+    assert outcome(source, path, "a mug", targets=mugs) == ("CORRECT", None, True)
+    for one in mugs:
+        assert outcome(source, path, "a mug", targets=[one]) == ("REFUSED", "TIED", False)
+
+
 def test_the_report_counts_what_the_lines_say(source: Pipeline, tmp_path: Path) -> None:
     lines = [
         {"sentence": LEFT_MUG, "targets": [MUG], "kind": "relation", "note": "other keys are let be"},

@@ -20,7 +20,6 @@ from pipeline.training import card
 from pipeline.training.card import RoomConfig, save_onnx, write_onnx
 from pipeline.training.train import TrainConfig, require_training, train_srm
 from pipeline.training.training_data import (
-    ASSEMBLED_A_ROOM,
     SCATTERED_A_ROOM,
     SOLIDS_A_VIEW,
     FrameSamples,
@@ -38,6 +37,7 @@ pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
 WIDTH, HEIGHT = 200, 150
+ASSEMBLED = 2
 SEEDS = (8_500_000, 8_500_002)
 
 
@@ -142,8 +142,9 @@ def test_rooms_are_split_from_rooms() -> None:
 
 @pytest.fixture
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cameras are the best of few and not of many: choosing them costs most."""
+    """Cameras are the best of few and not of many, and assembled rooms are few: they cost most."""
     monkeypatch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", 4)
+    monkeypatch.setattr("pipeline.training.training_data.ASSEMBLED_A_ROOM", ASSEMBLED)
 
 
 @pytest.mark.usefixtures("few_candidates")
@@ -152,7 +153,7 @@ def test_progress_counts_all_rooms() -> None:
     train, calibration, test = make_split(
         1, 3, views=1, width=64, height=48, progress=lambda done, of: seen.append((done, of))
     )
-    total = 4 + 3 * (SCATTERED_A_ROOM + ASSEMBLED_A_ROOM)
+    total = 4 + 3 * (SCATTERED_A_ROOM + ASSEMBLED)
     assert seen == [(k, total) for k in range(1, total + 1)]
     assert len(test) == 1
     assert len(calibration) == SOLIDS_A_VIEW
