@@ -381,8 +381,9 @@ class ReviewQueue(LabelPart):
             if queue.behind:
                 self._caught_up()
                 self._prefetch(item)
-            # Labels that were begun by hand have nothing to queue yet.
-            if queue.seen == QueueProgress() and self.location.labels.manifest.tables["relations"].rows:
+            # Labels that were only just begun by hand have nothing to queue yet.
+            labelled = self.location.labels.manifest.tables.get("relations")
+            if queue.seen == QueueProgress() and labelled is not None and labelled.rows:
                 self.make()
                 self._take(queue)
             queue.names.update({(view.frame.frame, n): row["label"] for n, row in view.frame.objects.items()})
