@@ -89,8 +89,8 @@ class Train(Output):
     """ONNX file to write; its card goes beside it as JSON, and the class vectors of +lang as .vectors.npz."""
     features: Literal["2d", "2d+lang", "3d", "3d+lang", "canon", "rel14", "rel14+lang", "rel26", "rel32"] | None = None
     """What the network is given of a pair: 2D boxes | the paper's PCA boxes | these, canonical | relative extents |
-    these, with sizes, places and cuts by the border | these, with what is behind and how long things of a class are;
-    +lang adds the vectors of both class names. Default: rel14 on labels, rel32 on rooms."""
+    these, with sizes, places and cuts by the border | these, with how long things of each class are; +lang adds the
+    vectors of both class names. Default: rel14 on labels, rel32 on rooms."""
     vocabulary: Literal["avd", "semantic-abstraction"] = "avd"
     """avd: six relations that may hold together (binary cross entropy, U masked); semantic-abstraction: six of which
     one fits (cross entropy; the class prior is divided out in ranking)."""
