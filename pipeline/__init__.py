@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pipeline.diagnosis.answer import Answer
     from pipeline.diagnosis.opened import Opened, ask, open
     from pipeline.evaluation.adapters.base import PredictionFormat
+    from pipeline.evaluation.from_records import import_records
     from pipeline.evaluation.job import evaluate
     from pipeline.evaluation.run_folder import Run, open_run
     from pipeline.geometry.boxes import Box3D
@@ -56,6 +57,7 @@ __all__ = [
     "Written",
     "ask",
     "evaluate",
+    "import_records",
     "label",
     "open",
     "open_labels",
@@ -69,6 +71,7 @@ _ROOMS = {
     "diagnosis.answer": "Answer",
     "diagnosis.opened": "Opened ask open",
     "evaluation.adapters.base": "PredictionFormat",
+    "evaluation.from_records": "import_records",
     "evaluation.job": "evaluate",
     "evaluation.run_folder": "Run open_run",
     "geometry.boxes": "Box3D",

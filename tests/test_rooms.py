@@ -6,12 +6,12 @@ import ast
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import packages_distributions
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+from import_graph import ROOT, Imports, circles, imported, imports_of, modules
+
+CORE = modules("pipeline")
 ROOMS = (
     "system",
     "geometry",
@@ -28,41 +28,6 @@ ROOMS = (
     "corrections",
 )
 """From the ground up."""
-
-
-@dataclass(frozen=True)
-class Imports:
-    """What a module imports: in functions too; at its top; and there without conditions, such as for types."""
-
-    everywhere: list[ast.Import | ast.ImportFrom]
-    top: list[ast.Import | ast.ImportFrom]
-    always: list[ast.Import | ast.ImportFrom]
-
-
-@cache
-def modules() -> dict[str, Imports]:
-    """Every module of the core by its dotted name."""
-    found = {}
-    for path in sorted((ROOT / "pipeline").rglob("*.py")):
-        parts = path.relative_to(ROOT).with_suffix("").parts
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        everywhere = [n for n in ast.walk(tree) if isinstance(n, (ast.Import, ast.ImportFrom))]
-        top = {id(n) for n in tree.body for n in ([n] if not isinstance(n, (ast.If, ast.Try)) else ast.walk(n))}
-        found[".".join(parts).removesuffix(".__init__")] = Imports(
-            everywhere, [n for n in everywhere if id(n) in top], [n for n in everywhere if n in tree.body]
-        )
-    return found
-
-
-def imported(nodes: list[ast.Import | ast.ImportFrom]) -> Iterator[tuple[str, int]]:
-    """Modules of the core that these name, and in which line."""
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            yield from ((a.name, node.lineno) for a in node.names if a.name in modules())
-        elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "pipeline":
-            for alias in node.names:
-                whole = f"{node.module}.{alias.name}"
-                yield (whole if whole in modules() else node.module), node.lineno
 
 
 def packages(nodes: list[ast.Import | ast.ImportFrom]) -> Iterator[str]:
@@ -88,26 +53,32 @@ def test_only_the_package_itself_stands_outside_the_rooms() -> None:
 def test_a_room_imports_only_rooms_below_it() -> None:
     upwards = [
         f"{name}:{line} imports {target}"
-        for name, found in modules().items()
+        for name, found in CORE.items()
         if name != "pipeline"
-        for target, line in imported(found.everywhere)
+        for target, line in imported(found.everywhere, CORE)
         if room(target) and ROOMS.index(room(target)) > ROOMS.index(room(name))
     ]
     assert not upwards
 
 
 def test_no_imports_run_in_a_circle() -> None:
-    arrows = {
-        name: {t for t, _ in imported(found.everywhere)} - {name}
-        for name, found in modules().items()
-        if name != "pipeline"
+    """Neither at the top nor within functions, for types, or by the name of a module."""
+    assert circles(CORE, without=("pipeline",)) == set()
+
+
+def test_circles_are_found_however_they_are_hidden() -> None:
+    sources = {
+        "a": "from importlib import import_module\ndef f():\n    return import_module('b')",
+        "b": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import c",
+        "c": "def f():\n    import a",
+        "above": "import a",
+        "below": "import json",
+        "kit.p": "from importlib import import_module\ndef f(x):\n    return import_module(f'kit.{x}')\nX = 'q.Name'",
+        "kit.q": "import kit.p",
     }
-    # What imports nothing that is left is taken away; what cannot be taken away stands in a circle or above one.
-    left = {name: targets & arrows.keys() for name, targets in arrows.items()}
-    while free := [name for name, targets in left.items() if not targets & left.keys()]:
-        for name in free:
-            del left[name]
-    assert not left
+    found = {name: imports_of(ast.parse(text), sources) for name, text in sources.items()}
+    assert circles(found) == {"a", "b", "c", "kit.p", "kit.q"}
+    assert circles({**found, "c": imports_of(ast.parse(""), sources)}) == {"kit.p", "kit.q"}
 
 
 HEAVY = frozenset(
@@ -153,26 +124,26 @@ def hidden(found: Imports) -> Iterator[tuple[str, int]]:
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
             if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "pipeline":
                 wholes = {f"{node.module}.{a.name}" for a in node.names}
-                names = sorted(wholes & modules().keys()) or names
+                names = sorted(wholes & CORE.keys()) or names
             yield from ((name, node.lineno) for name in names)
 
 
 @cache
 def brings_in(module: str) -> frozenset[str]:
     """Heavy packages that are loaded with a module of the core; there are no circles to run in."""
-    tops = modules()[module].always
+    tops = CORE[module].always
     found = set(packages(tops))
-    targets = {target for target, _ in imported(tops)} - {module, "pipeline"}
+    targets = {target for target, _ in imported(tops, CORE)} - {module, "pipeline"}
     return frozenset(found & HEAVY).union(*map(brings_in, targets))
 
 
 def test_imports_within_functions_save_time_or_an_extra() -> None:
     needless = [
         f"{name}:{line} imports {target}"
-        for name, found in modules().items()
+        for name, found in CORE.items()
         if name != "pipeline" and name not in LAZY_PARTS
         for target, line in hidden(found)
-        if target.split(".")[0] not in HEAVY and not (target in modules() and brings_in(target) - brings_in(name))
+        if target.split(".")[0] not in HEAVY and not (target in CORE and brings_in(target) - brings_in(name))
     ]
     assert not needless
 
@@ -184,7 +155,7 @@ def test_every_library_that_the_core_imports_is_declared() -> None:
     declared |= {n.lower() for n in re.findall(r'"([A-Za-z0-9_-]+)(?:\[[^\]]*\])?[<>=][^"]*"', table)}
     owners = packages_distributions()
     missing = {}
-    for module, found in modules().items():
+    for module, found in CORE.items():
         for name in set(packages(found.everywhere)) - set(sys.stdlib_module_names) - {"pipeline"}:
             if not {d.lower().replace("_", "-") for d in owners.get(name, [name])} & declared:
                 missing.setdefault(name, module)

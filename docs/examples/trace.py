@@ -45,7 +45,7 @@ def main() -> None:
                 t.answer(*max(ahead, key=lambda pair: ahead[pair]))
             else:
                 t.answer(problem="no two things found")
-    run = sp.Run.from_records(t.path, "demo", "labels", "run", plots=False)
+    run = sp.import_records(t.path, "demo", "labels", "run", plots=False)
     print(run, run.verdicts, *run.failures()[:2], sep="\n")
 
 

@@ -14,6 +14,7 @@ from typing import Any
 from pipeline.answering.predictions import Header, Prediction, as_json, parse_header
 from pipeline.answering.tracing import plain
 from pipeline.evaluation.importing import import_run
+from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.system.errors import InputError, require
 
 Record = Prediction | Mapping[str, Any]
@@ -27,8 +28,20 @@ def import_records(
     *,
     header: Header | Mapping[str, Any] | None = None,
     **options: Any,
-) -> Path:
-    """Judge predictions and write the run's folder, which is given back; parameters are those of `Run.from_records`.
+) -> Run:
+    """The run of predictions of another pipeline, as `spatialviz import-run` makes it of a file.
+
+    Parameters
+    ----------
+    records : iterable of dict or Prediction, or path
+        As the lines of `docs/predictions.md`, or the file of them; a header may come first.
+    dataset, labels : str or Path
+    out : str or Path, optional
+        The run's folder; by default a temporary one.
+    header : Header or mapping, optional
+        Fields of the first line ("system", "ranking", ...), where `records` begins with none.
+    options
+        What `import_run` takes: name, workers, plots, overwrite, rescore.
 
     Raises
     ------
@@ -40,6 +53,18 @@ def import_records(
     UserWarning
         What `import-run` tells of a file: lines that are not read or not judged.
     """
+    return open_run(_judged(records, dataset, labels, out, header, options))
+
+
+def _judged(
+    records: str | Path | Iterable[Header | Record],
+    dataset: str | Path,
+    labels: str | Path,
+    out: str | Path | None,
+    header: Header | Mapping[str, Any] | None,
+    options: Mapping[str, Any],
+) -> Path:
+    """The folder of the run."""
     folder = Path(tempfile.mkdtemp(prefix="spatialviz-run-")) / "run" if out is None else Path(out)
     if isinstance(records, str | Path):
         require(header is None, "a file has a header of its own", path=records)

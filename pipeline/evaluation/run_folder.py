@@ -7,11 +7,10 @@ import io
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,32 +68,6 @@ class Run(InNotebook):
     name: str
     manifest: Mapping[str, Any]
     spec: EvalSpec
-
-    @classmethod
-    def from_records(
-        cls,
-        records: str | Path | Iterable[Any],
-        dataset: str | Path,
-        labels: str | Path,
-        out: str | Path | None = None,
-        **options: Any,
-    ) -> Run:
-        """The run of predictions of another pipeline, as `spatialviz import-run` makes it of a file.
-
-        Parameters
-        ----------
-        records : iterable of dict or Prediction, or path
-            As the lines of `docs/predictions.md`, or the file of them; a header may come first.
-        dataset, labels : str or Path
-        out : str or Path, optional
-            The run's folder; by default a temporary one.
-        options
-            `header`, a dict with fields of the first line ("system", "ranking", ...), and what `import_run` takes:
-            name, workers, plots, overwrite, rescore. It raises as `import_run`.
-        """
-        # By its name: what makes runs stands above what opens them.
-        importing = import_module("pipeline.evaluation.from_records")
-        return open_run(importing.import_records(records, dataset, labels, out, **options))
 
     def __repr__(self) -> str:
         return f"<Run {self.folder.name}: {self.name}, {self.manifest.get('expressions')} expressions>"

@@ -31,7 +31,8 @@ from pipeline.system.worker_pool import one_thread
 from spatialviz.app.channel import answering, end_all
 from spatialviz.app.context import Shared
 from spatialviz.app.pages import MAX_CLIENTS, Pages
-from spatialviz.app.site import Access, Site, served_by
+from spatialviz.app.site import Access, Site
+from spatialviz.app.viser_socket import served_by
 
 ENDS_WITHIN = 10.0
 """Seconds that clients' threads have to finish what they are at."""

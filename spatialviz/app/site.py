@@ -1,7 +1,4 @@
 """What the server answers to a browser: our page at `/`, viser's client as its frame, and who may ask at all.
-
-viser answers HTTP and opens sockets where it calls `websockets.asyncio.server.serve`; ours is put around that, so
-that both stand on one port.
 """
 
 from __future__ import annotations
@@ -9,41 +6,29 @@ from __future__ import annotations
 import asyncio
 import gzip
 import http
-import logging
 import re
 import secrets
-from collections.abc import Awaitable, Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Mapping
 from contextvars import ContextVar
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import SplitResult, parse_qs, parse_qsl, quote, urlencode, urlsplit
 
 import viser
-import websockets.asyncio.server as ws
 from websockets.datastructures import Headers
-from websockets.extensions.permessage_deflate import ServerPerMessageDeflateFactory
 from websockets.http11 import Request, Response
 
 from pipeline.system.errors import as_input_error, require
-from spatialviz.app.channel import LONGEST_COMMAND, LONGEST_DRAWING
 from spatialviz.app.frames import IMAGES
 
 if TYPE_CHECKING:
     from spatialviz.app.frames import FramePictures
-    from spatialviz.app.pages import Pages
 
 PAGE_ID: ContextVar[str] = ContextVar("page_id")
 """Whose scene a socket of viser's shows, while its connection is handled."""
 ID = re.compile(r"[0-9a-f]{32}")
-DEFLATED = {"level": 7, "memLevel": 6}
-LONGEST_OF_SCENE = 64_000
-LONGEST_MESSAGE = LONGEST_DRAWING + LONGEST_COMMAND
-"""Bytes."""
 REFUSED_SECONDS, MOST_WAITING = 1.0, 100
-CLOSE_SECONDS = 2.0
-"""Who does not take leave in that time is cut off."""
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
     "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
@@ -61,24 +46,38 @@ SCENE_STYLE = (
 """Hides viser's panels: the page has its own."""
 
 
-class Nobody:
-    """Answers nobody: a server that only draws."""
+class PageSessions(Protocol):
+    """Sessions of the open pages, as a site asks them; `pages.Pages` keeps them."""
 
-    async def answer(self, connection: Any, request: Request) -> Response | None:
-        """Refused."""
-        return response(http.HTTPStatus.FORBIDDEN, b"nobody is served here\n")
+    def has(self, page_id: str) -> bool:
+        """Whether a page is open, or kept for one that may come back."""
+        ...
 
-    async def socket(self, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
-        """Never opened."""
+    def opens(self, page_id: str, connection: Any, request: Any) -> bool:
+        """Whether a socket of a page may be opened now."""
+        ...
+
+    def closed(self, page_id: str, connection: Any) -> None:
+        """A socket was closed."""
+
+    def download(self, page_id: str, key: str) -> tuple[str, bytes] | None:
+        """The file name and content that a page offers under a key."""
+        ...
+
+    async def socket(self, page_id: str, connection: Any) -> None:
+        """Serve the socket of a page."""
+
+    async def scene(self, page_id: str, connection: Any, viser_handler: Callable[[Any], Awaitable[None]]) -> None:
+        """Serve viser's socket of a page's scene."""
 
     def log(self, problem: str) -> None:
-        """Nobody is told."""
+        """Print what was wrong with what came, seldom."""
 
 
 class Site:
     """Answers every request of one server."""
 
-    def __init__(self, access: Access, pages: Pages, pictures: FramePictures) -> None:
+    def __init__(self, access: Access, pages: PageSessions, pictures: FramePictures) -> None:
         self._access, self._pages, self._pictures = access, pages, pictures
         self._waiting = 0
         static = resources.files("spatialviz.app") / "static"
@@ -164,46 +163,6 @@ class Site:
 
 def _scene_of(path: str) -> str:
     return path.removeprefix("/scene/").rstrip("/")
-
-
-@contextmanager
-def served_by(site: Site | Nobody) -> Iterator[None]:
-    """While this is open, a websocket server that is started answers as the site does."""
-    original = ws.serve
-
-    def serve(handler: Any, host: Any = None, port: Any = None, **options: Any) -> Any:
-        async def both(connection: Any) -> None:
-            await site.socket(connection, handler)
-
-        async def process_request(connection: Any, request: Request) -> Response | None:
-            # What is longer closes the socket before it is read.
-            connection.protocol.max_message_size = LONGEST_OF_SCENE
-            if request.path.startswith("/app/"):
-                connection.protocol.max_message_size = LONGEST_MESSAGE
-                # Words are worth it; points, on viser's sockets, are not.
-                connection.protocol.available_extensions = [ServerPerMessageDeflateFactory(compress_settings=DEFLATED)]
-            return await site.answer(connection, request)
-
-        def told(record: logging.LogRecord) -> bool:
-            site.log(f"{record.getMessage()}: {record.exc_info[1] if record.exc_info else ''}")
-            return False
-
-        # What websockets logs is said shortly: whoever breaks off would fill the terminal with it.
-        logger = logging.Logger("spatialviz.sockets", logging.WARNING)
-        logger.addFilter(told)
-        options |= {
-            "logger": logger,
-            "close_timeout": CLOSE_SECONDS,
-            "process_request": process_request,
-            "max_size": LONGEST_MESSAGE,
-        }
-        return original(both, host, port, **options)
-
-    ws.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
-    try:
-        yield
-    finally:
-        ws.serve = original  # pyright: ignore[reportAttributeAccessIssue]
 
 
 LOCAL_NAMES = ("127.0.0.1", "localhost", "[::1]")

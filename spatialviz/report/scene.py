@@ -14,7 +14,7 @@ from pipeline.diagnosis.answer import Answer
 from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, edge_lines
 from pipeline.geometry.cloud import cloud_of, drawn_pixels
 from pipeline.geometry.palette import FACE_OPACITY, LINE_WIDTH, RGB, Role, palette
-from spatialviz.app.site import Nobody, served_by
+from spatialviz.app.viser_socket import RefuseAll, served_by
 from spatialviz.report.picture import AnswerRoles, answer_roles
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def scene_html(answered: Answer, context: PreparedFrame) -> str:
     import viser
 
     # The server says where it listens; nobody is to go there.
-    with served_by(Nobody()), redirect_stdout(StringIO()):
+    with served_by(RefuseAll()), redirect_stdout(StringIO()):
         return _with_server(viser.ViserServer(host="127.0.0.1", port=0, verbose=False), answered, context)
 
 

@@ -71,7 +71,7 @@ def test_what_is_traced_is_imported_and_judged(imported: pipeline.Run) -> None:
 def test_records_at_hand_are_the_run_of_the_file(traced: Path, imported: pipeline.Run) -> None:
     header = Header(system="centres", ranking="product")
     lines = read_predictions(traced).lines.values()
-    run = pipeline.Run.from_records((line for line in (header, *lines)), "demo", demo_labels(), plots=False)
+    run = pipeline.import_records((line for line in (header, *lines)), "demo", demo_labels(), plots=False)
     assert run.name == "centres"
     assert run.records.equals(imported.records)
 
@@ -80,11 +80,11 @@ def test_dicts_are_records_and_what_is_wrong_with_one_names_its_number(traced: P
     contents = [json.loads(line) for line in traced.read_text(encoding="utf-8").splitlines()]
     contents[3]["proposals"] = {"mug": [{"id": 1, "score": 3}]}
     with pytest.raises(pipeline.InputError, match=r"^record \d+, proposals.mug[^\[]*score[^\[]*$"):
-        pipeline.Run.from_records(contents, "demo", demo_labels(), tmp_path / "a", plots=False)
+        pipeline.import_records(contents, "demo", demo_labels(), tmp_path / "a", plots=False)
     with pytest.raises(pipeline.InputError, match=r"^header, rank: .*expected one of .*ranking"):
-        pipeline.Run.from_records(contents[1:], "demo", demo_labels(), header={"rank": "product"})
+        pipeline.import_records(contents[1:], "demo", demo_labels(), header={"rank": "product"})
     with pytest.raises(pipeline.InputError, match="there are no predictions"):
-        pipeline.Run.from_records([], "demo", demo_labels(), tmp_path / "a")
+        pipeline.import_records([], "demo", demo_labels(), tmp_path / "a")
     assert not (tmp_path / "a").exists()
 
 
@@ -95,4 +95,4 @@ def test_a_line_that_a_killed_writer_left_is_told(traced: Path, tmp_path: Path) 
     assert told is not None
     assert told.endswith("is cut off, as a killed writer leaves it, and is not read")
     with pytest.warns(UserWarning, match=f"^{told}$"):
-        pipeline.Run.from_records(cut, "demo", demo_labels(), tmp_path / "run", plots=False)
+        pipeline.import_records(cut, "demo", demo_labels(), tmp_path / "run", plots=False)
