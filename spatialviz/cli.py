@@ -13,8 +13,9 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Sequence
-from contextlib import redirect_stderr
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr
 from importlib import import_module
 from typing import Annotated, Any, Union
 
@@ -23,7 +24,8 @@ from tyro.conf import subcommand
 
 from pipeline import __version__
 from pipeline.system.errors import InputError
-from pipeline.system.limits import LIMITS_OPTION, set_limits
+from pipeline.system.limits import LIMITS_OPTION, LIMITS_VARIABLE, set_limits
+from pipeline.system.onnx_session import PROVIDER_VARIABLE, VERBOSE_VARIABLE
 from spatialviz.cli_ask import (
     Ask,
     Context,
@@ -78,7 +80,7 @@ from spatialviz.cli_models import (
     Retrain,
     Train,
 )
-from spatialviz.options import BAD, FINE, INTERRUPTED, TOLD, error_line, one_line_warnings, warn
+from spatialviz.options import BAD, FINE, INTERRUPTED, TOLD, UNREAD, error_line, one_line_warnings, warn
 
 GROUPS: dict[str, dict[str, tuple[type, str]]] = {
     "browse, ask": {
@@ -180,6 +182,7 @@ def run(arguments: Sequence[str]) -> int:
             expected = "a whole number" if wrong[3] == "INT" else "a number"
             raise InputError(f"{wrong[1]} cannot be this", got=wrong[2], expected=expected) from None
         sys.stderr.write(told.getvalue())
+        sys.stdout.flush()
         raise
     if (show := getattr(command, "show", 0)) < 0:
         raise InputError("--show is a count", got=show, expected="at least 0")
@@ -200,33 +203,80 @@ def _with_limits(arguments: list[str]) -> list[str]:
     return left
 
 
+@contextmanager
+def _own_settings() -> Iterator[None]:
+    """What a command sets for itself and for the processes it starts ends with it: a program may run several."""
+    before = {name: os.environ.get(name) for name in (LIMITS_VARIABLE, PROVIDER_VARIABLE, VERBOSE_VARIABLE)}
+    with warnings.catch_warnings():
+        one_line_warnings()
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                os.environ.pop(name, None)
+                if value is not None:
+                    os.environ[name] = value
+
+
+def _prepare_streams() -> None:
+    """Show a question mark for a character that a terminal lacks; what goes to a closed stream goes nowhere."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (open to the end)
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
+def _drop_unwritten() -> None:
+    """Drop what a closed pipe or a full disk did not take: at its end the interpreter would try again, and complain."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0 fine, 1 the answer is no, 2 bad usage or input."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            # A terminal that cannot show a character shows a question mark instead.
-            stream.reconfigure(errors="replace")
-    one_line_warnings()
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if arguments in (["--version"], ["-V"], ["--help"], ["-h"]):
-        print(listing() if "h" in arguments[0] else f"spatialviz {__version__}")
-        return FINE
+    _prepare_streams()
     try:
-        arguments = _with_limits(arguments)
-        if not arguments or arguments[0].startswith("-"):
-            arguments = ["view", *arguments]
-        if arguments[0] == "bench" and arguments[1:2] and f"bench-{arguments[1]}" in COMMANDS:
-            arguments = [f"bench-{arguments[1]}", *arguments[2:]]
-        return run(arguments)
+        status = _status(list(sys.argv[1:] if argv is None else argv))
+    except BrokenPipeError:
+        # The reader went away (for example `| head`); nothing is left to say.
+        status = UNREAD
+    _drop_unwritten()
+    return status
+
+
+def _status(arguments: list[str]) -> int:
+    """The exit status of a command that is run; BrokenPipeError where nobody reads what it says."""
+    try:
+        with _own_settings():
+            status = _run_words(arguments)
+        # What is still buffered may not be taken either.
+        sys.stdout.flush()
+        return status
     except KeyboardInterrupt:
         warn("stopped")
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader went away (for example `| head`); nothing is left to say.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FINE
+        raise
     except Exception as error:
         if os.environ.get("SPATIALVIZ_DEBUG") and not isinstance(error, TOLD):
             raise
         warn(error_line(error))
         return BAD
+
+
+def _run_words(arguments: list[str]) -> int:
+    """Do what the words of a command line say; returns the exit status."""
+    if arguments in (["--version"], ["-V"], ["--help"], ["-h"]):
+        print(listing() if "h" in arguments[0] else f"spatialviz {__version__}")
+        return FINE
+    arguments = _with_limits(arguments)
+    if not arguments or arguments[0].startswith("-"):
+        arguments = ["view", *arguments]
+    if arguments[0] == "bench" and arguments[1:2] and f"bench-{arguments[1]}" in COMMANDS:
+        arguments = [f"bench-{arguments[1]}", *arguments[2:]]
+    return run(arguments)

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from pipeline.labels.plan import SourceSpec
     from pipeline.labels.reading import Labels
 
-FINE, NO, BAD, INTERRUPTED = 0, 1, 2, 130
-"""Exit statuses."""
+FINE, NO, BAD, INTERRUPTED, UNREAD = 0, 1, 2, 130, 141
+"""Exit statuses; of the last two, Ctrl-C and a pipe that nobody reads, as the shell counts signals."""
 TOLD = (InputError, MissingExtra, OSError)
 """Errors that are the user's or the machine's; all others are the program's."""
 

@@ -293,11 +293,11 @@ def test_what_was_opened_stays_open(tmp_path: Path) -> None:
 
 
 def test_corrections_are_by_the_author_that_was_named(
-    label_sets: dict[str, Labels], tmp_path: Path, printed: Callable[..., Any]
+    demo_labels: Labels, tmp_path: Path, printed: Callable[..., Any]
 ) -> None:
     labels = tmp_path / "labels"
-    shutil.copytree(label_sets["demo"].root, labels)
-    frame = label_sets["demo"].frames.column("frame")[0].as_py()
+    shutil.copytree(demo_labels.root, labels)
+    frame = demo_labels.frames.column("frame")[0].as_py()
     with served("demo", "--labels", labels, "--allow-corrections", "--author", "agent-7") as agent:
         tools = agent.tools()
         assert tools.keys() == READING - {"failures", "query", "replay"} | WRITING | {"show", "journal"}

@@ -65,6 +65,7 @@ def test_rooms_refuse_what_only_labels_have(tmp_path: Path, capsys: pytest.Captu
     assert "no labels here" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_train_writes_a_network_that_answers_and_its_card(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "mine.onnx"
     small = ["--rooms", "3", "--views", "1", "--width", "200", "--height", "150", "--epochs", "3", "--workers", "1"]
@@ -95,6 +96,7 @@ def test_the_command_prints_the_table(capsys: pytest.CaptureFixture[str]) -> Non
     assert 0 < found["rel14, 300 pairs"]["micro-F1"]["value"] < found["rule"]["micro-F1"]["value"] <= 1
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_figures(
     rooms: tuple[LabelData, LabelData], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -106,6 +108,7 @@ def test_the_command_prints_the_figures(
     assert len(found["runs"]) == 1
 
 
+@pytest.mark.slow
 def test_the_commands_review_and_retrain(
     mended: tuple[Labels, Labels], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
 from pipeline.system.errors import InputError
@@ -66,9 +67,13 @@ def results_of(
         )
         try:
             if ordered:
-                yield from pool.map(_work, jobs)
+                with without_ctrl_c():
+                    results = pool.map(_work, jobs)
+                yield from results
             else:
-                yield from (future.result() for future in as_completed([pool.submit(_work, job) for job in jobs]))
+                with without_ctrl_c():
+                    futures = [pool.submit(_work, job) for job in jobs]
+                yield from (future.result() for future in as_completed(futures))
         except BrokenProcessPool as error:
             raise InputError("a worker process died", cause=cause) from error
         except BaseException:
@@ -91,7 +96,7 @@ def _start(do: Callable[..., Any], prepare: Callable[..., tuple[Any, ...]], argu
     global _do, _opened
     import cv2
 
-    # Ctrl-C reaches the whole group; the parent alone decides what to do.
+    # Where it is not held back, as on Windows.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
@@ -101,6 +106,24 @@ def _start(do: Callable[..., Any], prepare: Callable[..., tuple[Any, ...]], argu
     except Exception as error:
         # Raised here it would only be told as a broken pool.
         _opened = error
+
+
+@contextmanager
+def without_ctrl_c() -> Iterator[None]:
+    """Processes that are started meanwhile are not reached by Ctrl-C: the parent alone decides what to do.
+
+    Only to ignore it themselves would come too late: while they import they would die of it, with a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows.
+        yield
+        return
+    # Its own start lets Ctrl-C through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with_parent() -> None:

@@ -1,0 +1,69 @@
+"""Detectors and readers from the command line: side by side, fused, recorded, and measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from command_line import Folder, spatialviz
+
+TEXT = "mug left of the laptop"
+AGREE = ["agree", "demo", 0]
+ASK = ["ask", "demo", 0, TEXT]
+
+
+@pytest.fixture(scope="module")
+def other(tmp_path_factory: Folder) -> Path:
+    """Options of a simulated detector that errs otherwise."""
+    file = tmp_path_factory.mktemp("models") / "other.toml"
+    file.write_text("seed = 5\n", encoding="utf-8")
+    return file
+
+
+def test_two_detectors_are_compared(other: Path) -> None:
+    assert "named otherwise" in spatialviz(0, *AGREE, "--detector", "simulated", "--also", f"simulated={other}").out
+    words = ["agree", "demo", "--detector", "simulated", "--also", "simulated", "--frames", "0:2", "--json"]
+    *frames, total = spatialviz(0, *words).records
+    assert len(frames) == 2
+    assert total["share"] == 1
+    assert not total["only_a"]
+
+
+def test_two_detectors_are_fused_and_what_they_see_is_recorded(other: Path, tmp_path: Path) -> None:
+    fused = ["--detector", "simulated", "--fuse", f"simulated={other}"]
+    assert spatialviz(0, *ASK, *fused, "--json").record["answer"]["target"]["label"] == "mug"
+    seen = tmp_path / "seen.json"
+    spatialviz(0, "detect", "demo", *fused, "--fusion", "nms", "--frames", "0:2", "--out", seen)
+    words = ["agree", "demo", "--detector", "simulated", "--also", f"recorded={seen}", "--frames", "0:2", "--json"]
+    assert len(spatialviz(0, *words).records) == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (AGREE, "--also"),
+        ([*AGREE, "--also", "nonsense"], "nonsense"),
+        ([*AGREE, "--also", "simulated=WORK/nowhere.toml"], "nowhere.toml"),
+        ([*AGREE, "--also", "simulated", "--iou", 0], "the least overlap must be above 0"),
+        ([*AGREE, "--also", "simulated", "--classes", "zzz"], "zzz"),
+        ([*ASK, "--fuse", "simulated"], "--fuse"),
+        ([*ASK, "--detector", "simulated", "--fuse", "yolo-seg=WORK/nothing.onnx"], "nothing.onnx"),
+        ([*ASK, "--detector", "yolo-seg", "--model", "WORK/nothing.onnx"], "nothing.onnx"),
+        ([*ASK, "--detector", "yolo-seg", "--model", "WORK/text.onnx"], "text.onnx"),
+        ([*ASK, "--detector", "nonsense"], "nonsense"),
+        ([*ASK, "--reader", "llm"], "--reader-url"),
+    ],
+)
+def test_what_cannot_be_used_is_told_in_a_line(words: list[object], message: str, tmp_path: Path) -> None:
+    (tmp_path / "text.onnx").write_text("not a model", encoding="utf-8")
+    assert message in spatialviz(2, *(str(word).replace("WORK", str(tmp_path)) for word in words)).err
+
+
+def test_stages_are_measured() -> None:
+    assert set(spatialviz(0, "bench", "demo", "--repeat", 1, "--json").record) >= {"ms_per_frame", "ratios"}
+
+
+def test_labelling_is_measured() -> None:
+    found = spatialviz(0, "bench", "label", "--views", 1, "--repeat", 1, "--json").record
+    assert found["lifting"]["ours"]["lost"] == 0
+    assert found["job"]["frames"] > 0
