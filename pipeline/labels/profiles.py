@@ -6,9 +6,9 @@ exact geometry what objects are like behind that, and that one the image border
 cuts goes on. It never decides a label: it can only turn T or F into U.
 On rooms of another maker (tests/box_worlds.py) sign flips against exact geometry
 fall from 1.7 to 0.1 (cameras held high) or from 9.6 to 0.5 (held low) in a
-thousand, for three to four per cent more undecided cells; on the crowded rooms of
-tests/benchmarks/mesh_worlds.py from 8 to 19 to between 1.3 and 2.1, for four to
-seven per cent more.
+thousand, for three to four per cent more undecided cells; on crowded rooms of a
+third maker, whose code is removed (commit 86560629 holds it), from 8 to 19 to
+between 1.3 and 2.1, for four to seven per cent more.
 """
 
 from __future__ import annotations

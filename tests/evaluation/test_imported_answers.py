@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.other_pipeline import CENTRES, lines
+from benchmarks.centre_rule import CENTRES
+from benchmarks.fault_figures import lines
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.pair_rules import factors_of

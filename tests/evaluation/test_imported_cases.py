@@ -1,6 +1,6 @@
 """Answers of another pipeline as regression cases: kept with what it gave, run again, and answered by a later version.
 
-The pipeline is that of `benchmarks/other_pipeline.py`: it ranks by scores of its own, and one module of it is broken.
+The pipeline is that of `benchmarks/centre_rule.py`: it ranks by scores of its own, and one module of it is broken.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from benchmarks.other_pipeline import CENTRES, Line, lines
+from benchmarks.centre_rule import CENTRES
+from benchmarks.fault_figures import Line, lines
 
 from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.opening import open_pipeline
