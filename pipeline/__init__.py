@@ -11,6 +11,7 @@ change without notice. `spatialviz` has the same face, and a screen. Data flows 
 scored -> ranked. Importing this package imports nothing but the standard library: a name is loaded when it is used.
 """
 
+from pipeline.system.lazy_exports import lazy_exports
 from pipeline.system.version import __version__ as __version__
 
 TYPE_CHECKING = False
@@ -65,40 +66,7 @@ __all__ = [
     "trace",
 ]
 
-_ROOMS = {
-    "answering.tracing": "trace",
-    "datasets.base": "Dataset DatasetFormat",
-    "diagnosis.answer": "Answer",
-    "diagnosis.opened": "Opened ask open",
-    "evaluation.adapters.base": "PredictionFormat",
-    "evaluation.from_records": "import_records",
-    "evaluation.job": "evaluate",
-    "evaluation.run_folder": "Run open_run",
-    "geometry.boxes": "Box3D",
-    "geometry.camera": "Camera",
-    "geometry.frame": "Annotation Frame",
-    "labels.exports.base": "ExportFormat Written",
-    "labels.job": "label",
-    "labels.reading": "Labels open_labels",
-    "proposals.base": "Detector Proposals",
-    "proposals.segmenter": "Segmenter",
-    "relations.scorer": "RelationScorer RelationScores",
-    "system.errors": "InputError",
-}
-"""Where the names of the face are defined; the imports above say the same to type checkers."""
-_MODULE_OF = {name: module for module, names in _ROOMS.items() for name in names.split()}
-
-
-if not TYPE_CHECKING:  # A type checker would take any name for one of this module's.
-
-    def __getattr__(name: str) -> object:
-        from importlib import import_module
-
-        if name not in _MODULE_OF:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        found = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-        globals()[name] = found
-        return found
+__getattr__ = lazy_exports(__name__, __file__)
 
 
 def __dir__() -> list[str]:

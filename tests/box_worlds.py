@@ -11,10 +11,7 @@ import numpy as np
 from other_makers import MIN_PIXELS, USUAL, Extents, Regime, seen_objects
 from scenes import Plane, camera_of, cast, up_of, upright
 
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.lifting import LiftedObject
-from pipeline.geometry.viewer import ViewerAxes, viewer_axes
+from pipeline.geometry import Box3D, Camera, LiftedObject, ViewerAxes, viewer_axes
 
 
 def random_boxes(rng: np.random.Generator, floor: float) -> list[Box3D]:

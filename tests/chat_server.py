@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from waiting import LONG_S
 
-from pipeline.system.chat.client import ChatClient
+from pipeline.system import ChatClient
 
 MODELS = ("llava-1.5-7b", "qwen-vl")
 Make = Callable[..., ChatClient]

@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 import xxhash
 
+from pipeline.datasets import demo_path
 from pipeline.datasets.bop import BopDataset
-from pipeline.datasets.demo import demo_path
-from pipeline.geometry import lifting
-from pipeline.geometry.frame import Frame
+from pipeline.geometry import Frame, lifting
 
 
 @contextmanager

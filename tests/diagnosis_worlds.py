@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answering import FrameAnswers, StageClock
-from pipeline.answering.ranking import Candidates, RankConfig
-from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import Case, FrameCases
-from pipeline.proposals.base import Proposals, no_proposals
-from pipeline.relations.relations import U
+from pipeline.answering import Candidates, FrameAnswers, StageClock
+from pipeline.answering.ranking import RankConfig
+from pipeline.diagnosis import FrameEvidence
+from pipeline.geometry import iou_2d
+from pipeline.labels import Case, FrameCases
+from pipeline.proposals import Proposals, no_proposals
+from pipeline.relations import U
 
 SIDE, STEP = 10.0, 40.0
 SHIFTS = (0.0, 2.0, 6.0, 15.0)

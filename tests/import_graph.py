@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -43,26 +43,26 @@ def modules(package: str) -> dict[str, Imports]:
 
 def imports_of(tree: ast.Module, known: Mapping[str, object]) -> Imports:
     """What a file imports; `known` holds the dotted names of modules that strings may name."""
-    everywhere = [n for n in ast.walk(tree) if isinstance(n, (ast.Import, ast.ImportFrom))]
+    nodes = list(ast.walk(tree))
+    everywhere = [n for n in nodes if isinstance(n, (ast.Import, ast.ImportFrom))]
     top = {id(n) for n in tree.body for n in ([n] if not isinstance(n, (ast.If, ast.Try)) else ast.walk(n))}
     return Imports(
         everywhere,
         [n for n in everywhere if id(n) in top],
         [n for n in everywhere if n in tree.body],
-        frozenset(_named(tree, known)),
+        frozenset(_named(nodes, known)),
     )
 
 
-def _named(tree: ast.Module, known: Mapping[str, object]) -> Iterator[str]:
+def _named(nodes: Iterable[ast.AST], known: Mapping[str, object]) -> Iterator[str]:
     """Modules that strings name, whole or after the beginning of an f-string such as f"pipeline.proposals.{module}"."""
-    names = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name)}
-    names |= {n.attr for n in ast.walk(tree) if isinstance(n, ast.Attribute)}
+    names = {n.id if isinstance(n, ast.Name) else n.attr for n in nodes if isinstance(n, (ast.Name, ast.Attribute))}
     if not names & {*BY_NAME}:
         return
-    texts = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    texts = {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)}
     begun = {
         n.values[0].value
-        for n in ast.walk(tree)
+        for n in nodes
         if isinstance(n, ast.JoinedStr) and n.values and isinstance(n.values[0], ast.Constant)
     }
     for text in texts - begun - {""}:

@@ -7,12 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Edit, Event, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.replay import redo, undo
-from pipeline.geometry.masks import decode_run_length, encode_run_length
+from pipeline.corrections import (
+    Edit,
+    EffectiveFrame,
+    Event,
+    FieldRef,
+    Journal,
+    Saved,
+    object_ref,
+    redo,
+    relation_ref,
+    undo,
+)
+from pipeline.geometry import decode_run_length, encode_run_length
 
 FRAME = "000001/000000"
 

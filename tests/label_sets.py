@@ -8,23 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.masks import encode_run_length
-from pipeline.geometry.viewer import viewer_axes
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import LabelConfig, SourceSpec
-from pipeline.labels.reading import (
+from pipeline.geometry import Box3D, encode_run_length, viewer_axes
+from pipeline.labels import (
     MANIFEST_FILE,
+    SCHEMA_VERSION,
+    TABLES,
+    LabelConfig,
     Labels,
-    arrow_schema,
+    Manifest,
+    SourceSpec,
     build_table,
-    content_hash,
+    label_dataset,
     open_labels,
     write_table,
 )
-from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, TableFile
-from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.arrow import pa
+from pipeline.labels.reading import arrow_schema, content_hash
+from pipeline.labels.schema import TableFile
+from pipeline.language import PAIRWISE
+from pipeline.system import pa
 
 Vector = Sequence[float] | np.ndarray
 WIDTH, HEIGHT = 64, 48

@@ -9,12 +9,10 @@ import numpy as np
 from box_worlds import random_boxes
 from label_sets import frame_row, object_row, pair_row, write_labels
 
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.fitting import extents_of, pca_box
-from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.labels.reading import Labels
-from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.relations import pairwise_states
+from pipeline.geometry import Box3D, ViewerAxes, extents_of, pca_box, viewer_axes
+from pipeline.labels import Labels
+from pipeline.language import PAIRWISE
+from pipeline.relations import pairwise_states
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 560.0
 CLASSES = ("mug", "lamp", "office chair", "trash_can", "laptop", "sofa", "plant")

@@ -7,12 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.lifting import LiftedObject, lift
-from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.metrics.calibration_metrics import ECE_BINS
-from pipeline.metrics.intervals import f1_of
-from pipeline.relations.features import Appearance
+from pipeline.geometry import Camera, LiftedObject, ViewerAxes, lift, viewer_axes
+from pipeline.metrics import ECE_BINS, f1_of
+from pipeline.relations import Appearance
 
 MIN_PIXELS, MIN_POINTS = 200, 16
 

@@ -8,10 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.camera import Camera, intrinsics
-from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.viewer import ViewerAxes, viewer_axes
+from pipeline.geometry import Annotation, Box3D, Camera, Frame, ViewerAxes, intrinsics, viewer_axes
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -17,11 +16,10 @@ from pipeline.system.worker_pool import THREAD_VARIABLES
 if TYPE_CHECKING:
     from chat_server import ChatServer, Clock, Make
 
-    from pipeline.corrections.journal.effective import Corrector
-    from pipeline.corrections.journal.journal import Journal
+    from pipeline.corrections import Corrector, Journal
     from pipeline.datasets import Dataset
-    from pipeline.labels.reading import Labels
-    from pipeline.system.chat.client import ChatClient
+    from pipeline.labels import Labels
+    from pipeline.system import ChatClient
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -61,30 +59,38 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def label_sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Labels]:
+def label_sets(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Labels]:
     """Labels of the whole demo, ones with everything odd, and empty ones; not to be changed."""
     from label_sets import hostile_labels, label_demo, write_labels
+    from made_once import made_once
 
-    folder = tmp_path_factory.mktemp("labels")
-    return {
-        "demo": label_demo(folder / "demo"),
-        "hostile": hostile_labels(folder / "hostile"),
-        "empty": write_labels(folder / "empty", {}),
-    }
+    from pipeline.labels import open_labels
+
+    def make(folder: Path) -> None:
+        label_demo(folder / "demo")
+        hostile_labels(folder / "hostile")
+        write_labels(folder / "empty", {})
+
+    folder = made_once(pytestconfig, "label_sets", make, tmp_path_factory.mktemp("labels") / "sets")
+    return {name: open_labels(folder / name) for name in ("demo", "hostile", "empty")}
 
 
 @pytest.fixture(scope="session")
-def demo_labels(tmp_path_factory: pytest.TempPathFactory) -> Labels:
+def demo_labels(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Labels:
     """Labels of the demo's first two rooms, half of all: enough for what is of single cells; not to be changed."""
     from label_sets import label_demo
+    from made_once import made_once
 
-    return label_demo(tmp_path_factory.mktemp("labels") / "two_rooms", 6)
+    from pipeline.labels import open_labels
+
+    copy = tmp_path_factory.mktemp("labels") / "two_rooms"
+    return open_labels(made_once(pytestconfig, "two_rooms", lambda folder: label_demo(folder, 6), copy))
 
 
 @pytest.fixture(scope="session")
 def bare_corrector(demo_labels: Labels) -> Corrector:
     """Corrections of the labels of two rooms, without the pictures."""
-    from pipeline.corrections.journal.effective import Corrector
+    from pipeline.corrections import Corrector
 
     return Corrector(demo_labels)
 
@@ -92,7 +98,7 @@ def bare_corrector(demo_labels: Labels) -> Corrector:
 @pytest.fixture(scope="session")
 def demo_dataset() -> Dataset:
     """The built-in dataset."""
-    from pipeline.answering.opening import open_pipeline
+    from pipeline.answering import open_pipeline
 
     return open_pipeline("demo", srm="rule").dataset
 
@@ -100,7 +106,7 @@ def demo_dataset() -> Dataset:
 @pytest.fixture(scope="session")
 def full_corrector(demo_labels: Labels, demo_dataset: Dataset) -> Corrector:
     """Corrections of the labels of two rooms, with the pictures."""
-    from pipeline.corrections.journal.effective import Corrector
+    from pipeline.corrections import Corrector
 
     return Corrector(demo_labels, demo_dataset)
 
@@ -108,7 +114,7 @@ def full_corrector(demo_labels: Labels, demo_dataset: Dataset) -> Corrector:
 @pytest.fixture
 def journal(demo_labels: Labels, tmp_path: Path) -> Iterator[Journal]:
     """An empty journal of the labels of two rooms."""
-    from pipeline.corrections.journal.journal import journal_of
+    from pipeline.corrections import journal_of
 
     with journal_of(demo_labels, tmp_path / "j.sqlite") as opened:
         yield opened
@@ -117,6 +123,8 @@ def journal(demo_labels: Labels, tmp_path: Path) -> Iterator[Journal]:
 @pytest.fixture(scope="session")
 def word_vectors(label_sets: dict[str, Labels], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A vector for every word of the demo's class names, and for a word that is none of them."""
+    import numpy as np
+
     path = tmp_path_factory.mktemp("vectors") / "words.npz"
     names = label_sets["demo"].objects.column("label").unique().to_pylist()
     words = sorted({w for n in names for w in n.lower().replace("_", " ").split()} | {"zebra"})
@@ -148,7 +156,8 @@ def client_of(server: ChatServer, clock: Clock, tmp_path: Path, monkeypatch: pyt
     """Makes clients of that server, with a cache of their own."""
     from chat_server import MODELS
 
-    from pipeline.system.chat.client import KEY_VARIABLE, ChatClient
+    from pipeline.system import ChatClient
+    from pipeline.system.chat.client import KEY_VARIABLE
 
     monkeypatch.delenv(KEY_VARIABLE, raising=False)
 

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.geometry.camera import Camera, intrinsics
-from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry import Annotation, Camera, Frame, intrinsics
 from pipeline.proposals import Proposals
 
 NAMES = ("mug", "laptop", "book", "lamp", "chair")

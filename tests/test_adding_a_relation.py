@@ -12,13 +12,12 @@ from typing import Any
 
 import pytest
 
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import LabelConfig, SourceSpec
-from pipeline.labels.reading import open_labels
+from pipeline.labels import LabelConfig, SourceSpec, label_dataset, open_labels
+from pipeline.language import PAIRWISE, RELATIONS
 from pipeline.language.relation import DECLARED, Relation
-from pipeline.language.relation_names import PAIRWISE, RELATIONS, checked
-from pipeline.relations.predicates import predicates_of
-from pipeline.system.errors import InputError
+from pipeline.language.relation_names import checked
+from pipeline.relations import predicates_of
+from pipeline.system import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "adding-a-relation.md"
@@ -131,6 +130,7 @@ def asked(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_its_sentence_is_read_judged_and_answered(asked: dict[str, Any]) -> None:
     assert asked["read"] == "diagonal"
     assert asked["answer"] == asked["meant"]
@@ -141,6 +141,7 @@ def test_its_sentence_is_read_judged_and_answered(asked: dict[str, Any]) -> None
     assert set(asked["region"]) == {"T", "U"}
 
 
+@pytest.mark.slow
 def test_its_labels_have_columns_and_sentences(asked: dict[str, Any]) -> None:
     assert asked["version"] == "1.3.0"
     assert asked["written"] == ["1.3.0", [*PAIRWISE, "diagonal"]]
@@ -153,6 +154,7 @@ def test_its_labels_have_columns_and_sentences(asked: dict[str, Any]) -> None:
     assert asked["learnt"] == 2
 
 
+@pytest.mark.slow
 def test_labels_without_its_column_open(asked: dict[str, Any]) -> None:
     rows, nulls = asked["old"]
     assert rows == nulls > 100

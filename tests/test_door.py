@@ -54,6 +54,7 @@ OWN = {
     "language/glossary.py": "comes with the program",
     "proposals/cache.py": "the cache",
     "system/file_memory.py": "the cache",
+    "system/lazy_exports.py": "comes with the program",
     "system/model_files.py": "the cache, and a table that comes with the program",
     "system/peak_memory.py": "/proc",
     "system/remote.py": "the cache",

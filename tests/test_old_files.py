@@ -14,15 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.corrections.journal.effective import effective_tables
-from pipeline.corrections.journal.journal import open_journal
+from pipeline.corrections import effective_tables, open_journal
+from pipeline.diagnosis import decode, open_case
 from pipeline.diagnosis.cases.replay import replay_case
-from pipeline.diagnosis.cases.saving import open_case
-from pipeline.diagnosis.whatif.state import decode, state_record
-from pipeline.evaluation.run_folder import open_database, open_run
-from pipeline.labels.reading import open_labels
-from pipeline.relations import make_scorer
-from pipeline.relations.relations import T, U
+from pipeline.diagnosis.whatif.state import state_record
+from pipeline.evaluation import open_database, open_run
+from pipeline.labels import open_labels
+from pipeline.relations import T, U, make_scorer
 
 FIXTURES = Path(__file__).parent / "fixtures"
 STATES = ("2026-11-21", "2026-11-22")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,9 +14,10 @@ import pytest
 from waiting import LONG_S
 
 import pipeline
-from pipeline.datasets.demo import demo_labels, demo_run
-from pipeline.geometry.frame import Frame
-from pipeline.relations.scorer import RuleScorer
+from pipeline.datasets import demo_labels, demo_run
+from pipeline.geometry import Frame
+from pipeline.relations import RuleScorer
+from pipeline.system.lazy_exports import declared
 
 ROOT = Path(__file__).resolve().parent.parent
 QUESTION = "mug left of the laptop"
@@ -28,15 +28,10 @@ def opened() -> pipeline.Opened:
     return pipeline.open("demo", srm="rule")
 
 
-def test_each_public_name_is_said_once_for_programs_and_once_for_type_checkers() -> None:
-    text = (ROOT / "pipeline" / "__init__.py").read_text(encoding="utf-8")
-    typed = text.split("\nif TYPE_CHECKING:")[1].split("__all__")[0]
-    told = {name.strip() for names in re.findall(r"import (.+)", typed) for name in names.split(",")}
-    homes = dict(re.findall(r"from pipeline\.(\S+) import (.+)", typed))
+def test_each_public_name_is_loaded_from_where_its_declaration_says() -> None:
+    module_of = declared(str(ROOT / "pipeline" / "__init__.py"))
     assert pipeline.__version__ in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert told == set(pipeline.__all__) == set(pipeline._MODULE_OF)
-    for module, names in homes.items():
-        assert {n for n, m in pipeline._MODULE_OF.items() if m == module} == {n.strip() for n in names.split(",")}
+    assert set(module_of) == set(pipeline.__all__)
     for name in pipeline.__all__:
         assert getattr(pipeline, name).__module__.startswith("pipeline."), name
     with pytest.raises(AttributeError, match="no attribute 'opn'"):
@@ -47,7 +42,7 @@ def test_importing_the_core_loads_nothing_but_the_standard_library() -> None:
     code = "import json, sys; import pipeline; dir(pipeline); print(json.dumps(sorted(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=LONG_S)
     ours = {name for name in json.loads(done.stdout) if name.split(".")[0] in ("pipeline", "numpy", "pydantic", "cv2")}
-    assert ours == {"pipeline", "pipeline.system", "pipeline.system.version"}
+    assert ours == {"pipeline", "pipeline.system", "pipeline.system.lazy_exports", "pipeline.system.version"}
 
 
 def test_an_answer_is_its_objects_its_figures_and_its_verdict(opened: pipeline.Opened) -> None:

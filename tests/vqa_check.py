@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets import Dataset
+from pipeline.labels import Labels, VqaConfig, labelled_dataset
 from pipeline.labels.exports.base import FrameRows, iterate_frames
 from pipeline.labels.exports.provenance import load_json, open_provenance
 from pipeline.labels.exports.vqa_geometry import (
@@ -20,14 +21,11 @@ from pipeline.labels.exports.vqa_geometry import (
     Depths,
     Figures,
     Question,
-    VqaConfig,
     figures_of,
 )
 from pipeline.labels.exports.vqa_questions import SIZE_AXES, boxed_by_people, distance
-from pipeline.labels.reading import Labels, labelled_dataset
-from pipeline.language.naming import same_class
-from pipeline.language.noun_phrase import readable
-from pipeline.system.errors import InputError
+from pipeline.language import readable, same_class
+from pipeline.system import InputError
 
 
 def verify_vqa(

@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 from scenes import frame_of, upright
 
-from pipeline.answering.ask import AskConfig
-from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline
-from pipeline.datasets.base import Dataset
-from pipeline.geometry.frame import Frame
+from pipeline.answering import AskConfig, Pipeline, PreparedFrame
+from pipeline.datasets import Dataset
+from pipeline.geometry import Frame
 from pipeline.proposals import AnnotationDetector, Proposals
 from pipeline.relations import make_scorer
 

@@ -1,1 +1,74 @@
 """An expression and a frame to ranked pairs: the opened pipeline, objects, the table of pairs, the answer."""
+
+from pipeline.system.lazy_exports import lazy_exports
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from pipeline.answering.agreement.agreement import FrameAgreement, figures
+    from pipeline.answering.agreement.frames import agree_frames, agreement_record
+    from pipeline.answering.answering import FrameAnswers, StageClock
+    from pipeline.answering.ask import AskConfig, Trace
+    from pipeline.answering.bench import bench_source, run_endurance
+    from pipeline.answering.calibrating import annotated_names, calibrate_scores
+    from pipeline.answering.frame_store import FrameStore, LoadedFrame, PicturesBehind, ToldUp
+    from pipeline.answering.given_places import check_places
+    from pipeline.answering.imported import ImportedPipeline
+    from pipeline.answering.json_records import (
+        NO_SUCH_PAIR,
+        best_pair,
+        frame_record,
+        holds,
+        probability,
+        relation_records,
+        told,
+        trace_record,
+        why_no_answer,
+    )
+    from pipeline.answering.model_catalogue import describe_file
+    from pipeline.answering.objects import (
+        PreparedFrame,
+        SceneObject,
+        all_objects,
+        appearance_of,
+        pixels_inside,
+        prepare_frame,
+        same_object,
+    )
+    from pipeline.answering.opening import (
+        FrameRelations,
+        Pipeline,
+        contexts,
+        frame_range,
+        open_pipeline,
+        open_sources,
+        relate_frames,
+    )
+    from pipeline.answering.pair_rules import RunRules
+    from pipeline.answering.pair_table import (
+        HOLDS,
+        MIN_RELATION,
+        MIN_SCORE,
+        Link,
+        PairTable,
+        RankConfig,
+        ScoredPair,
+        side,
+    )
+    from pipeline.answering.placing import box_2d
+    from pipeline.answering.predictions import (
+        GivenAnswer,
+        GivenBox,
+        Header,
+        Prediction,
+        Predictions,
+        Proposal,
+        read_predictions,
+        write_predictions,
+    )
+    from pipeline.answering.ranking import Candidates, alone, rank
+    from pipeline.answering.recording import record_detections
+    from pipeline.answering.shown_ranking import Scale, ShownRanking
+    from pipeline.answering.suggestions import completions, missed_names, suggest_expressions
+    from pipeline.answering.tracing import trace
+
+__getattr__ = lazy_exports(__name__, __file__)

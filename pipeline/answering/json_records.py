@@ -14,7 +14,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import FrameRelations
 from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
 from pipeline.answering.ranking import Ranking
-from pipeline.datasets.survey import FrameReport
+from pipeline.datasets.frame_reports import FrameReport
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.lexicon import wording
 from pipeline.language.naming import Meaning

@@ -6,3 +6,99 @@ share. `scene` makes objects and cases of a frame's effective labels, `cards` an
 `object_card` say what is known of a pair, an object or an expression, and where
 from; `draft` and `support` are edits of pixels and of 3D boxes.
 """
+
+from pipeline.system.lazy_exports import lazy_exports
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from pipeline.corrections.audit.report import AuditReport
+    from pipeline.corrections.confirming import right_objects, right_pair, why_not_kept
+    from pipeline.corrections.draft import (
+        Draft,
+        edits_of_draft,
+        lifted_draft,
+        new_draft,
+        rebased,
+        with_depth_split,
+        with_gesture,
+    )
+    from pipeline.corrections.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
+    from pipeline.corrections.journal.batch import actions_of, apply_actions, needs_pictures, read_actions
+    from pipeline.corrections.journal.connection import back_up, check_journal, recover, writing
+    from pipeline.corrections.journal.edits import (
+        judge_relation,
+        set_box,
+        set_class,
+        set_mark,
+        set_relation,
+        set_status,
+        set_text,
+    )
+    from pipeline.corrections.journal.effective import Corrector, effective_tables
+    from pipeline.corrections.journal.effective_frame import EffectiveFrame
+    from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved
+    from pipeline.corrections.journal.examining import DamagedJournal
+    from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref, same_value, shown_value
+    from pipeline.corrections.journal.incoming.importing import (
+        ImportConfig,
+        ImportReport,
+        import_corrections,
+        import_record,
+    )
+    from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_of, open_journal
+    from pipeline.corrections.journal.materialise import materialise
+    from pipeline.corrections.journal.replay import redo, undo
+    from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
+    from pipeline.corrections.judging import Judge
+    from pipeline.corrections.label_editor import LabelEditor
+    from pipeline.corrections.label_editors import LabelEditors
+    from pipeline.corrections.label_view import LabelView, paired
+    from pipeline.corrections.object_card import ExpressionCard, back_to_automatic, bring_back, set_answer
+    from pipeline.corrections.review.bench import ReviewBenchConfig
+    from pipeline.corrections.review.bulk import accept_all, found_items, pace_of, say_of_item
+    from pipeline.corrections.review.detector_evidence import detector_evidence, second_setup
+    from pipeline.corrections.review.evidence import read_relation_labels
+    from pipeline.corrections.review.items import STATES, ItemKey, State, item_keys, left_to_review, with_states
+    from pipeline.corrections.review.label_jobs import (
+        CANCELLED,
+        QueueJob,
+        QueueProgress,
+        RetrainingJob,
+        RetrainingRun,
+        run_retraining,
+    )
+    from pipeline.corrections.review.out_of_fold import DoubtConfig
+    from pipeline.corrections.review.queue import QueueConfig, review_queue
+    from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
+    from pipeline.corrections.review.reviewed import (
+        automatic_version,
+        left_for,
+        pair_agreements,
+        review_progress,
+        reviewed_labels,
+        states_on_labels,
+        without_gone,
+    )
+    from pipeline.corrections.review.worklist import (
+        NOTHING,
+        Worklist,
+        read_queue,
+        refreshed_worklist,
+        worklist,
+        write_queue,
+    )
+    from pipeline.corrections.scene import (
+        ASKED_BEYOND_M,
+        MovingBox,
+        effective_truth,
+        labelled_box,
+        labelled_objects,
+        pair_card,
+    )
+    from pipeline.corrections.side_views import drag_box, dragged, face_to_points
+    from pipeline.corrections.support import Support, fit_to_points, snap_to_support, support_of
+    from pipeline.corrections.unsaved import Waiting, disputes
+    from pipeline.corrections.vocabulary import Vocabulary, completions
+    from pipeline.corrections.wording import consequences, events_text
+
+__getattr__ = lazy_exports(__name__, __file__)

@@ -1,37 +1,49 @@
 """Readers of RGB-D datasets: one file a format, found by looking at the folder."""
 
-from __future__ import annotations
+from pipeline.system.lazy_exports import lazy_exports
 
-from pipeline.datasets.base import (
-    MOVES,
-    Dataset,
-    DatasetFormat,
-    GivenExpression,
-    given_expressions,
-    has_moves,
-    moves,
-    resolve_frame,
-    splits,
-)
-from pipeline.datasets.opening import open_dataset
-from pipeline.datasets.settings import Settings, read_settings, write_settings
-from pipeline.datasets.survey import FrameReport, SurveyCounts, survey
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from pipeline.datasets.base import (
+        MOVES,
+        Dataset,
+        DatasetFormat,
+        GivenExpression,
+        InMemoryDataset,
+        dataset_notes,
+        given_expressions,
+        has_moves,
+        load_picture,
+        moves,
+        resolve_frame,
+        scene_of,
+        splits,
+    )
+    from pipeline.datasets.demo import DEMO_EXPRESSION, demo_labels, demo_path, demo_run
+    from pipeline.datasets.depth.contract import known_contract, network_names
+    from pipeline.datasets.doctor.examine import Examination, apply, examine
+    from pipeline.datasets.frame_names import FrameNames
+    from pipeline.datasets.frame_reports import FrameReport, SurveyCounts, survey
+    from pipeline.datasets.images import read_color
+    from pipeline.datasets.importing import import_recording
+    from pipeline.datasets.opening import open_dataset
+    from pipeline.datasets.saved_case import MANIFEST
+    from pipeline.datasets.scene_mesh import export_mesh, fuse_context
+    from pipeline.datasets.semantic_abstraction_file import SUBSETS, subsets_of
+    from pipeline.datasets.settings import SOURCES, Settings, parse_level_at, read_settings, write_settings
+    from pipeline.datasets.synthetic import (
+        Instance,
+        Room,
+        choose_views,
+        exact_view,
+        make_room,
+        render_dataset,
+        sense_view,
+    )
+    from pipeline.datasets.synthetic.assembled import assembled_view
+    from pipeline.datasets.synthetic.render import camera_at, sense
+    from pipeline.datasets.synthetic.scattered import make_scattered, roaming_cameras
+    from pipeline.datasets.synthetic.solids import solid_view
+    from pipeline.datasets.up import OFF_SCENE, resolved_camera, told_doubts, told_up, with_frame_up
 
-__all__ = [
-    "MOVES",
-    "Dataset",
-    "DatasetFormat",
-    "FrameReport",
-    "GivenExpression",
-    "Settings",
-    "SurveyCounts",
-    "given_expressions",
-    "has_moves",
-    "moves",
-    "open_dataset",
-    "read_settings",
-    "resolve_frame",
-    "splits",
-    "survey",
-    "write_settings",
-]
+__getattr__ = lazy_exports(__name__, __file__)

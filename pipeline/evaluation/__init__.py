@@ -4,3 +4,30 @@ A figure without support is NaN and never 0: precision where nothing was said
 to hold, recall, average precision and F1 where nothing holds; means go over
 what is defined.
 """
+
+from pipeline.system.lazy_exports import lazy_exports
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from pipeline.evaluation.adapters import import_published
+    from pipeline.evaluation.browsing import RunRows
+    from pipeline.evaluation.comparing import CHANGES, compare
+    from pipeline.evaluation.facets import with_value
+    from pipeline.evaluation.figures import STANDS_IN, Listing, RunFigures, figures_of
+    from pipeline.evaluation.importing import export_run, import_run
+    from pipeline.evaluation.job import RunReport, evaluate_dataset
+    from pipeline.evaluation.paper_tables import tables_of_run
+    from pipeline.evaluation.records import read_records
+    from pipeline.evaluation.relation_cases import RelationSpec
+    from pipeline.evaluation.robospatial import Question, published_right, read_question_answers, read_questions
+    from pipeline.evaluation.run import EvalSpec, VlmOptions, evaluate_labels
+    from pipeline.evaluation.run_folder import Run, open_database, open_run, spec_record
+    from pipeline.evaluation.search import complete, find_failures, find_rows
+    from pipeline.evaluation.search_words import quote
+    from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
+    from pipeline.evaluation.sentences import Sentence, SentenceFile, read_sentence_file
+    from pipeline.evaluation.shared_makers import AGREEMENT, PERFECT, scorer_share, shares_of_run, title_of
+    from pipeline.evaluation.slices import Slices, slice_by, slice_table
+    from pipeline.evaluation.summary import RunSummary, oracle_deltas, summarise_run
+
+__getattr__ = lazy_exports(__name__, __file__)

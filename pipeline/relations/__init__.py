@@ -6,7 +6,23 @@ from pipeline.relations.installed import installed_network, installed_networks
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer
 from pipeline.system.errors import InputError, require
+from pipeline.system.lazy_exports import lazy_exports
 from pipeline.system.paths import asset_path
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from pipeline.relations.attributes import SIZES, attribute_probabilities, size_keys
+    from pipeline.relations.class_vectors import ClassVectors, vectors_path
+    from pipeline.relations.colors import object_colors
+    from pipeline.relations.contract import Contract
+    from pipeline.relations.features import CLI_FEATURES, FEATURES, Appearance, feature_set, with_class_lengths
+    from pipeline.relations.installed import install_network
+    from pipeline.relations.pair_measures import Measured, measure_pairs
+    from pipeline.relations.predicates import PREDICATES, pair_states, predicates_of
+    from pipeline.relations.relations import PROFILE, F, Profile, T, U, directional_states, letter, pairwise_states
+    from pipeline.relations.scorer import rule_probabilities, stacked_extents
+
+__getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = ["RelationScorer", "RelationScores", "RuleScorer", "make_scorer", "shipped_network"]
 

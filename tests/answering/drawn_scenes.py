@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scenes import frame_of, upright
 
-from pipeline.geometry.frame import Frame
+from pipeline.geometry import Frame
 
 COLUMN, ROW, NEAREST, FLOOR = 0.15, 0.6, 1.8, 1.2
 """Metres between two columns and two rows, from the camera to the last row, and from it down to the floor."""

@@ -14,24 +14,28 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from shelf import NAMES, SHELF
 
-from pipeline.answering.agreement.agreement import (
+from pipeline.answering import (
     FrameAgreement,
+    PreparedFrame,
+    agree_frames,
+    agreement_record,
+    all_objects,
+    figures,
+    open_pipeline,
+)
+from pipeline.answering.agreement.agreement import (
     Layer,
     agree,
-    figures,
     layer_of_objects,
     layer_of_proposals,
     matched,
     overlaps,
     rank_correlation,
 )
-from pipeline.answering.agreement.frames import agree_frames, agreement_record, second_detections
-from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.answering.opening import open_pipeline
-from pipeline.geometry.boxes import iou_2d
-from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions
-from pipeline.system.detector_setup import DetectorSetup
-from pipeline.system.errors import InputError
+from pipeline.answering.agreement.frames import second_detections
+from pipeline.geometry import iou_2d
+from pipeline.proposals import SimulatedDetector, SimulationOptions
+from pipeline.system import DetectorSetup, InputError
 
 WORDS = ("mug", "trash can", "bin", "lamp")
 

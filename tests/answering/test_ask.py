@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,26 +14,27 @@ from dataset_writers import write_bop
 from expression_checks import expression_of
 from scenes import frame_of, upright
 
-from pipeline.answering.ask import AskConfig, ask
-from pipeline.answering.bench import bench_source
-from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, same_object
-from pipeline.answering.opening import (
+from pipeline.answering import (
+    AskConfig,
     Pipeline,
+    PreparedFrame,
+    SceneObject,
+    all_objects,
+    bench_source,
     contexts,
-    frame_ids,
     open_pipeline,
     open_sources,
     relate_frames,
+    same_object,
+    suggest_expressions,
 )
-from pipeline.answering.suggestions import suggest_expressions
-from pipeline.datasets import open_dataset
-from pipeline.datasets.demo import DEMO_EXPRESSION, demo_path
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.palette import depth_colors, hex_color, instance_colors
-from pipeline.language.naming import match
-from pipeline.language.relation_names import VOCABULARIES
+from pipeline.answering.ask import ask
+from pipeline.answering.opening import frame_ids
+from pipeline.datasets import DEMO_EXPRESSION, demo_path, open_dataset
+from pipeline.geometry import Frame, depth_colors, hex_color, instance_colors
+from pipeline.language import VOCABULARIES, match
 from pipeline.proposals import AnnotationDetector, Proposals, make_detector
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 KNOWN = ("mug", "laptop", "book", "lamp", "table", "box")
 
@@ -254,6 +256,7 @@ def ycb_pairs(root: Path) -> list[tuple[str, str, str]]:
     return found
 
 
+@pytest.mark.slow
 def test_clear_pairs_of_real_frames_are_told_left_and_right(shared_data: Path) -> None:
     root = shared_data / "real" / "ycbv-bop"
     dataset = open_dataset(root)
@@ -319,7 +322,7 @@ def test_suggested_expressions_have_exactly_one_right_answer() -> None:
     source = open_pipeline("demo")
     detector = source.needed_detector()
     asked = 0
-    for context in contexts(source, "all"):
+    for context in islice(contexts(source, "all"), 0, None, 3):
         objects = all_objects(context, detector)
         scores = source.score(context, objects)
         texts = suggest_expressions(objects, scores, context.viewer, 3)

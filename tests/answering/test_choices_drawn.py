@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from drawn_scenes import SCENES, Asked, Scene, page
 
+from pipeline.answering import best_pair, why_no_answer
 from pipeline.answering.ask import ask
-from pipeline.answering.json_records import best_pair, why_no_answer
-from pipeline.geometry.frame import Frame
+from pipeline.geometry import Frame
 from pipeline.proposals import AnnotationDetector
 
 PAGE = Path(__file__).parents[2] / "docs" / "choices.md"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from pipeline.answering.suggestions import OFFERED, completions
+from pipeline.answering import completions
+from pipeline.answering.suggestions import OFFERED
 
 LABELS = ("mug", "lamp", "trash can", "mug")
 

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import frame_of, upright
 
-from pipeline.answering.ask import Trace, ask
+from pipeline.answering import Trace, best_pair, trace_record, why_no_answer
+from pipeline.answering.ask import ask
 from pipeline.answering.evidence import ranked_probability
-from pipeline.answering.json_records import best_pair, trace_record, why_no_answer
-from pipeline.geometry.frame import Frame
+from pipeline.geometry import Frame
 from pipeline.proposals import AnnotationDetector
-from pipeline.system.errors import UnknownClass
+from pipeline.system import UnknownClass
 
 KNOWN = ("mug", "laptop", "book", "potted plant", "table", "box")
 RED, WHITE, BLUE = (190, 30, 35), (235, 235, 230), (40, 70, 180)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from waiting import LONG_S
 
-from pipeline.answering.frame_store import KEPT_FRAMES, FrameStore, PicturesBehind, ToldUp
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.system.errors import InputError
+from pipeline.answering import FrameStore, PicturesBehind, Pipeline, ToldUp, open_pipeline
+from pipeline.answering.frame_store import KEPT_FRAMES
+from pipeline.system import InputError
 
 
 @pytest.fixture(scope="module")

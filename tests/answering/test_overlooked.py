@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.answering.suggestions import missed_names
-from pipeline.geometry.frame import Frame
-from pipeline.proposals.base import Proposals
+from pipeline.answering import Pipeline, missed_names, open_pipeline
+from pipeline.geometry import Frame
+from pipeline.proposals import Proposals
 
 
 class Cut:

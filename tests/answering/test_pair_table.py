@@ -11,14 +11,12 @@ from diagnosis_worlds import world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, TIE, RankConfig
-from pipeline.answering.ranking import rank
-from pipeline.diagnosis.decision import diagnose
-from pipeline.diagnosis.substitution import substitute
+from pipeline.answering import MIN_RELATION, MIN_SCORE, RankConfig, rank
+from pipeline.answering.pair_table import TIE
+from pipeline.diagnosis import diagnose, substitute
 from pipeline.diagnosis.whatif.decision_map import _vectorised
 from pipeline.evaluation.records import record
-from pipeline.language.expression import parse
-from pipeline.language.relation_names import PAIRWISE
+from pipeline.language import PAIRWISE, parse
 
 SEEDS = st.integers(0, 2**32 - 1)
 CONFIGS = st.builds(

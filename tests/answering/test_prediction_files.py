@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.answering.predictions import read_predictions
-from pipeline.system.errors import InputError
+from pipeline.answering import read_predictions
+from pipeline.system import InputError
 
 HEADER = {"spatialviz_predictions": 1, "ranking": "product"}
 MASK = {"size": [480, 640], "counts": [480 * 640]}

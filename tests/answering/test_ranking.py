@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.answering.pair_table import MIN_RELATION, RankConfig, ScoredPair
-from pipeline.answering.ranking import NON_DEFAULT_PENALTY, Candidates, Ranking, rank
-from pipeline.language.tree import Attachment, Node, Reading
+from pipeline.answering import MIN_RELATION, Candidates, RankConfig, ScoredPair, rank
+from pipeline.answering.ranking import NON_DEFAULT_PENALTY, Ranking
+from pipeline.language import Attachment, Node, Reading
 
 SEEDS = st.integers(0, 2**32 - 1)
 N = 7

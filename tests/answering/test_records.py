@@ -10,14 +10,22 @@ import numpy as np
 import pytest
 from scenes import frame_of, upright
 
+from pipeline.answering import (
+    FrameRelations,
+    PreparedFrame,
+    all_objects,
+    frame_record,
+    open_pipeline,
+    relate_frames,
+    relation_records,
+    trace_record,
+    why_no_answer,
+)
 from pipeline.answering.ask import ask
-from pipeline.answering.json_records import frame_record, object_record, relation_records, trace_record, why_no_answer
-from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.answering.opening import FrameRelations, open_pipeline, relate_frames
-from pipeline.datasets import open_dataset
-from pipeline.datasets.survey import survey
-from pipeline.geometry.frame import Frame
-from pipeline.language.relation_names import PAIRWISE
+from pipeline.answering.json_records import object_record
+from pipeline.datasets import open_dataset, survey
+from pipeline.geometry import Frame
+from pipeline.language import PAIRWISE
 from pipeline.proposals import AnnotationDetector, Proposals
 from pipeline.relations import make_scorer
 
@@ -165,6 +173,7 @@ def test_a_detectors_relations_are_named_by_their_place_in_its_list(row: Frame) 
     assert set(records[0]["states"]) == {"left", "on"}
 
 
+@pytest.mark.slow
 def test_every_record_of_real_frames_is_strict_json(shared_data: Path) -> None:
     source = open_pipeline(shared_data / "real" / "ycbv-bop")
     pairs = 0

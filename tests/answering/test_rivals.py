@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from slow_cases import mostly_slow
 
+from pipeline.answering import ShownRanking
 from pipeline.answering.rivals import standing
-from pipeline.answering.shown_ranking import ShownRanking
 
 RELATION_SHARES = 18
 """The first column of shares: of the relation, among the pairs of the same target."""
@@ -91,7 +92,10 @@ def best_target_first(f: np.ndarray, ids: np.ndarray) -> np.ndarray:
     return np.array([10 * x[ids[:, 0] == a].max() for a, _ in ids]) + 0.01 * x
 
 
-@pytest.mark.parametrize("score", [softmax, dual_softmax, within_the_line, deviations, mutual, best_target_first])
+RULES = [softmax, dual_softmax, within_the_line, deviations, mutual, best_target_first]
+
+
+@pytest.mark.parametrize("score", mostly_slow(RULES, fast=(3,)))
 def test_a_ranking_by_what_stands_beside_a_pair_is_foretold(
     score: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> None:

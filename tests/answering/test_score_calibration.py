@@ -12,23 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.answering.ask import AskConfig, ask
-from pipeline.answering.calibrating import annotated_names, calibrate_scores, collect_hits, reliability
-from pipeline.answering.json_records import trace_record
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.datasets.demo import demo_path
-from pipeline.geometry.boxes import iou_2d
-from pipeline.language.naming import match
-from pipeline.metrics.calibration_metrics import IDENTITY, sigmoid
-from pipeline.proposals import top_k
-from pipeline.proposals.score_calibration import (
-    ScoreCalibration,
-    fit_scores,
-    load_calibration,
-    save_calibration,
-    score_logit,
-)
-from pipeline.system.errors import InputError
+from pipeline.answering import AskConfig, Pipeline, annotated_names, calibrate_scores, open_pipeline, trace_record
+from pipeline.answering.ask import ask
+from pipeline.answering.calibrating import collect_hits, reliability
+from pipeline.datasets import demo_path
+from pipeline.geometry import iou_2d
+from pipeline.language import match
+from pipeline.metrics import IDENTITY, sigmoid
+from pipeline.proposals import ScoreCalibration, fit_scores, load_calibration, save_calibration, score_logit, top_k
+from pipeline.system import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 

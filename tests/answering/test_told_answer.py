@@ -8,11 +8,21 @@ from typing import Any
 
 import pytest
 
-from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import NO_SUCH_PAIR, best_pair, holds, probability, told, trace_record
-from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
+from pipeline.answering import (
+    HOLDS,
+    NO_SUCH_PAIR,
+    Link,
+    Pipeline,
+    PreparedFrame,
+    ScoredPair,
+    Trace,
+    best_pair,
+    holds,
+    open_pipeline,
+    probability,
+    told,
+    trace_record,
+)
 
 PAIR = ScoredPair(0, 1, 0.9, 0.8, 0.7, log_score=-0.7, product=0.5, probability=1.0)
 

@@ -15,10 +15,10 @@ import pytest
 from waiting import LONG_S
 
 import pipeline
-from pipeline.answering.predictions import GivenAnswer, GivenBox, Prediction, Proposal, read_contents, read_predictions
+from pipeline.answering import GivenAnswer, GivenBox, Prediction, Proposal, read_predictions
+from pipeline.answering.predictions import read_contents
 from pipeline.answering.tracing import Tracer
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.masks import RunLength
+from pipeline.geometry import Box3D, RunLength
 
 QUESTION = "mug left of the laptop"
 MASK = np.zeros((6, 8), np.bool_)

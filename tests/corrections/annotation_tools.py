@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.geometry.masks import decode_run_length
+from pipeline.geometry import decode_run_length
 
 
 def polygons(mask: np.ndarray) -> list[list[float]]:

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.labels.reading import Labels
+from pipeline.corrections import JournalLocation, LabelEditor
+from pipeline.labels import Labels
 
 Open = Callable[..., LabelEditor]
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
+from pipeline.corrections import JOURNAL_FILE, Journal, object_ref, open_journal
 
 NAME = object_ref("scene/0", 1, "label")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from pipeline.labels.reading import Labels, open_labels, write_table
+from pipeline.labels import Labels, open_labels, write_table
 
 
 def copied(labels: Labels, folder: Path) -> Path:

@@ -8,16 +8,9 @@ import numpy as np
 import pytest
 from journal_world import FRAME
 
-from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.review.items import (
-    ItemKey,
-    State,
-    judgements_of,
-)
-from pipeline.relations.relations import T
+from pipeline.corrections import Corrector, EffectiveFrame, FieldRef, ItemKey, Journal, State
+from pipeline.corrections.review.items import judgements_of
+from pipeline.relations import T
 
 
 def states_of(journal: Journal, author: str | None = None) -> dict[ItemKey, State]:

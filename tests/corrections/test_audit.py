@@ -13,19 +13,19 @@ from hypothesis import strategies as st
 from review_labels import with_relations
 from scenes import frame_of, upright
 
-from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering import Pipeline, open_pipeline
+from pipeline.corrections import AuditReport
 from pipeline.corrections.audit.geometry import FACING, has_front
 from pipeline.corrections.audit.job import audit
 from pipeline.corrections.audit.labels import audit_labels
-from pipeline.corrections.audit.report import AuditReport
 from pipeline.corrections.audit.sentences import audit_sentences
 from pipeline.corrections.audit.suspicion import PRIOR, AuditItem, Evidence, agreement_weight, wrong_probability
 from pipeline.corrections.audit.systems import SystemAnswers, read_answers
-from pipeline.datasets.base import InMemoryDataset
-from pipeline.diagnosis.whatif.state import decode
-from pipeline.evaluation.sentences import Sentence, SentenceFile
-from pipeline.labels.reading import Labels
-from pipeline.system.errors import InputError
+from pipeline.datasets import InMemoryDataset
+from pipeline.diagnosis import decode
+from pipeline.evaluation import Sentence, SentenceFile
+from pipeline.labels import Labels
+from pipeline.system import InputError
 
 LABELS = ["mug", "mug", "chair", "vase", "book"]
 BOXES = [
@@ -166,6 +166,7 @@ def turned(label_sets: dict[str, Labels], tmp_path_factory: pytest.TempPathFacto
     return with_relations(labels, tmp_path_factory.mktemp("audited") / "labels", {"above": above}), told["id"]
 
 
+@pytest.mark.slow
 def test_labels_join_the_review_queue(turned: tuple[Labels, str], tmp_path: Path) -> None:
     labels, wrong = turned
     report = audit(labels.root)

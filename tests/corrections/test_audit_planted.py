@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
 from benchmarks.audited import RANKED, WAYS, audited, ranking
 
-from pipeline.datasets.demo import demo_path
+from pipeline.datasets import demo_path
 
 
+@pytest.mark.slow
 def test_planted_truths_come_before_sound_ones() -> None:
     items, ways = audited(demo_path(), 3, slice(0, 12, 4), 30, systems=1)
     found = {way: sum(one == way for one in ways) for way in WAYS}

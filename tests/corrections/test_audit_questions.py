@@ -14,21 +14,14 @@ import pytest
 from PIL import Image
 from scenes import frame_of, upright
 
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering import open_pipeline
+from pipeline.corrections import AuditReport
 from pipeline.corrections.audit.job import audit
 from pipeline.corrections.audit.questions import audit_questions
-from pipeline.corrections.audit.report import AuditReport
-from pipeline.datasets import open_dataset
-from pipeline.datasets.base import InMemoryDataset
-from pipeline.evaluation.robospatial import (
-    Question,
-    inside,
-    own_right,
-    published_right,
-    read_question_answers,
-    read_questions,
-)
-from pipeline.system.errors import InputError
+from pipeline.datasets import InMemoryDataset, open_dataset
+from pipeline.evaluation import Question, published_right, read_question_answers, read_questions
+from pipeline.evaluation.robospatial import inside, own_right
+from pipeline.system import InputError
 
 SQUARE = "[(0.2, 0.2), (0.6, 0.2), (0.6, 0.6), (0.2, 0.6)]"
 VACANT = (

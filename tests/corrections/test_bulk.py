@@ -12,13 +12,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from journal_world import FRAME
 
-from pipeline.corrections.journal.events import Event, Saved
-from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.review.bulk import accept_all, found_items, pace_of, say_of_item
-from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.worklist import NOTHING, Worklist, refreshed_worklist, worklist
-from pipeline.labels.reading import Labels
-from pipeline.system.errors import InputError
+from pipeline.corrections import (
+    NOTHING,
+    Event,
+    QueueConfig,
+    Saved,
+    Worklist,
+    accept_all,
+    found_items,
+    object_ref,
+    pace_of,
+    refreshed_worklist,
+    review_queue,
+    say_of_item,
+    worklist,
+)
+from pipeline.labels import Labels
+from pipeline.system import InputError
 
 NOON = datetime(2026, 3, 4, 12, tzinfo=timezone.utc)
 

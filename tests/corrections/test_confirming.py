@@ -7,21 +7,22 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.answering.ask import Trace
-from pipeline.answering.objects import all_objects
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.corrections.confirming import right_objects, right_pair, why_not_kept
-from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.scene import effective_truth
-from pipeline.datasets.demo import demo_path
-from pipeline.diagnosis.asking import judge_trace
-from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.labels.by_hand import begun_labels
-from pipeline.language.expression import parse
-from pipeline.relations.relations import T
-from pipeline.system.errors import InputError
+from pipeline.answering import Pipeline, Trace, all_objects, open_pipeline
+from pipeline.corrections import (
+    JournalLocation,
+    LabelEditor,
+    Saved,
+    effective_truth,
+    right_objects,
+    right_pair,
+    why_not_kept,
+)
+from pipeline.datasets import demo_path
+from pipeline.diagnosis import Diagnosis, judge_trace
+from pipeline.labels import begun_labels
+from pipeline.language import parse
+from pipeline.relations import T
+from pipeline.system import InputError
 
 
 @pytest.fixture(scope="module")

@@ -10,17 +10,27 @@ import pytest
 from editor_checks import Open, desk, place  # noqa: F401
 from journal_world import FRAME, an_expression
 
+from pipeline.corrections import (
+    Conflict,
+    Journal,
+    JournalLocation,
+    LabelEditor,
+    NotSaved,
+    Saved,
+    Waiting,
+    actions_of,
+    apply_actions,
+    disputes,
+    dump_unsaved,
+    object_ref,
+    read_actions,
+    shown_value,
+)
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.batch import actions_of, apply_actions, read_actions
-from pipeline.corrections.journal.events import Conflict, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_ref, shown_value
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.unsaved import Waiting, decided, disputes
-from pipeline.labels.reading import Labels
-from pipeline.relations.relations import F, T
-from pipeline.system.errors import InputError
+from pipeline.corrections.unsaved import decided
+from pipeline.labels import Labels
+from pipeline.relations import F, T
+from pipeline.system import InputError
 
 
 class Broken:

@@ -12,20 +12,28 @@ import pytest
 from journal_world import FRAME, an_expression
 from waiting import LONG_S
 
-from pipeline.corrections import journal_location
-from pipeline.corrections.journal.edits import judge_relation, set_class, set_relation, set_text
-from pipeline.corrections.journal.events import Conflict, Saved
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.scene import ASKED_BEYOND_M, labelled_objects, pair_card
-from pipeline.corrections.unsaved import Waiting
-from pipeline.corrections.wording import events_text
+from pipeline.corrections import (
+    ASKED_BEYOND_M,
+    Conflict,
+    Journal,
+    JournalLocation,
+    LabelEditor,
+    Saved,
+    Waiting,
+    events_text,
+    journal_location,
+    judge_relation,
+    labelled_objects,
+    pair_card,
+    set_class,
+    set_relation,
+    set_text,
+)
 from pipeline.datasets import Dataset
-from pipeline.geometry.masks import decode_run_length
-from pipeline.labels.reading import Labels
-from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError
+from pipeline.geometry import decode_run_length
+from pipeline.labels import Labels
+from pipeline.relations import F, T, U
+from pipeline.system import InputError
 
 
 def _away(*_: Any, **__: Any) -> Any:

@@ -9,29 +9,34 @@ import numpy as np
 import pytest
 from journal_world import FRAME, half_of, saved, widest
 
-from pipeline.corrections.draft import (
+from pipeline.corrections import (
+    Canvas,
+    Corrector,
     Draft,
+    EffectiveFrame,
+    Gesture,
+    Journal,
+    Saved,
+    actions_of,
+    apply_actions,
+    consequences,
     edits_of_draft,
     lifted_draft,
+    needs_pictures,
     new_draft,
+    object_ref,
     rebased,
+    undo,
     with_depth_split,
     with_gesture,
 )
-from pipeline.corrections.drawing.gestures import Canvas, Gesture, polygon_mask, rectangle_mask, stroke_mask
+from pipeline.corrections.drawing.gestures import polygon_mask, rectangle_mask, stroke_mask
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.batch import actions_of, apply_actions, needs_pictures
 from pipeline.corrections.journal.edits import pixels_of
-from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT, object_ref
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.replay import undo
-from pipeline.corrections.wording import consequences
-from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.relations import T
-from pipeline.system.errors import InputError
+from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT
+from pipeline.language import PAIRWISE
+from pipeline.relations import T
+from pipeline.system import InputError
 
 
 @pytest.fixture
@@ -257,6 +262,7 @@ def applied(corrector: Corrector, journal: Journal, *entries: dict[str, Any]) ->
     return corrector.frame(FRAME, journal)
 
 
+@pytest.mark.slow
 def test_files_of_edits_draw_as_hands_do(
     frame: EffectiveFrame, full_corrector: Corrector, canvas: Canvas, journal: Journal
 ) -> None:

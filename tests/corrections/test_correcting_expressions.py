@@ -10,18 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, saved
 
+from pipeline.corrections import Corrector, ExpressionCard, FieldRef, Journal, set_answer
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.object_card import (
-    ExpressionCard,
-    answers_with,
-    expression_card,
-    expression_cards,
-    set_answer,
-)
-from pipeline.system.errors import InputError
+from pipeline.corrections.object_card import answers_with, expression_card, expression_cards
+from pipeline.system import InputError
 
 
 def test_a_card_says_what_the_row_says_and_the_pair_comes_first(bare_corrector: Corrector, journal: Journal) -> None:

@@ -10,14 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME
 
+from pipeline.corrections import JournalLocation, LabelEditor, Saved, object_ref, redo, relation_ref
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal.field_refs import object_ref, relation_ref
-from pipeline.corrections.journal.replay import redo
-from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.label_editor import LabelEditor, event_lines
-from pipeline.relations.relations import T
-from pipeline.system.errors import InputError
+from pipeline.corrections.label_editor import event_lines
+from pipeline.relations import T
+from pipeline.system import InputError
 
 # ---- others, and history -------------------------------------------------------------
 
@@ -82,7 +79,7 @@ def test_history_tells_what_was_taken_back_and_whose_it_is(desk: Open, place: Jo
 def test_history_agrees_with_what_undo_would_take(steps: list[str]) -> None:
     from datetime import datetime, timezone
 
-    from pipeline.corrections.journal.events import Event
+    from pipeline.corrections import Event
 
     cell, value, version = object_ref(FRAME, 1, "label"), "0", 0
     events: list[Event] = []

@@ -10,13 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import frame_of, random_rotation, up_of, upright
 
-from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
-from pipeline.corrections.support import SnapMode, Support, find_support, gap_below, snapped
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.viewer import viewer_axes
-from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.system.errors import InputError
+from pipeline.answering import PreparedFrame, SceneObject, all_objects
+from pipeline.corrections import Support
+from pipeline.corrections.support import SnapMode, find_support, gap_below, snapped
+from pipeline.geometry import Box3D, Frame, viewer_axes
+from pipeline.proposals import AnnotationDetector
+from pipeline.system import InputError
 
 FLOOR = 1.2
 WAYS: tuple[SnapMode, ...] = ("extend", "move")
@@ -90,6 +89,7 @@ def test_where_only_a_wall_is_seen_there_is_nothing_to_stand_on() -> None:
         find_support(wall, box, (), 3)
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(
     size=st.tuples(*(st.floats(0.15, 0.6) for _ in range(3))),

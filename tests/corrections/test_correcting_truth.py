@@ -9,22 +9,14 @@ import numpy as np
 import pytest
 from journal_world import FRAME, saved
 
-from pipeline.answering.ask import Trace
-from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering import Pipeline, PreparedFrame, Trace, open_pipeline
+from pipeline.corrections import Corrector, EffectiveFrame, FieldRef, Journal, effective_truth, undo
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.replay import undo
-from pipeline.corrections.scene import answered_case, effective_mark, effective_truth, withdrawn_by
-from pipeline.diagnosis.asking import judge_trace, labelled_truth
-from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.labels.cases import Case, FrameCases
-from pipeline.labels.reading import Labels
-from pipeline.relations.relations import F, T
-from pipeline.system.errors import InputError
+from pipeline.corrections.scene import answered_case, effective_mark, withdrawn_by
+from pipeline.diagnosis import Diagnosis, judge_trace, labelled_truth
+from pipeline.labels import Case, FrameCases, Labels
+from pipeline.relations import F, T
+from pipeline.system import InputError
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.corrections.vocabulary import Vocabulary, completions
-from pipeline.language.naming import Synonyms, normal_form
+from pipeline.corrections import Vocabulary, completions
+from pipeline.language import Synonyms, normal_form
 
 TABLE = Synonyms((frozenset({"trash can", "bin", "dustbin"}), frozenset({"sofa", "couch"}),
                   frozenset({"kettle", "water boiler"})))  # fmt: skip

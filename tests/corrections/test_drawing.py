@@ -10,26 +10,21 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pipeline.answering.objects import PreparedFrame
+from pipeline.answering import PreparedFrame
+from pipeline.corrections import Canvas, Gesture, gesture_of, read_gesture
 from pipeline.corrections.draft import split_by_depth, split_by_line, split_by_polygon
 from pipeline.corrections.drawing.depth_region import Surface, grown_region, surface_of
 from pipeline.corrections.drawing.gestures import (
     THINNEST,
-    Canvas,
-    Gesture,
     applied,
     drawn,
-    gesture_of,
     goes_around,
     polygon_mask,
-    read_gesture,
     rectangle_mask,
     stroke_mask,
 )
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import LiftConfig
-from pipeline.system.errors import InputError
+from pipeline.geometry import Camera, Frame, LiftConfig
+from pipeline.system import InputError
 
 HEIGHT, WIDTH = 60, 80
 near_points = st.lists(st.tuples(st.floats(-20, WIDTH + 20), st.floats(-20, HEIGHT + 20)), min_size=1, max_size=8).map(

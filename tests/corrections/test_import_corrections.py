@@ -11,26 +11,28 @@ import numpy as np
 import pytest
 from annotation_tools import polygons, through_cvat
 from journal_world import FRAME, an_expression, half_of, saved, widest
+from slow_cases import mostly_slow
 
-from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
-from pipeline.corrections.journal.incoming.importing import (
+from pipeline.corrections import (
+    Corrector,
+    FieldRef,
     ImportConfig,
     ImportReport,
+    Journal,
     import_corrections,
     import_record,
+    materialise,
+    object_ref,
+    relation_ref,
+    undo,
 )
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.journal.replay import undo
+from pipeline.corrections.journal import edits
 from pipeline.datasets import Dataset
-from pipeline.geometry.masks import decode_run_length, encode_run_length
-from pipeline.labels.exports import export_labels
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.language.relation_names import INVERSE
-from pipeline.relations.relations import F, T
-from pipeline.system.errors import InputError
+from pipeline.geometry import decode_run_length, encode_run_length
+from pipeline.labels import Labels, export_labels, open_labels
+from pipeline.language import INVERSE
+from pipeline.relations import F, T
+from pipeline.system import InputError
 
 Rows = list[dict[str, Any]]
 
@@ -90,7 +92,8 @@ def test_an_export_that_nobody_changed_brings_no_event(exported: Path, take: Tak
     assert (report.edits, report.saved, report.conflicts, report.problems, report.notes) == ((), None, (), (), ())
 
 
-@pytest.mark.parametrize("format", ["coco", "jsonl"])
+@pytest.mark.slow
+@pytest.mark.parametrize("format", mostly_slow(["coco", "jsonl"]))
 def test_a_corrected_export_that_nobody_changed_brings_no_event(
     demo_labels: Labels, full_corrector: Corrector, demo_dataset: Dataset, journal: Journal, take: Take, format: str,
     tmp_path: Path,
@@ -339,7 +342,8 @@ def test_what_annotation_tools_write_without_a_change_brings_no_event(
         assert any("told by where they lie" in n for n in report.notes) is not kept
 
 
-@pytest.mark.parametrize("kept", [True, False])
+@pytest.mark.slow
+@pytest.mark.parametrize("kept", mostly_slow([True, False]))
 def test_what_was_drawn_in_an_annotation_tool_comes_back(
     instances: Callable[[], dict[str, Any]], bare_corrector: Corrector, journal: Journal, take: Take, tmp_path: Path,
     kept: bool,

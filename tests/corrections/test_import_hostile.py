@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from journal_world import FRAME
 
+from pipeline.corrections import ImportConfig, ImportReport, Journal, import_corrections, journal_of
 from pipeline.corrections.journal.incoming import states as claims_module
 from pipeline.corrections.journal.incoming.coco_file import (
     is_rectangle,
@@ -22,11 +23,8 @@ from pipeline.corrections.journal.incoming.coco_file import (
     polygons_of,
     same_outline,
 )
-from pipeline.corrections.journal.incoming.importing import ImportConfig, ImportReport, import_corrections
-from pipeline.corrections.journal.journal import Journal, journal_of
-from pipeline.labels.exports import export_labels
-from pipeline.labels.reading import Labels
-from pipeline.system.errors import InputError
+from pipeline.labels import Labels, export_labels
+from pipeline.system import InputError
 
 Take = Callable[..., ImportReport]
 
@@ -256,8 +254,8 @@ def test_files_of_other_labels_and_other_journals(
 
 
 def test_corrected_labels_take_no_corrections(demo_labels: Labels, journal: Journal, tmp_path: Path) -> None:
-    from pipeline.corrections.journal.materialise import materialise
-    from pipeline.labels.reading import open_labels
+    from pipeline.corrections import materialise
+    from pipeline.labels import open_labels
 
     materialise(demo_labels, journal, tmp_path / "labels")
     with pytest.raises(InputError, match="corrected already"):

@@ -18,11 +18,21 @@ from hypothesis import strategies as st
 from journal_checks import NAME, journal  # noqa: F401
 from waiting import wait_until
 
-from pipeline.corrections.journal.events import Conflict, Edit, Saved, new_ulid
-from pipeline.corrections.journal.field_refs import FieldRef, relation_ref
-from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
-from pipeline.corrections.journal.replay import history, redo, undo
-from pipeline.system.errors import InputError
+from pipeline.corrections import (
+    JOURNAL_FILE,
+    Conflict,
+    Edit,
+    FieldRef,
+    Journal,
+    Saved,
+    open_journal,
+    redo,
+    relation_ref,
+    undo,
+)
+from pipeline.corrections.journal.events import new_ulid
+from pipeline.corrections.journal.replay import history
+from pipeline.system import InputError
 
 LEFT = relation_ref("scene/0", 1, 2, "left")
 RIGHT = relation_ref("scene/0", 2, 1, "right")
@@ -293,6 +303,7 @@ def test_two_interleaved_authors_lose_nothing(
         journal.close()
 
 
+@pytest.mark.slow
 def test_writers_at_once_lose_nothing_and_overwrite_nothing(tmp_path: Path) -> None:
     proof = prove(str(tmp_path / JOURNAL_FILE), tmp_path, writers=3, edits=60)
     assert proof.holds, proof

@@ -20,14 +20,11 @@ from postgres_cluster import Cluster, missing, started_cluster
 from sqlalchemy import event
 from waiting import LONG_S, wait_until
 
+from pipeline.corrections import Edit, Journal, NotSaved, Saved, object_ref, open_journal, redo, undo
 from pipeline.corrections.journal import postgres
 from pipeline.corrections.journal.connection import likely_cause, reason_of
-from pipeline.corrections.journal.events import Edit, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.journal.journal import Journal, open_journal
 from pipeline.corrections.journal.postgres import address_of, password_in_file
-from pipeline.corrections.journal.replay import redo, undo
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 NAME = object_ref("f", 1, "label")
 SECRET = "it's: a\\secret %40"
@@ -101,6 +98,7 @@ def locked() -> Iterator[Cluster]:
         yield cluster
 
 
+@pytest.mark.slow
 def test_logins(locked: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for where in (locked.url, locked.url.replace("postgres@", "postgres:wrong@")):
         with pytest.raises(InputError, match=r"cannot be opened; got .*(password|authentication)") as error:
@@ -122,6 +120,7 @@ def test_logins(locked: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         open_journal(locked.url + "?sslmode=require")
 
 
+@pytest.mark.slow
 def test_a_late_refusal_of_one_user_keeps_nobody_else_out(locked: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(postgres, "SLOW_S", -1.0)
     with pytest.raises(InputError, match="password"):
@@ -131,6 +130,7 @@ def test_a_late_refusal_of_one_user_keeps_nobody_else_out(locked: Cluster, monke
         assert journal.events() == ()
 
 
+@pytest.mark.slow
 def test_a_taken_back_action_whose_answer_was_lost_is_taken_back_once(
     locked: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,6 +174,7 @@ def _cut_after_commit(journal: Journal, cluster: Cluster, action: Callable[[], o
                 cluster.start()
 
 
+@pytest.mark.slow
 def test_a_server_that_restarts_takes_the_next_edit(locked: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PGPASSWORD", SECRET)
     with open_journal(locked.url, project="restart") as journal:

@@ -14,15 +14,23 @@ from typing import Any
 import pytest
 from journal_world import work_of
 
+from pipeline.corrections import (
+    JOURNAL_FILE,
+    DamagedJournal,
+    Edit,
+    NotSaved,
+    Saved,
+    back_up,
+    check_journal,
+    object_ref,
+    open_journal,
+    recover,
+    undo,
+)
 from pipeline.corrections.journal import connection, sqlite_file
 from pipeline.corrections.journal.chain import CONTENT, FIRST, Head, chained, judged, link
-from pipeline.corrections.journal.connection import back_up, check_journal, recover
-from pipeline.corrections.journal.events import Edit, NotSaved, Saved
-from pipeline.corrections.journal.examining import DamagedJournal, examine
-from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
-from pipeline.corrections.journal.replay import undo
-from pipeline.system.errors import InputError
+from pipeline.corrections.journal.examining import examine
+from pipeline.system import InputError
 
 BEFORE = Path(__file__).parents[1] / "fixtures" / "journal_before_chain.sqlite"
 """Made by the release before: three people, two projects, an undo and a redo, a long reason, names of other scripts."""

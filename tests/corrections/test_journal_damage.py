@@ -14,12 +14,9 @@ import pytest
 from journal_world import work_of
 from waiting import LONG_S
 
+from pipeline.corrections import JOURNAL_FILE, DamagedJournal, Edit, Event, Saved, object_ref, open_journal, writing
 from pipeline.corrections.journal import sqlite_file
-from pipeline.corrections.journal.connection import writing
-from pipeline.corrections.journal.events import Edit, Event, Saved
-from pipeline.corrections.journal.examining import DamagedJournal, examine
-from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
+from pipeline.corrections.journal.examining import examine
 from pipeline.corrections.journal.sqlite_file import lost_in_log
 
 Parts = dict[str, bytearray]

@@ -15,10 +15,8 @@ import pytest
 from postgres_cluster import missing, started_cluster
 from waiting import LONG_S
 
-from pipeline.corrections.journal.events import Edit, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
-from pipeline.system.errors import InputError
+from pipeline.corrections import JOURNAL_FILE, Edit, Journal, NotSaved, Saved, object_ref, open_journal
+from pipeline.system import InputError
 
 LONG = "x" * 1500
 
@@ -129,6 +127,7 @@ def test_a_full_disk_is_told_as_one_where_a_journal_is_opened(disk: Path) -> Non
         assert journal.count() == 2
 
 
+@pytest.mark.slow
 def test_a_limit_on_the_size_of_files(tmp_path: Path) -> None:
     """As a quota: needs no root. In a child, for the limit is of a process."""
     pytest.importorskip("resource")
@@ -229,6 +228,7 @@ def _postgres() -> None:
         pytest.skip(reason)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_postgres")
 def test_a_server_whose_disk_is_full_or_read_only() -> None:
     with tempfile.TemporaryDirectory(prefix="spatialviz-pg-") as folder:

@@ -11,21 +11,27 @@ from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, half_of, saved, widest
 from label_sets import validate_rows
 
+from pipeline.corrections import (
+    Corrector,
+    EffectiveFrame,
+    FieldRef,
+    Journal,
+    effective_tables,
+    object_ref,
+    open_journal,
+    redo,
+    relation_ref,
+    same_value,
+    undo,
+)
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.effective import Corrector, effective_tables
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_ref, relation_ref, same_value
-from pipeline.corrections.journal.journal import Journal, open_journal
-from pipeline.corrections.journal.replay import redo, undo
-from pipeline.datasets import Dataset
-from pipeline.datasets.up import with_frame_up
-from pipeline.geometry.boxes import Box3D
-from pipeline.labels.reading import Labels
-from pipeline.labels.schema import TABLES
-from pipeline.language.naming import same_class
-from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError
+from pipeline.corrections.journal.field_refs import box_of
+from pipeline.datasets import Dataset, with_frame_up
+from pipeline.geometry import Box3D
+from pipeline.labels import TABLES, Labels
+from pipeline.language import PAIRWISE, same_class
+from pipeline.relations import F, T, U
+from pipeline.system import InputError
 
 
 def test_labels_without_corrections_are_themselves(
@@ -310,6 +316,7 @@ def test_a_box_is_moved_with_its_points(full_corrector: Corrector, journal: Jour
     assert after["bbox"] == row["bbox"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made_of", ["mask", "bbox", "box"])
 def test_a_new_object_is_lifted_from_what_it_is_made_of(
     full_corrector: Corrector, journal: Journal, made_of: str

@@ -15,12 +15,9 @@ import pytest
 from journal_checks import NAME, journal  # noqa: F401
 from waiting import LONG_S
 
-from pipeline.corrections.journal.connection import writing
-from pipeline.corrections.journal.events import Edit, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
+from pipeline.corrections import JOURNAL_FILE, Edit, Journal, NotSaved, Saved, object_ref, open_journal, writing
 from pipeline.corrections.journal.sqlite_file import network_file_system
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 
 def test_a_full_disk_is_told_and_hands_the_edit_back(journal: Journal) -> None:
@@ -73,6 +70,7 @@ except InputError as error:
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="rights of POSIX")
 def test_a_read_only_folder_is_told_in_one_line() -> None:
     folder = Path(tempfile.mkdtemp(prefix="spatialviz-"))

@@ -10,21 +10,26 @@ import pytest
 from journal_world import FRAME, an_expression, half_of, saved, widest
 from label_sets import validate_rows, write_labels
 
+from pipeline.corrections import (
+    Conflict,
+    Corrector,
+    FieldRef,
+    Journal,
+    Saved,
+    actions_of,
+    apply_actions,
+    effective_tables,
+    journal_of,
+    materialise,
+    object_ref,
+    undo,
+)
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.batch import actions_of, apply_actions
-from pipeline.corrections.journal.effective import Corrector, effective_tables
-from pipeline.corrections.journal.events import Conflict, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref
-from pipeline.corrections.journal.journal import Journal, journal_of
-from pipeline.corrections.journal.materialise import MARKS_FILE, UNAPPLIED_FILE, materialise
-from pipeline.corrections.journal.replay import undo
+from pipeline.corrections.journal.materialise import MARKS_FILE, UNAPPLIED_FILE
 from pipeline.datasets import Dataset
-from pipeline.labels.cases import read_cases
-from pipeline.labels.check import check_labels
-from pipeline.labels.reading import PROVENANCE_FILE, Labels, open_labels
-from pipeline.labels.schema import TABLES
-from pipeline.relations.relations import F, U
-from pipeline.system.errors import InputError
+from pipeline.labels import PROVENANCE_FILE, TABLES, Labels, check_labels, open_labels, read_cases
+from pipeline.relations import F, U
+from pipeline.system import InputError
 
 
 def relabelled(labels: Labels, folder: Path, change: Any) -> Labels:
@@ -108,6 +113,7 @@ def test_labels_that_agree_by_now_say_so_and_undo_does_not_turn_them_round(
     assert again.frame(FRAME, journal).objects[number]["label"] == "teapot"
 
 
+@pytest.mark.slow
 def test_corrected_labels_are_an_ordinary_folder(
     demo_labels: Labels, full_corrector: Corrector, demo_dataset: Dataset, journal: Journal, tmp_path: Path
 ) -> None:

@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 from benchmarks.journal_kills import GROUP, judge, survive
 from postgres_cluster import missing, started_cluster
+from slow_cases import mostly_slow
 
-from pipeline.corrections.journal.events import Edit, Saved
-from pipeline.corrections.journal.field_refs import object_ref
-from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
+from pipeline.corrections import JOURNAL_FILE, Edit, Saved, object_ref, open_journal
 
 needs_killing = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
 
@@ -26,14 +25,16 @@ def _postgres() -> None:
 
 
 @needs_killing
-def test_writers_killed_on_sqlite(tmp_path: Path) -> None:
-    found = survive(str(tmp_path / JOURNAL_FILE), tmp_path, rounds=2)
+@pytest.mark.parametrize("rounds", mostly_slow([1, 3]))
+def test_writers_killed_on_sqlite(tmp_path: Path, rounds: int) -> None:
+    found = survive(str(tmp_path / JOURNAL_FILE), tmp_path, rounds=rounds)
     assert found.holds, found
-    assert found.kills == 8
-    assert found.acknowledged >= 8
+    assert found.kills == 4 * rounds
+    assert found.acknowledged >= 4 * rounds
     assert found.refused == 0
 
 
+@pytest.mark.slow
 @needs_killing
 @pytest.mark.usefixtures("_postgres")
 def test_writers_killed_and_the_server_too(tmp_path: Path) -> None:

@@ -16,14 +16,24 @@ from postgres_cluster import missing, running_cluster
 from sqlalchemy.exc import DBAPIError
 from waiting import wait_until
 
+from pipeline.corrections import (
+    Conflict,
+    DamagedJournal,
+    Edit,
+    NotSaved,
+    Saved,
+    back_up,
+    check_journal,
+    object_ref,
+    open_journal,
+    redo,
+    relation_ref,
+    undo,
+    writing,
+)
 from pipeline.corrections.journal import connection, postgres
-from pipeline.corrections.journal.connection import back_up, check_journal, reading, writing
-from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved
-from pipeline.corrections.journal.examining import DamagedJournal
-from pipeline.corrections.journal.field_refs import object_ref, relation_ref
-from pipeline.corrections.journal.journal import open_journal
-from pipeline.corrections.journal.replay import redo, undo
-from pipeline.system.errors import InputError
+from pipeline.corrections.journal.connection import reading
+from pipeline.system import InputError
 
 LEFT = relation_ref("scene/0", 1, 2, "left")
 
@@ -61,6 +71,7 @@ def test_events_conflicts_undo_and_redo(database: str) -> None:
     bob.close()
 
 
+@pytest.mark.slow
 def test_writers_at_once_lose_nothing_and_overwrite_nothing(database: str, tmp_path: Path) -> None:
     proof = prove(database, tmp_path, writers=3, edits=40)
     assert proof.holds, proof
@@ -74,6 +85,7 @@ def test_writers_at_once_lose_nothing_and_overwrite_nothing(database: str, tmp_p
     assert found.events == len(found.intact) >= 120
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("database")
 def test_a_change_in_the_server_is_noticed(tmp_path: Path) -> None:
     with running_cluster() as url:
@@ -90,6 +102,7 @@ def test_a_change_in_the_server_is_noticed(tmp_path: Path) -> None:
             back_up(url, tmp_path / "copy")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("database")
 def test_a_journal_of_the_release_before_is_chained_and_kept() -> None:
     with running_cluster() as url:
@@ -115,6 +128,7 @@ def test_a_journal_of_the_release_before_is_chained_and_kept() -> None:
         assert check_journal(url).damage == ()
 
 
+@pytest.mark.slow
 def test_a_writer_whose_turn_does_not_come_asks_again(database: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(postgres, "TURN_S", 0.02)
     with open_journal(database, project="turns") as ann, open_journal(database, project="turns") as bob:
@@ -129,6 +143,7 @@ def test_a_writer_whose_turn_does_not_come_asks_again(database: str, monkeypatch
             bob.append([Edit(LEFT, 1, 0, 1)], "bob")
 
 
+@pytest.mark.slow
 def test_a_writer_that_says_nothing_loses_its_turn(database: str, monkeypatch: pytest.MonkeyPatch) -> None:
     usual = postgres.IDLE_S
     with open_journal(database, project="idle") as ann, open_journal(database, project="idle") as bob:
@@ -144,6 +159,7 @@ def test_a_writer_that_says_nothing_loses_its_turn(database: str, monkeypatch: p
         assert isinstance(ann.append([Edit(LEFT, 1, 0, 1)], "ann"), Saved)
 
 
+@pytest.mark.slow
 def test_what_was_acknowledged_survives_a_killed_writer(database: str, tmp_path: Path) -> None:
     report = tmp_path / "told.jsonl"
     with open_journal(database) as journal:
@@ -162,6 +178,7 @@ def test_what_was_acknowledged_survives_a_killed_writer(database: str, tmp_path:
     assert len(found) <= len(told) + 1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("database")
 def test_a_database_that_goes_away_hands_the_edit_back_and_keeps_its_password_to_itself() -> None:
     with running_cluster() as url:

@@ -9,12 +9,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.corrections import (
+    JOURNAL_FILE,
+    Conflict,
+    Edit,
+    FieldRef,
+    Journal,
+    Saved,
+    open_journal,
+    redo,
+    relation_ref,
+    undo,
+)
 from pipeline.corrections.journal import replay as undoing
-from pipeline.corrections.journal.events import Conflict, Edit, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, judged_item, relation_ref
-from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
-from pipeline.corrections.journal.replay import history, judgement_ref, newest, redo, undo
-from pipeline.system.errors import InputError
+from pipeline.corrections.journal.field_refs import judged_item
+from pipeline.corrections.journal.replay import history, judgement_ref, newest
+from pipeline.system import InputError
 
 CELLS = [relation_ref("f", 1, b, "left") for b in (2, 3, 4)]
 
@@ -37,7 +47,7 @@ steps = st.lists(
 )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(steps=steps, page=st.integers(1, 5))
 def test_what_is_taken_back_is_what_the_whole_history_says(
     steps: list[tuple[str, str, list[int], int]], page: int, empty: Path, tmp_path_factory: pytest.TempPathFactory

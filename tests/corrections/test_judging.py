@@ -8,17 +8,12 @@ from pathlib import Path
 import pytest
 from journal_world import FRAME, an_expression
 
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.corrections.journal.edits import set_mark, set_status
-from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.judging import Judge
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.datasets.demo import demo_run
-from pipeline.diagnosis.asking import annotated_truth, judge_trace
-from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.evaluation.run_folder import open_run
-from pipeline.labels.reading import Labels
+from pipeline.answering import Pipeline, open_pipeline
+from pipeline.corrections import FieldRef, JournalLocation, Judge, LabelEditor, set_mark, set_status
+from pipeline.datasets import demo_run
+from pipeline.diagnosis import Diagnosis, annotated_truth, judge_trace
+from pipeline.evaluation import open_run
+from pipeline.labels import Labels
 
 
 @pytest.fixture(scope="module")

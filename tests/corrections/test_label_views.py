@@ -10,17 +10,13 @@ import numpy as np
 import pytest
 from journal_world import FRAME, an_expression, widest
 
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.corrections.journal.edits import set_box
-from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.label_editors import LabelEditors, login_name
-from pipeline.corrections.label_view import LabelView, paired
-from pipeline.corrections.scene import labelled_box
+from pipeline.answering import Pipeline, open_pipeline
+from pipeline.corrections import JournalLocation, LabelEditor, LabelEditors, LabelView, labelled_box, paired, set_box
+from pipeline.corrections.label_editors import login_name
 from pipeline.datasets import Dataset
-from pipeline.geometry.boxes import Box3D
-from pipeline.labels.reading import Labels
-from pipeline.system.errors import InputError
+from pipeline.geometry import Box3D
+from pipeline.labels import Labels
+from pipeline.system import InputError
 
 
 @pytest.fixture(scope="module")

@@ -8,30 +8,30 @@ from pathlib import Path
 import numpy as np
 import pyarrow.compute as pc
 import pytest
+from needs import needs
 from review_labels import with_relations
 
-from pipeline.corrections.journal.edits import set_relation
-from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.review.label_jobs import AFTER, BEFORE, RetrainingJob, RetrainingRun, run_retraining
-from pipeline.corrections.review.retraining import RetrainConfig
-from pipeline.evaluation.job import evaluate_dataset
-from pipeline.evaluation.records import read_records
-from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_folder import open_run
-from pipeline.labels.reading import Labels, open_labels, write_table
-from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.intervals import BootstrapConfig
-from pipeline.metrics.splits import TEST, split_frames
-from pipeline.relations.relations import F, T
-from pipeline.system.errors import InputError
-from pipeline.training.label_data import read_label_data
-from pipeline.training.label_training import LabelTraining, train_on_labels
-from pipeline.training.train import TrainConfig
+from pipeline.corrections import (
+    JournalLocation,
+    LabelEditor,
+    RetrainConfig,
+    RetrainingJob,
+    RetrainingRun,
+    Saved,
+    run_retraining,
+    set_relation,
+)
+from pipeline.corrections.review.label_jobs import AFTER, BEFORE
+from pipeline.evaluation import EvalSpec, evaluate_dataset, open_run, read_records
+from pipeline.labels import Labels, open_labels, write_table
+from pipeline.language import DIRECTIONAL
+from pipeline.metrics import TEST, BootstrapConfig, split_frames
+from pipeline.relations import F, T
+from pipeline.system import InputError
+from pipeline.training import LabelTraining, TrainConfig, read_label_data, train_on_labels
 
-pytest.importorskip("torch")
-pytest.importorskip("onnx")
+pytestmark = [pytest.mark.slow, needs("torch", "onnx")]
+
 
 CONFIG = RetrainConfig(TrainConfig(epochs=4, batch=64, seed=2), bootstrap=BootstrapConfig(resamples=100))
 

@@ -14,7 +14,7 @@ from pipeline.corrections.review.confident import (
     probability_wrong,
     self_confidence,
 )
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 
 def labelled(count: int, no_for_yes: float, yes_for_no: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

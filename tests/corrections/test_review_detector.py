@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.corrections.review.detector_evidence import compared, detector_evidence
+from pipeline.corrections import ItemKey, QueueConfig, detector_evidence, item_keys, review_queue
+from pipeline.corrections.review.detector_evidence import compared
 from pipeline.corrections.review.evidence import DISPUTED, UNMATCHED, WARNED
-from pipeline.corrections.review.items import ItemKey, item_keys, missing_object
-from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.corrections.review.items import missing_object
 from pipeline.datasets import Dataset
-from pipeline.labels.reading import Labels
-from pipeline.proposals import make_detector
-from pipeline.proposals.base import Proposals
-from pipeline.system.errors import InputError
+from pipeline.labels import Labels
+from pipeline.proposals import Proposals, make_detector
+from pipeline.system import InputError
 
 
 class Named:

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.corrections.review.out_of_fold import make_folds
-from pipeline.metrics.splits import FrameKey
-from pipeline.system.errors import InputError
+from pipeline.metrics import FrameKey
+from pipeline.system import InputError
 
 
 def keys(scenes: list[int], positions: np.ndarray | None = None) -> list[FrameKey]:

@@ -10,37 +10,34 @@ import numpy as np
 from journal_world import FRAME, an_expression, saved
 from state_checks import frame, left, some_pairs, states_of, status_cell  # noqa: F401
 
-from pipeline.corrections.journal import edits as actions
-from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.field_refs import FieldRef, relation_ref
-from pipeline.corrections.journal.journal import Journal, open_journal
-from pipeline.corrections.journal.replay import judgement_ref, undo
-from pipeline.corrections.review.evidence import read_relation_labels
-from pipeline.corrections.review.items import (
-    NOBODY,
-    SETTLED,
+from pipeline.corrections import (
+    NOTHING,
+    Corrector,
+    FieldRef,
     ItemKey,
+    Journal,
+    QueueConfig,
+    QueueJob,
     item_keys,
-    judgements_of,
-)
-from pipeline.corrections.review.label_jobs import QueueJob, make_queue
-from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.reviewed import (
+    open_journal,
+    read_queue,
+    read_relation_labels,
+    refreshed_worklist,
+    relation_ref,
+    review_queue,
     reviewed_labels,
     states_on_labels,
+    undo,
     without_gone,
-)
-from pipeline.corrections.review.worklist import (
-    NOTHING,
-    frame_states,
-    gone_items,
-    mark_of,
-    read_queue,
-    refreshed_worklist,
     worklist,
 )
-from pipeline.labels.reading import Labels
-from pipeline.relations.relations import F, T
+from pipeline.corrections.journal import edits as actions
+from pipeline.corrections.journal.replay import judgement_ref
+from pipeline.corrections.review.items import NOBODY, SETTLED, judgements_of
+from pipeline.corrections.review.label_jobs import make_queue
+from pipeline.corrections.review.worklist import frame_states, gone_items, mark_of
+from pipeline.labels import Labels
+from pipeline.relations import F, T
 
 
 def test_states_are_of_the_last_word(frame: Any, journal: Journal) -> None:

@@ -12,24 +12,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from review_labels import copied, with_relations
-from sklearn.metrics import cohen_kappa_score
 
-from pipeline.corrections.review.evidence import matched_boxes
-from pipeline.corrections.review.items import (
-    KINDS,
+from pipeline.corrections import (
     STATES,
+    DoubtConfig,
     ItemKey,
+    QueueConfig,
     item_keys,
     left_to_review,
-    progress_counts,
+    review_queue,
     with_states,
 )
-from pipeline.corrections.review.out_of_fold import DoubtConfig
-from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.labels.reading import Labels, open_labels, write_table
-from pipeline.metrics.intervals import Agreement, cohen_kappa
-from pipeline.system.errors import InputError
-from pipeline.training.train import TrainConfig
+from pipeline.corrections.review.evidence import matched_boxes
+from pipeline.corrections.review.items import KINDS, progress_counts
+from pipeline.labels import Labels, open_labels, write_table
+from pipeline.metrics import Agreement, cohen_kappa
+from pipeline.system import InputError
+from pipeline.training import TrainConfig
 
 RULES_ONLY = QueueConfig(doubts=None)
 
@@ -47,6 +46,7 @@ def turned(label_sets: dict[str, Labels], tmp_path_factory: pytest.TempPathFacto
     return with_relations(labels, tmp_path_factory.mktemp("turned") / "labels", {"left": left}), key
 
 
+@pytest.mark.slow
 def test_a_turned_cell_comes_first_with_its_reasons(turned: tuple[Labels, ItemKey]) -> None:
     labels, key = turned
     train = TrainConfig(vocabulary="all", epochs=2, batch=64)
@@ -72,6 +72,7 @@ def test_a_turned_cell_comes_first_with_its_reasons(turned: tuple[Labels, ItemKe
                not any("relation/" in reason for reason in r["reasons"]))  # fmt: skip
 
 
+@pytest.mark.slow
 def test_networks_alone_do_not_ask_the_linter(turned: tuple[Labels, ItemKey]) -> None:
     labels, _ = turned
     train = TrainConfig(vocabulary="all", epochs=1, batch=256)
@@ -168,6 +169,7 @@ def test_what_is_no_key_is_refused(text: str) -> None:
         ItemKey.read(text)
 
 
+@pytest.mark.slow
 def test_a_review_goes_on_until_all_is_settled(turned: tuple[Labels, ItemKey]) -> None:
     queue = review_queue(turned[0], QueueConfig(doubts=None, limit=30))
     keys = item_keys(queue)
@@ -190,6 +192,8 @@ judged = st.sampled_from(STATES[1:])
 
 @given(st.lists(st.tuples(judged, judged), min_size=1, max_size=60))
 def test_kappa_is_that_of_scikit_learn(pairs: list[tuple[str, str]]) -> None:
+    from sklearn.metrics import cohen_kappa_score
+
     first, second = [p[0] for p in pairs], [p[1] for p in pairs]
     found = cohen_kappa(first, second)
     assert found.items == len(pairs)

@@ -10,18 +10,25 @@ from pathlib import Path
 import pytest
 from journal_world import FRAME, saved
 
-from pipeline.answering.opening import open_pipeline
-from pipeline.corrections.journal.edits import judge_relation
-from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.review.detector_evidence import detector_evidence, second_setup
-from pipeline.corrections.review.items import ItemKey, item_keys
-from pipeline.corrections.review.label_jobs import QueueJob, Step, make_queue
-from pipeline.corrections.review.worklist import mark_of, read_queue, worklist
+from pipeline.answering import open_pipeline
+from pipeline.corrections import (
+    Corrector,
+    ItemKey,
+    Journal,
+    QueueJob,
+    detector_evidence,
+    item_keys,
+    judge_relation,
+    read_queue,
+    second_setup,
+    worklist,
+)
+from pipeline.corrections.review.label_jobs import Step, make_queue
+from pipeline.corrections.review.worklist import mark_of
 from pipeline.datasets import Dataset
-from pipeline.labels.reading import Labels
-from pipeline.relations.relations import F, T
-from pipeline.system.errors import InputError
+from pipeline.labels import Labels
+from pipeline.relations import F, T
+from pipeline.system import InputError
 
 
 def test_a_queue_without_corrections_with_a_second_detector(

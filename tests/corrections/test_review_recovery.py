@@ -7,24 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from needs import needs
 
-from pipeline.corrections.review.bench import (
-    ReviewBenchConfig,
-    measure_recovery,
-    plant_flips,
-    review_rooms,
-    with_labels,
-)
-from pipeline.corrections.review.out_of_fold import PASSES, DoubtConfig, doubt_labels, stacked, unstacked
-from pipeline.labels.reading import Labels
-from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.relations.relations import U
-from pipeline.system.errors import InputError
-from pipeline.training.label_data import LabelData, read_label_data
-from pipeline.training.train import TrainConfig
+from pipeline.corrections import DoubtConfig, ReviewBenchConfig
+from pipeline.corrections.review.bench import measure_recovery, plant_flips, review_rooms, with_labels
+from pipeline.corrections.review.out_of_fold import PASSES, doubt_labels, stacked, unstacked
+from pipeline.labels import Labels
+from pipeline.language import DIRECTIONAL
+from pipeline.relations import U
+from pipeline.system import InputError
+from pipeline.training import LabelData, TrainConfig, read_label_data
 
-pytest.importorskip("embreex")
-pytest.importorskip("torch")
+pytestmark = [pytest.mark.slow, needs("embreex", "torch")]
+
 
 QUICK = DoubtConfig(folds=3, passes=1, train=TrainConfig(vocabulary="all", epochs=3, batch=64))
 THOROUGH = replace(QUICK, passes=PASSES, train=replace(QUICK.train, epochs=5))

@@ -7,18 +7,19 @@ from pathlib import Path
 
 import pytest
 from label_worlds import label_worlds
+from needs import needs
 from review_labels import flipped
 
-from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
-from pipeline.labels.reading import Labels
-from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.intervals import BootstrapConfig
-from pipeline.relations.model import OnnxScorer
-from pipeline.system.errors import InputError
-from pipeline.training.train import TrainConfig
+from pipeline.corrections import RetrainConfig, Retraining, retrain
+from pipeline.labels import Labels
+from pipeline.language import DIRECTIONAL
+from pipeline.metrics import BootstrapConfig
+from pipeline.relations import OnnxScorer
+from pipeline.system import InputError
+from pipeline.training import TrainConfig
 
-pytest.importorskip("torch")
-pytest.importorskip("onnx")
+pytestmark = needs("torch", "onnx")
+
 
 CONFIG = RetrainConfig(TrainConfig(epochs=3, batch=32), bootstrap=BootstrapConfig(resamples=200))
 
@@ -87,6 +88,7 @@ def test_the_network_and_what_is_known_of_it_are_written(found: tuple[Retraining
     assert f"Became right: {result.counts[0]} held-out cells" in text
 
 
+@pytest.mark.slow
 def test_equal_labels_give_equal_networks(mended: tuple[Labels, Labels], tmp_path: Path) -> None:
     result = retrain(mended[1], mended[1], tmp_path / "same.onnx", CONFIG)
     assert result.counts == (0, 0)

@@ -9,44 +9,41 @@ from typing import Any
 import numpy as np
 import pytest
 from journal_world import FRAME, an_expression, saved
-from sklearn.metrics import cohen_kappa_score
 from state_checks import frame, left, some_pairs, states_of, status_cell  # noqa: F401
 
-from pipeline.corrections.journal import edits as actions
-from pipeline.corrections.journal.batch import actions_of, apply_actions
-from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.events import Conflict, Saved
-from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.journal.replay import redo, undo
-from pipeline.corrections.review.evidence import read_relation_labels
-from pipeline.corrections.review.items import (
-    NOBODY,
+from pipeline.corrections import (
+    Conflict,
+    Corrector,
+    DoubtConfig,
+    FieldRef,
     ItemKey,
+    Journal,
+    QueueConfig,
+    Saved,
     State,
+    actions_of,
+    apply_actions,
     item_keys,
-    item_of,
-    judgements_of,
-    left_to_review,
-)
-from pipeline.corrections.review.out_of_fold import DoubtConfig, doubt_labels
-from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.reviewed import (
     left_for,
+    left_to_review,
+    materialise,
     pair_agreements,
+    read_relation_labels,
+    redo,
     review_progress,
+    review_queue,
     reviewed_labels,
-    settled_relations,
     states_on_labels,
-    trusted_of_data,
-    wrong_left,
+    undo,
 )
-from pipeline.labels.reading import Labels
-from pipeline.relations.relations import F, T
-from pipeline.system.errors import InputError
-from pipeline.training.label_data import read_label_data
-from pipeline.training.train import TrainConfig
+from pipeline.corrections.journal import edits as actions
+from pipeline.corrections.review.items import NOBODY, item_of, judgements_of
+from pipeline.corrections.review.out_of_fold import doubt_labels
+from pipeline.corrections.review.reviewed import settled_relations, trusted_of_data, wrong_left
+from pipeline.labels import Labels
+from pipeline.relations import F, T
+from pipeline.system import InputError
+from pipeline.training import TrainConfig, read_label_data
 
 RULES_ONLY = QueueConfig(doubts=None)
 
@@ -201,6 +198,8 @@ def test_judgements_go_through_a_file_of_edits(bare_corrector: Corrector, journa
 
 
 def test_kappa_is_of_what_each_said(frame: Any, journal: Journal) -> None:
+    from sklearn.metrics import cohen_kappa_score
+
     seen = frame()
     pairs = some_pairs(seen, 12)
     rng = np.random.default_rng(3)

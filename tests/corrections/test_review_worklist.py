@@ -10,21 +10,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.corrections.review.items import (
-    KINDS,
-    SETTLED,
+from pipeline.corrections import (
     STATES,
     ItemKey,
+    QueueConfig,
+    Worklist,
+    automatic_version,
     item_keys,
     left_to_review,
-    progress_counts,
+    read_queue,
+    review_queue,
     with_states,
+    worklist,
+    write_queue,
 )
-from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.reviewed import automatic_version
-from pipeline.corrections.review.worklist import Worklist, read_queue, worklist, write_queue
-from pipeline.labels.reading import Labels
-from pipeline.system.errors import InputError
+from pipeline.corrections.review.items import KINDS, SETTLED, progress_counts
+from pipeline.labels import Labels
+from pipeline.system import InputError
 
 
 def queue_of(count: int) -> pa.Table:

@@ -9,13 +9,10 @@ from typing import Any
 
 import pytest
 
-from pipeline.corrections.review.label_jobs import CANCELLED, LabelJobs, QueueJob, QueueProgress
-from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.worklist import write_queue
-from pipeline.labels.reading import Labels
-from pipeline.system.background import SharedJob
-from pipeline.system.detector_setup import DetectorSetup
-from pipeline.system.errors import InputError
+from pipeline.corrections import CANCELLED, QueueConfig, QueueJob, QueueProgress, review_queue, write_queue
+from pipeline.corrections.review.label_jobs import LabelJobs
+from pipeline.labels import Labels
+from pipeline.system import DetectorSetup, InputError, SharedJob
 
 
 class Held:

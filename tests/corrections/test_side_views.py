@@ -12,16 +12,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME
 
-from pipeline.corrections.journal.batch import actions_of, apply_actions
-from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.scene import labelled_box, labelled_objects
-from pipeline.corrections.side_views import VIEWS, box_axes, drag_box, dragged, face_to_points, side_views
-from pipeline.datasets.demo import demo_path
-from pipeline.datasets.opening import open_dataset
-from pipeline.diagnosis.whatif.placement import SMALLEST_SIDE
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.viewer import viewer_axes
-from pipeline.system.errors import InputError
+from pipeline.corrections import (
+    Saved,
+    actions_of,
+    apply_actions,
+    drag_box,
+    dragged,
+    face_to_points,
+    labelled_box,
+    labelled_objects,
+)
+from pipeline.corrections.side_views import VIEWS, box_axes, side_views
+from pipeline.datasets import demo_path, open_dataset
+from pipeline.diagnosis import SMALLEST_SIDE
+from pipeline.geometry import Box3D, viewer_axes
+from pipeline.system import InputError
 
 angles = st.floats(-3.1, 3.1)
 sizes = st.floats(0.02, 3.0)

@@ -8,18 +8,21 @@ import pytest
 from editor_checks import Open, desk, place  # noqa: F401
 from journal_world import FRAME
 
+from pipeline.corrections import (
+    EffectiveFrame,
+    LabelEditor,
+    Saved,
+    actions_of,
+    apply_actions,
+    effective_truth,
+    materialise,
+)
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.batch import actions_of, apply_actions
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.object_card import expression_cards
-from pipeline.corrections.scene import effective_truth
+from pipeline.labels import open_labels
 from pipeline.labels.check.linter import check_labels
-from pipeline.labels.reading import open_labels
-from pipeline.relations.relations import F, T
-from pipeline.system.errors import InputError
+from pipeline.relations import F, T
+from pipeline.system import InputError
 
 TEXT = "the thing that I mean left of the other"
 

@@ -10,7 +10,8 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 from PIL import Image
 
-from pipeline.datasets.depth.contract import DepthContract, known_contract
+from pipeline.datasets import known_contract
+from pipeline.datasets.depth.contract import DepthContract
 
 HEIGHT, WIDTH = 48, 64
 FOCAL = 80.0

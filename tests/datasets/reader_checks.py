@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 MODELS = {
     "1": {"name": "mug", "min_x": -40, "min_y": -30, "min_z": 0, "size_x": 80, "size_y": 70, "size_z": 90},

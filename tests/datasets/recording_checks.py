@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from dataset_writers import K, Truth, random_truth
 
-from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.geometry import Frame
+from pipeline.system import InputError
 
 CAMERA = (60.0, 61.0, 31.5, 23.5)
 

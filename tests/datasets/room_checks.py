@@ -6,13 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from pipeline.datasets.synthetic import (
-    RenderedFrame,
-    Room,
-    choose_views,
-    make_room,
-    render_view,
-)
+from pipeline.datasets import Room, choose_views, make_room
+from pipeline.datasets.synthetic import RenderedFrame, render_view
 
 
 @lru_cache(maxsize=8)

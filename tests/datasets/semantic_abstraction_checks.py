@@ -13,8 +13,8 @@ import pytest
 from semantic_abstraction_writer import ViewTruth, write_view
 
 from pipeline.datasets import open_dataset
-from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.geometry import Frame
+from pipeline.system import InputError
 
 VIEW = "00007|FloorPlan201_physics"
 

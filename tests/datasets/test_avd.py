@@ -28,13 +28,12 @@ from avd_writer import (
 )
 from dataset_writers import random_rotation, write_png
 
-from pipeline.answering.json_records import frame_record
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering import frame_record, open_pipeline
 from pipeline.datasets import MOVES, has_moves, moves, open_dataset, splits, survey
 from pipeline.datasets.avd import FARTHEST_M, SPLITS
 from pipeline.datasets.avd_scan import read_names, read_poses
-from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.geometry import Frame
+from pipeline.system import InputError
 
 SCAN = "Home_001_1"
 
@@ -81,6 +80,7 @@ def same(frame: Frame, truth: ImageTruth) -> None:
     np.testing.assert_allclose(frame.camera.T_world_camera, truth.T_world_camera, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", ["y-down", "y-up"])
 def test_a_scan_of_full_size_is_read_back(tmp_path: Path, world: str) -> None:
     truths = write_scan(tmp_path, size=(1920, 1080), steps=1, world=world)

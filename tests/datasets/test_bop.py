@@ -23,7 +23,7 @@ from pipeline.datasets import (
     open_dataset,
     survey,
 )
-from pipeline.geometry.boxes import Box3D
+from pipeline.geometry import Box3D
 
 
 def edit_json(path: Path, change: Callable[[Any], Any]) -> None:

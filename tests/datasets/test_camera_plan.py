@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.datasets.base import InMemoryDataset
+from pipeline.datasets import InMemoryDataset
 from pipeline.datasets.camera_plan import camera_plan
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.frame import Frame
+from pipeline.geometry import Camera, Frame
 
 K = np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]])
 

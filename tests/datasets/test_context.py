@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.datasets import Dataset, open_dataset
-from pipeline.datasets.demo import demo_path
-from pipeline.datasets.scene_mesh import ContextConfig, ContextMesh, export_mesh, fuse_context, neighbours
-from pipeline.geometry.camera import project, to_world
-from pipeline.system.errors import FrameUnusable, InputError, MissingExtra
+from pipeline.datasets import Dataset, demo_path, export_mesh, fuse_context, open_dataset
+from pipeline.datasets.scene_mesh import ContextConfig, ContextMesh, neighbours
+from pipeline.geometry import project, to_world
+from pipeline.system import FrameUnusable, InputError, MissingExtra
 
 needs_open3d = pytest.mark.usefixtures("open3d_installed")
 

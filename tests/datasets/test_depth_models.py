@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 from depth_graphs import FOCAL, HEIGHT, WIDTH, plane, write_network, write_picture
 
-from pipeline.datasets import open_dataset
-from pipeline.datasets.base import dataset_notes
+from pipeline.datasets import dataset_notes, network_names, open_dataset
 from pipeline.datasets.depth import estimator
-from pipeline.datasets.depth.contract import network_names
-from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
-from pipeline.system.model_files import known_models
+from pipeline.geometry import Frame
+from pipeline.system import InputError, known_models
 
 CAMERA = (FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 
@@ -114,6 +111,7 @@ def test_a_large_picture_is_made_smaller_with_its_camera(tmp_path: Path, indoor:
     assert np.abs(told.depth / plane(48, 1600) - 1).max() < 0.01
 
 
+@pytest.mark.slow
 def test_depth_of_another_focal_length_is_in_proportion(picture: Path, tmp_path: Path) -> None:
     file = write_network(tmp_path / "net.onnx", "depth-pro", focal=FOCAL * 1536 / WIDTH)
     own = only(picture, depth_model=str(file))

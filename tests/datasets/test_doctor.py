@@ -13,20 +13,27 @@ import cv2
 import numpy as np
 import pytest
 from dataset_writers import write_png
+from slow_cases import mostly_slow
 
-from pipeline.answering.opening import open_pipeline, relate_frames
-from pipeline.datasets import open_dataset, read_settings
-from pipeline.datasets.base import InMemoryDataset
-from pipeline.datasets.demo import demo_path
-from pipeline.datasets.doctor.examine import Examination, apply, chosen_frames, examine, examine_frames
+from pipeline.answering import open_pipeline, relate_frames
+from pipeline.datasets import (
+    Examination,
+    InMemoryDataset,
+    apply,
+    demo_path,
+    examine,
+    open_dataset,
+    read_settings,
+    render_dataset,
+    write_settings,
+)
+from pipeline.datasets.doctor.examine import chosen_frames, examine_frames
 from pipeline.datasets.plausible import camera_height, plausibility
-from pipeline.datasets.settings import FILE_NAME, write_settings
-from pipeline.datasets.synthetic import render_dataset
-from pipeline.geometry.camera import to_world
-from pipeline.geometry.frame import Frame
+from pipeline.datasets.settings import FILE_NAME
+from pipeline.geometry import Frame, to_world
 from pipeline.geometry.pose_convention import as_convention
-from pipeline.language.class_sizes import size_factor
-from pipeline.system.errors import InputError
+from pipeline.language import size_factor
+from pipeline.system import InputError
 
 SUBJECTS = ("poses", "depth scale", "focal length", "principal point")
 
@@ -55,7 +62,8 @@ def test_nothing_is_wrong_with_a_sound_room(room: list[Frame]) -> None:
     assert apply(found) is None
 
 
-@pytest.mark.parametrize(("factor", "right"), [(5.0, 5000.0), (0.1, 100.0), (1.7, 1700.0)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("factor", "right"), mostly_slow([(1.7, 1700.0), (5.0, 5000.0), (0.1, 100.0)], several=True))
 def test_a_wrong_unit(room: list[Frame], factor: float, right: float) -> None:
     found = looked_at([replace(f, depth=f.depth * np.float32(factor)) for f in room])
     assert wrong(found) == {"depth scale"}
@@ -63,7 +71,7 @@ def test_a_wrong_unit(room: list[Frame], factor: float, right: float) -> None:
     assert found.of("depth scale").option == f"--depth-scale {found.mends['depth_scale']:g}"
 
 
-@pytest.mark.parametrize("factor", [1.35, 0.75])
+@pytest.mark.parametrize("factor", mostly_slow([1.35, 0.75]))
 def test_a_wrong_focal_length(room: list[Frame], factor: float) -> None:
     stretch = np.array([factor, factor, 1.0])[:, None]
     off = [replace(f, camera=replace(f.camera, K=f.camera.K * stretch)) for f in room]
@@ -85,7 +93,10 @@ def test_a_swapped_principal_point(room: list[Frame]) -> None:
     assert wrong(looked_at(off[:1])) == {"principal point"}
 
 
-@pytest.mark.parametrize("convention", ["world-to-camera opencv", "camera-to-world opengl", "world-to-camera ros"])
+CONVENTIONS = ["world-to-camera opencv", "camera-to-world opengl", "world-to-camera ros"]
+
+
+@pytest.mark.parametrize("convention", mostly_slow(CONVENTIONS))
 def test_poses_of_another_convention(room: list[Frame], convention: str) -> None:
     off = []
     for frame in room:
@@ -137,6 +148,7 @@ def test_a_declared_up_that_level_planes_contradict(room: list[Frame]) -> None:
     assert (found.state, found.mend) == ("wrong", {"up": "world:0,0,1"})
 
 
+@pytest.mark.slow
 def test_poses_of_neighbours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six views of a room in a row, each with the pose of the next."""
     # Cameras are the best of few and not of many: choosing them costs most.
@@ -179,6 +191,7 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_what_mends_is_kept_and_mends(copy: Path) -> None:
     write_settings(copy, (320.0, 320.0, 319.5, 239.5), 10_000.0)
     (copy / FILE_NAME).write_text(f'name = "mine"\n{(copy / FILE_NAME).read_text()}\n[maker]\nwho = "me"\n')
@@ -313,6 +326,7 @@ def test_a_few_things_of_odd_size_tell_nothing() -> None:
 # 7-Scenes: colour and depth are of two cameras
 
 
+@pytest.mark.slow
 def test_seven_scenes_is_registered(shared_data: Path, tmp_path: Path) -> None:
     root = tmp_path / "kitchen"
     shutil.copytree(shared_data / "real" / "7scenes-redkitchen", root)

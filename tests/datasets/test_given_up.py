@@ -22,19 +22,26 @@ from dataset_writers import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from slow_cases import mostly_slow
 
-from pipeline.answering.json_records import relation_records
-from pipeline.answering.opening import open_pipeline, relate_frames
-from pipeline.datasets import Dataset, open_dataset, read_settings, survey, write_settings
-from pipeline.datasets.demo import demo_path
-from pipeline.datasets.settings import SOURCES, GivenUp, parse_level_at
-from pipeline.datasets.up import told_doubts, told_up, with_frame_up
-from pipeline.evaluation.job import evaluate_dataset
-from pipeline.evaluation.run import EvalSpec
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import LabelConfig, SourceSpec, make_plan
-from pipeline.labels.reading import labelled_dataset, labelled_up
-from pipeline.system.errors import InputError
+from pipeline.answering import open_pipeline, relate_frames, relation_records
+from pipeline.datasets import (
+    SOURCES,
+    Dataset,
+    demo_path,
+    open_dataset,
+    parse_level_at,
+    read_settings,
+    survey,
+    told_doubts,
+    told_up,
+    with_frame_up,
+    write_settings,
+)
+from pipeline.datasets.settings import GivenUp
+from pipeline.evaluation import EvalSpec, evaluate_dataset
+from pipeline.labels import LabelConfig, SourceSpec, label_dataset, labelled_dataset, labelled_up, make_plan
+from pipeline.system import InputError
 
 CAMERA: dict[str, Any] = {"intrinsics": (60.0, 61.0, 31.5, 23.5), "depth_scale": 1000.0}
 
@@ -67,7 +74,7 @@ def opened(root: Path, **told: Any) -> Dataset:
     return open_dataset(root, **camera, **told)
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", mostly_slow(WRITERS, fast=(0, 1, 2, 3)))
 def test_what_is_told_wins_in_every_format(roots: dict[str, Path], name: str) -> None:
     root, posed = roots[name], name not in UNPOSED
     vector = np.array([0.2, -0.9, -0.3])
@@ -92,6 +99,7 @@ def test_what_is_told_wins_in_every_format(roots: dict[str, Path], name: str) ->
             assert np.array_equal(frame.depth, own.depth)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in WRITERS if name not in UNPOSED])
 def test_the_settings_declare_for_every_format(tmp_path: Path, name: str) -> None:
     WRITERS[name](tmp_path)
@@ -280,6 +288,7 @@ def test_labels_are_opened_with_the_up_that_they_were_made_with() -> None:
         assert up_of(dataset, dataset.frame_ids[0]).tolist() == expected
 
 
+@pytest.mark.slow
 def test_an_evaluation_answers_with_the_up_of_its_labels(tmp_path: Path) -> None:
     spec = SourceSpec("demo", {"up": "camera:0,-1,0"})
     label_dataset(spec, tmp_path / "labels", limit=1)

@@ -22,9 +22,10 @@ from reader_checks import refused
 
 from pipeline.datasets import (
     open_dataset,
+    read_color,
 )
-from pipeline.datasets.images import read_color, read_depth, read_mask
-from pipeline.system.errors import InputError
+from pipeline.datasets.images import read_depth, read_mask
+from pipeline.system import InputError
 
 # Files that are not what they should be
 

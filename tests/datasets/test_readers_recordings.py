@@ -19,7 +19,7 @@ from every_format import WRITERS
 from recording_checks import CAMERA, pose, refused
 
 from pipeline.datasets import open_dataset, survey
-from pipeline.geometry.camera import backproject
+from pipeline.geometry import backproject
 from pipeline.geometry.level_plane import level_plane
 
 

@@ -14,11 +14,10 @@ from dataset_writers import write_folder, write_png
 from reader_checks import FOLDER, refused
 from recording_checks import check_frame, truths
 
-from pipeline.answering.opening import open_sources
+from pipeline.answering import open_sources
 from pipeline.datasets import open_dataset
 from pipeline.labels.plan import files_hash
-from pipeline.system import remote
-from pipeline.system.limits import LIMITS_VARIABLE
+from pipeline.system import LIMITS_VARIABLE, remote
 
 fsspec = pytest.importorskip("fsspec")
 

@@ -12,14 +12,12 @@ import cv2
 import numpy as np
 import pytest
 from room_checks import frame_of, room_of
+from slow_cases import mostly_slow
 
+from pipeline.datasets import make_room, render_dataset
 from pipeline.datasets.synthetic import dataset as dataset_module
-from pipeline.datasets.synthetic import (
-    make_room,
-    render_dataset,
-)
-from pipeline.geometry.boxes import Box3D
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.geometry import Box3D
+from pipeline.system import InputError, MissingExtra
 
 SIZE: dict[str, Any] = {"width": 96, "height": 72}
 
@@ -46,6 +44,7 @@ def test_another_seed_gives_other_pictures(rendered: Path, tmp_path: Path) -> No
     assert (rendered / image).read_bytes() != (tmp_path / "other" / image).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_whatever_the_workers(rendered: Path, tmp_path: Path) -> None:
     render_dataset(tmp_path / "two", rooms=2, views=2, seed=3, workers=2, **SIZE)
     names = files_below(rendered)
@@ -101,6 +100,7 @@ def test_what_is_written_is_bop_and_agrees_with_the_room(rendered: Path) -> None
             assert union.max() == 1
 
 
+@pytest.mark.slow
 def test_visible_share_tells_hidden_things_from_open_ones() -> None:
     from pipeline.datasets.synthetic.raycast import silhouette
 
@@ -142,7 +142,7 @@ def test_refuses_arguments_without_sense(tmp_path: Path, bad: dict[str, int]) ->
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("failure", [RuntimeError, KeyboardInterrupt])
+@pytest.mark.parametrize("failure", mostly_slow([KeyboardInterrupt, RuntimeError]))
 def test_nothing_half_written_remains(tmp_path: Path, failure: type[BaseException]) -> None:
     def stop(done: int, total: int) -> None:
         assert any(tmp_path.iterdir())

@@ -12,16 +12,14 @@ from box_worlds import random_boxes
 from scenes import Plane, angle_deg, camera_of, cast, up_of
 from test_viewer import noisy
 
+from pipeline.answering import prepare_frame
 from pipeline.answering.json_records import viewer_record
-from pipeline.answering.objects import prepare_frame
-from pipeline.datasets.base import frames_of_scene, scene_of
-from pipeline.datasets.up import MAX_VOTERS, own_disagreement, resolved_camera, scene_vote
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.viewer import resolve_up, viewer_axes
-from pipeline.labels.labelling import label_objects
-from pipeline.labels.plan import LabelConfig
-from pipeline.system.errors import InputError
+from pipeline.datasets import resolved_camera, scene_of
+from pipeline.datasets.base import frames_of_scene
+from pipeline.datasets.up import MAX_VOTERS, own_disagreement, scene_vote
+from pipeline.geometry import Camera, Frame, resolve_up, viewer_axes
+from pipeline.labels import LabelConfig, label_objects
+from pipeline.system import InputError
 
 WORLD_UP = np.array([0.0, 0.6, 0.8])
 

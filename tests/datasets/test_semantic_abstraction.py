@@ -12,18 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from semantic_abstraction_checks import VIEW, editing, pose, refused, view  # noqa: F401
 from semantic_abstraction_writer import TRUE_POSE, ViewTruth, Written, scene_pose, write_view
+from slow_cases import mostly_slow
 
-from pipeline.answering.opening import open_pipeline
-from pipeline.datasets import GivenExpression, given_expressions, has_moves, open_dataset
+from pipeline.answering import open_pipeline
+from pipeline.datasets import GivenExpression, Settings, given_expressions, has_moves, open_dataset
 from pipeline.datasets.semantic_abstraction import RELATIONS, SemanticAbstractionDataset
 from pipeline.datasets.semantic_abstraction_file import (
     RANDOMIZED,
 )
 from pipeline.datasets.semantic_abstraction_objects import fit_pose
-from pipeline.datasets.settings import Settings
-from pipeline.geometry.camera import backproject, to_world
-from pipeline.geometry.frame import Frame
-from pipeline.language.relation_names import VOCABULARIES
+from pipeline.geometry import Frame, backproject, to_world
+from pipeline.language import VOCABULARIES
 
 
 def up(frame: Frame) -> np.ndarray:
@@ -34,7 +33,7 @@ def up(frame: Frame) -> np.ndarray:
 # Reading back
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", mostly_slow([0, 1, 2]))
 def test_a_view_is_read_back(tmp_path: Path, seed: int) -> None:
     truth = write_view(tmp_path / f"{VIEW}.hdf5", seed=seed)
     dataset = open_dataset(tmp_path)
@@ -56,8 +55,9 @@ def test_a_view_is_read_back(tmp_path: Path, seed: int) -> None:
         assert a.bbox.tolist() == [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["literal", "proper", "opengl", "inverse", "metres"])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", mostly_slow([0, 1, 2]))
 def test_the_pose_is_the_one_under_which_depth_and_points_agree(tmp_path: Path, how: Written, seed: int) -> None:
     write_view(tmp_path / f"{VIEW}.hdf5", how=how, seed=seed)
     frame = open_dataset(tmp_path).load(VIEW)

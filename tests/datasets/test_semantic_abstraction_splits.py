@@ -16,20 +16,19 @@ from hypothesis import strategies as st
 from semantic_abstraction_checks import VIEW, changed, refused, view  # noqa: F401
 from semantic_abstraction_subsets import novel_class, novel_room, novel_visual, novel_vocabulary
 from semantic_abstraction_writer import ViewTruth, write_view
+from slow_cases import mostly_slow
 
-from pipeline.datasets import GivenExpression, open_dataset, splits
+from pipeline.datasets import SUBSETS, GivenExpression, open_dataset, splits, subsets_of
 from pipeline.datasets.semantic_abstraction import SemanticAbstractionDataset
 from pipeline.datasets.semantic_abstraction_file import (
     NOVEL_CLASSES,
     RANDOMIZED,
     RENAMED,
-    SUBSETS,
     SYNONYMS,
     read_split,
-    subsets_of,
     with_synonyms,
 )
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 
 def opened(root: Path) -> SemanticAbstractionDataset:
@@ -72,6 +71,7 @@ def test_splits_name_frames_that_are_here(divided: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_four_subsets(divided: Path) -> None:
     dataset = opened(divided)
 
@@ -141,7 +141,7 @@ class Evaluated(Malicious):
 
 
 @pytest.mark.parametrize("kind", [Malicious, Shell, Evaluated])
-@pytest.mark.parametrize("protocol", [0, 2, 4, 5])
+@pytest.mark.parametrize("protocol", mostly_slow([4, 0, 2, 5]))
 def test_a_pickle_with_code_is_refused_and_not_run(
     view: tuple[Path, ViewTruth], kind: type[Malicious], protocol: int
 ) -> None:

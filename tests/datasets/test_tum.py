@@ -21,9 +21,9 @@ from every_format import WRITERS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from recording_checks import CAMERA, pose, refused
+from slow_cases import mostly_slow
 
-from pipeline.datasets import SurveyCounts, open_dataset, survey
-from pipeline.datasets.base import dataset_notes
+from pipeline.datasets import SurveyCounts, dataset_notes, open_dataset, survey
 from pipeline.datasets.tum import match_times
 
 # TUM
@@ -98,6 +98,7 @@ STAMPS = st.one_of(
 )
 
 
+@pytest.mark.slow
 @given(st.lists(STAMPS, min_size=1, max_size=12, unique_by=Decimal), st.sampled_from([" ", "  ", "\t"]))
 @example(["0.00585412979126"], " ")
 @example(["0.00001", "1311868164.363181", "1311868164.3631810000000001"], " ")
@@ -130,7 +131,7 @@ UNSTATED = {
 """What the files of a format leave unsaid."""
 
 
-@pytest.mark.parametrize("kind", UNSTATED)
+@pytest.mark.parametrize("kind", mostly_slow(UNSTATED, fast=(0, 1, 2, 3)))
 def test_what_no_file_states_is_said_once_with_the_option_that_tells_it(tmp_path: Path, kind: str) -> None:
     said = UNSTATED[kind]
     WRITERS[kind](tmp_path)

@@ -13,11 +13,10 @@ from reader_checks import FOLDER, refused
 from recording_checks import check_frame, truths
 from scipy.io import savemat
 
-from pipeline.datasets import open_dataset, survey
-from pipeline.datasets.importing import import_recording
+from pipeline.datasets import import_recording, open_dataset, survey
 from pipeline.datasets.pairing import role_of
+from pipeline.geometry import viewer_axes
 from pipeline.geometry.measure import measure
-from pipeline.geometry.viewer import viewer_axes
 
 BARE = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
 
@@ -314,6 +313,7 @@ def bop_frames(tmp_path: Path) -> Path:
     return root
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_frames_are_listed_without_being_opened(tmp_path: Path) -> None:
     import time
 

@@ -8,13 +8,20 @@ import numpy as np
 import pytest
 from whatif_scenes import ScoringDetector, context_of, source
 
-from pipeline.answering.frame_store import LoadedFrame
-from pipeline.answering.objects import all_objects
-from pipeline.diagnosis.whatif import Baseline, Edits, rerun
-from pipeline.diagnosis.whatif.answer_view import AnswerView, BothAnswers, OtherAnswer, answer_view
-from pipeline.diagnosis.whatif.edit_words import edited_by, said_edits
-from pipeline.diagnosis.whatif.shown import shown_objects
-from pipeline.system.errors import InputError
+from pipeline.answering import LoadedFrame, all_objects
+from pipeline.diagnosis import (
+    AnswerView,
+    Baseline,
+    BothAnswers,
+    Edits,
+    OtherAnswer,
+    edited_by,
+    said_edits,
+    shown_objects,
+)
+from pipeline.diagnosis.whatif import rerun
+from pipeline.diagnosis.whatif.answer_view import answer_view
+from pipeline.system import InputError
 
 ASKED = "mug left of the laptop"
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import pipeline
-from pipeline.diagnosis.cases.saving import open_case, save_case
+from pipeline.diagnosis import open_case, save_case
 from pipeline.diagnosis.opened import open_arrays
-from pipeline.geometry.boxes import Box3D
+from pipeline.geometry import Box3D
 
 K = np.array([[75.0, 0, 39.5], [0, 75, 29.5], [0, 0, 1]])
 QUESTION = "cup left of the box"

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import pipeline as core
-from pipeline.answering.ask import Trace
-from pipeline.diagnosis.whatif import Edits
-from pipeline.diagnosis.whatif.asked_pair import AskedPair, asked_pair
+from pipeline.answering import Trace
+from pipeline.diagnosis import AskedPair, Edits, asked_pair
 
 
 def asked(text: str) -> tuple[Trace, AskedPair]:

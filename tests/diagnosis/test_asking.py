@@ -9,18 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.answering import Pipeline, open_pipeline
 from pipeline.answering.ranking import RankConfig
-from pipeline.diagnosis import asking
-from pipeline.diagnosis.asking import ask_and_judge, case_of, edited_verdicts
-from pipeline.diagnosis.whatif import Baseline, Edits, rerun
-from pipeline.geometry.frame import Frame
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.language.relation_names import PHRASE
-from pipeline.relations.relations import T
-from pipeline.system.errors import InputError
+from pipeline.diagnosis import Baseline, Edits, ask_and_judge, asking, edited_verdicts
+from pipeline.diagnosis.asking import case_of
+from pipeline.diagnosis.whatif import rerun
+from pipeline.geometry import Frame
+from pipeline.labels import Labels, SourceSpec, label_dataset, open_labels
+from pipeline.language import PHRASE
+from pipeline.relations import T
+from pipeline.system import InputError
 
 TEXTS = ("mug left of the laptop", "laptop right of the mug", "desk holding a laptop")
 

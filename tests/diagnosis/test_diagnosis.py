@@ -8,28 +8,30 @@ from diagnosis_worlds import world
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pipeline.answering.pair_table import TIE, PairTable, RankConfig, ScoredPair, pair_table, side
-from pipeline.answering.ranking import alone, rank
-from pipeline.diagnosis.decision import diagnose
-from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.marks import MARKS
-from pipeline.diagnosis.oracles import (
+from pipeline.answering import PairTable, RankConfig, ScoredPair, alone, rank, side
+from pipeline.answering.pair_table import TIE, pair_table
+from pipeline.diagnosis import (
     CONF,
     LIFT,
+    MARKS,
     ORACLES,
-    RECALL,
     SRM,
-    STATE_PROBABILITY,
     SUBSETS,
+    VERDICTS,
+    Diagnosis,
+    FrameEvidence,
+    diagnose,
     names_of,
+    shown_verdicts,
+    substitute,
 )
-from pipeline.diagnosis.substitution import substitute
-from pipeline.diagnosis.verdict import VERDICTS, Diagnosis, explain, shown_verdicts
+from pipeline.diagnosis.oracles import RECALL, STATE_PROBABILITY
+from pipeline.diagnosis.verdict import explain
+from pipeline.evaluation import oracle_deltas
 from pipeline.evaluation.records import record
-from pipeline.evaluation.summary import oracle_deltas
-from pipeline.labels.cases import HIT, Case
-from pipeline.language.expression import parse
-from pipeline.relations.relations import U
+from pipeline.labels import HIT, Case
+from pipeline.language import parse
+from pipeline.relations import U
 
 SEEDS = st.integers(0, 2**32 - 1)
 WEIGHTS = st.builds(
@@ -194,6 +196,7 @@ def diagnosed() -> Diagnosed:
     return [(e, c, diagnose(e, c, parse_ok=True)) for e, c in map(world, range(1500))]
 
 
+@pytest.mark.slow
 def test_all_verdicts_of_ranking_occur_in_the_worlds(diagnosed: Diagnosed) -> None:
     assert set(shown_verdicts(())) - {"PARSE"} == {d.verdict for _, _, d in diagnosed}
 

@@ -15,21 +15,24 @@ import numpy as np
 import pytest
 from whatif_scenes import RowDataset, ScoringDetector, context_of, row, source
 
-from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline
+from pipeline.answering import Pipeline, PreparedFrame
 from pipeline.answering.ranking import RankConfig
-from pipeline.datasets import open_dataset
-from pipeline.datasets.saved_case import MANIFEST
-from pipeline.diagnosis.answer import answer_record
-from pipeline.diagnosis.asking import annotated_truth
-from pipeline.diagnosis.cases.replay import find_cases, replay_all, replay_case
-from pipeline.diagnosis.cases.saving import open_case, save_case
-from pipeline.diagnosis.whatif import Edits, edits_record
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.lifting import LiftConfig
-from pipeline.proposals.score_calibration import FittedFrame, ScoreCalibration
+from pipeline.datasets import MANIFEST, open_dataset
+from pipeline.diagnosis import (
+    Edits,
+    annotated_truth,
+    answer_record,
+    edits_record,
+    find_cases,
+    open_case,
+    replay_all,
+    save_case,
+)
+from pipeline.diagnosis.cases.replay import replay_case
+from pipeline.geometry import Camera, LiftConfig
+from pipeline.proposals import FittedFrame, ScoreCalibration
 from pipeline.relations import make_scorer
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 TEXT = "mug left of the laptop"
 

@@ -11,19 +11,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.answering.answering import FrameAnswers
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.diagnosis.answer import diagnosis_record
-from pipeline.diagnosis.asking import ask_and_judge, case_of, judge_sentence, judge_trace, known_truth
-from pipeline.diagnosis.cases.saving import open_case, save_case
-from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.oracles import ALL_ORACLES, ATTRIBUTE, LIFT, SUBSETS
-from pipeline.diagnosis.sentence_truth import sentence_case
-from pipeline.diagnosis.substitution import substitute
-from pipeline.diagnosis.verdict import VERDICTS, Diagnosis
-from pipeline.evaluation.summary import oracle_deltas
-from pipeline.labels.cases import Meant
-from pipeline.language.naming import match
+from pipeline.answering import FrameAnswers, Pipeline, open_pipeline
+from pipeline.diagnosis import (
+    ALL_ORACLES,
+    LIFT,
+    SUBSETS,
+    VERDICTS,
+    Diagnosis,
+    FrameEvidence,
+    ask_and_judge,
+    diagnosis_record,
+    judge_sentence,
+    judge_trace,
+    known_truth,
+    open_case,
+    save_case,
+    sentence_case,
+    substitute,
+)
+from pipeline.diagnosis.asking import case_of
+from pipeline.diagnosis.oracles import ATTRIBUTE
+from pipeline.evaluation import oracle_deltas
+from pipeline.labels import Meant
+from pipeline.language import match
 
 TEXTS = (
     "the red mug", "the biggest mug", "second book from the left", "the mug that is not red", "the blue book",
@@ -61,6 +71,7 @@ def test_sentences_get_verdicts_that_hold_what_they_say(judged: list[Diagnosis])
     assert {True, False} == {d.correct for d in judged}
 
 
+@pytest.mark.slow
 def test_without_oracles_a_sentence_is_ranked_as_it_was_answered(weak: Pipeline) -> None:
     seen = 0
     for frame in (0, 3, 6):
@@ -227,6 +238,7 @@ def test_an_oracle_that_changes_nothing_has_no_share_and_takes_none(right_with: 
         assert more.shapley[name].value == pytest.approx(estimate.value, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_needed_change_of_attributes_and_no_smaller_one_puts_the_right_thing_first(weak: Pipeline) -> None:
     context = weak.prepare(weak.dataset.frame_ids[3])
     truth = known_truth(weak, context)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 import pipeline as core
-from pipeline.diagnosis.answer import Answer
-from pipeline.diagnosis.stages import failed_stages, stages_of, unasked_stages
+from pipeline.diagnosis import Answer, failed_stages, stages_of, unasked_stages
 from pipeline.language.glossary import glossary
 
 

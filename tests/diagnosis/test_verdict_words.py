@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from diagnosis_worlds import world
 
-from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.decision import diagnose
-from pipeline.diagnosis.substitution import substitute
-from pipeline.diagnosis.verdict import Diagnosis, Missed, explain
-from pipeline.labels.cases import Case
+from pipeline.answering import ScoredPair
+from pipeline.diagnosis import Diagnosis, Missed, diagnose, substitute
+from pipeline.diagnosis.verdict import explain
+from pipeline.labels import Case
 
 CASE = Case("1", "book on a book", "book", "on", "shelf", 0, 1, np.array([0]), np.array([0]), False, 0.1)
 WINNER = ScoredPair(0, 3, 0.6, 0.5, 0.9, log_score=-1.3, product=0.27, probability=0.6)
@@ -73,7 +72,7 @@ def test_a_name_that_the_detector_does_not_know_is_not_called_unseen() -> None:
 
 def test_no_sentence_has_an_empty_clause_or_a_number_that_does_not_change() -> None:
     seen = set()
-    for seed in range(1000):
+    for seed in range(400):
         evidence, case = world(seed)
         rng = np.random.default_rng(seed)
         table = evidence.probabilities("left")

@@ -13,18 +13,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from whatif_scenes import ScoringDetector, context_of, row, source
 
-from pipeline.answering.ask import AskConfig, Trace, ask
-from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
+from pipeline.answering import AskConfig, PreparedFrame, SceneObject, Trace, appearance_of
+from pipeline.answering.ask import ask
 from pipeline.answering.ranking import RankConfig
-from pipeline.diagnosis.whatif import Baseline, Edits, edits_record, load_edits, read_edits, rerun, what_changed
+from pipeline.diagnosis import Baseline, Edits, edits_record, foreign_keys, load_edits, what_changed
+from pipeline.diagnosis.whatif import read_edits, rerun
 from pipeline.diagnosis.whatif.pair_tables import detection_keys
-from pipeline.diagnosis.whatif.rerun import foreign_keys
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.lifting import LiftConfig
-from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations import make_scorer
-from pipeline.relations.relations import Profile, pairwise_states
-from pipeline.system.errors import InputError, require
+from pipeline.geometry import Box3D, LiftConfig
+from pipeline.language import PAIRWISE
+from pipeline.relations import Profile, make_scorer, pairwise_states
+from pipeline.system import InputError, require
 
 QUESTIONS = (
     "mug left of the laptop",
@@ -168,7 +166,7 @@ def some_edits(draw: st.DrawFn) -> Edits:
     return edits
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(some_edits(), min_size=1, max_size=4), st.sampled_from(QUESTIONS), st.sampled_from(["rule", "trained"]))
 def test_one_edit_after_another_is_each_from_the_start(steps: list[Edits], text: str, scorer: str) -> None:
     asked, context = source(scorer=scorer), context_of(FRAME)

@@ -9,22 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.diagnosis.whatif import Edits
-from pipeline.diagnosis.whatif.changes import each_edit, without_edit
-from pipeline.diagnosis.whatif.placement import (
-    MOST_PIXELS,
-    SMALLEST_SIDE,
-    box_numbers,
-    grown,
-    labelled_mask,
-    rectangle,
-    with_numbers,
-)
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.masks import encode_run_length
-from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.labels.cases import FrameCases
-from pipeline.system.errors import InputError
+from pipeline.diagnosis import SMALLEST_SIDE, Edits, box_numbers, each_edit, without_edit
+from pipeline.diagnosis.whatif.placement import MOST_PIXELS, grown, labelled_mask, rectangle, with_numbers
+from pipeline.geometry import Box3D, ViewerAxes, encode_run_length, viewer_axes
+from pipeline.labels import FrameCases
+from pipeline.system import InputError
 
 angle = st.floats(-179.0, 179.0)
 length = st.floats(0.05, 3.0)

@@ -12,18 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.diagnosis.whatif import Edits
-from pipeline.diagnosis.whatif.state import (
-    LARGEST_CONTENT,
-    CameraView,
-    ViewState,
-    decode,
-    encode,
-    read_state,
-    state_record,
-)
-from pipeline.geometry.boxes import Box3D
-from pipeline.system.errors import InputError
+from pipeline.diagnosis import CameraView, Edits, ViewState, decode, encode
+from pipeline.diagnosis.whatif.state import LARGEST_CONTENT, read_state, state_record
+from pipeline.geometry import Box3D
+from pipeline.system import InputError
 
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
 numbers = st.floats(-1e5, 1e5)

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pipeline.diagnosis.oracles import names_of
-from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.diagnosis import VERDICTS, names_of
 from pipeline.evaluation.records import COLUMNS, records_schema
-from pipeline.language.tree import QUERY_KINDS
+from pipeline.language import QUERY_KINDS
 
 CLASSES = ("chair", "Chair", "trash can", "none", 'a "b" c', "ta*ble", "100%_x", "it's")
 RELATIONS = ("left", "behind", "on")

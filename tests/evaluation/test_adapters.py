@@ -13,16 +13,12 @@ import pytest
 from concept_graph_maps import corners, map_object, write_map
 from scenes import frame_of, upright
 
-from pipeline.answering.predictions import Header, Predictions, read_predictions
-from pipeline.datasets.base import InMemoryDataset
-from pipeline.datasets.frame_names import FrameNames
+from pipeline.answering import Header, Predictions, read_predictions
+from pipeline.datasets import FrameNames, InMemoryDataset
 from pipeline.evaluation.adapters import FORMATS, PredictionFormat, convert_predictions
 from pipeline.evaluation.adapters.answers import answer_of
 from pipeline.evaluation.adapters.converting import is_published
-from pipeline.system import plugins
-from pipeline.system.arrow import pa
-from pipeline.system.errors import FrameUnusable, InputError
-from pipeline.system.whole_files import sha256_of
+from pipeline.system import FrameUnusable, InputError, pa, plugins, sha256_of
 
 IDS = ("000001/000000", "000001/000020", "000002/000003")
 TWO = ("000001/000000", "000002/000000")

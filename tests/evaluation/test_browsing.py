@@ -15,13 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from run_records import random_records
 
-from pipeline.datasets.demo import demo_run
-from pipeline.evaluation.browsing import RunRows
-from pipeline.evaluation.comparing import CHANGES, changes, compare, with_second
-from pipeline.evaluation.facets import Facets, with_value
+from pipeline.datasets import demo_run
+from pipeline.evaluation import CHANGES, RunRows, compare, find_failures, find_rows, with_value
+from pipeline.evaluation.comparing import changes, with_second
+from pipeline.evaluation.facets import Facets
 from pipeline.evaluation.run_notes import FILE, keep_filter, mark, notes_path, read_notes
-from pipeline.evaluation.search import find_failures, find_rows
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 
 def _same_frames(records: pa.Table, as_in: pa.Table) -> pa.Table:
@@ -38,7 +37,7 @@ QUERIES = ("", "-verdict:CORRECT,LABEL sort:margin", "verdict:SRM,LIFT -class:ch
            "scene=000001", "second_verdict:PRM -relation:left")  # fmt: skip
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.integers(0, 2), st.sampled_from(QUERIES))
 def test_a_facet_counts_what_the_rest_of_the_search_finds(number: int, query: str) -> None:
     records = PAIRS[number]

@@ -12,22 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.answering.ask import AskConfig
-from pipeline.answering.calibrating import calibrate_scores
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering import AskConfig, calibrate_scores, open_pipeline
+from pipeline.evaluation import EvalSpec, evaluate_dataset, evaluate_labels
 from pipeline.evaluation.grounding_tables import calibration_table, ece_estimate, held_out_warning
-from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.records import RAW, detector_scores, is_calibrated, raw_records
-from pipeline.evaluation.run import EvalSpec, evaluate_labels
-from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import read_cases
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
-from pipeline.labels.reading import open_labels
-from pipeline.metrics.calibration_metrics import expected_calibration_error
-from pipeline.metrics.intervals import BootstrapConfig, Estimate
-from pipeline.proposals import top_k
-from pipeline.proposals.score_calibration import FittedFrame, ScoreCalibration, load_calibration, save_calibration
+from pipeline.geometry import iou_2d
+from pipeline.labels import SourceSpec, label_dataset, open_labels, read_cases
+from pipeline.metrics import BootstrapConfig, Estimate, expected_calibration_error
+from pipeline.proposals import FittedFrame, ScoreCalibration, load_calibration, save_calibration, top_k
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -142,6 +134,7 @@ def test_records_of_earlier_releases_have_no_second_answer(plain: pa.Table) -> N
     assert not is_calibrated(plain.drop_columns(["raw_iou"]))
 
 
+@pytest.mark.slow
 def test_a_run_with_a_calibration_of_its_own_frames_says_so(labels: Path, tmp_path: Path) -> None:
     pytest.importorskip("plotly", reason="the extra report is not installed")
     source = open_pipeline("demo", detector="simulated", srm="rule")

@@ -9,16 +9,15 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.datasets.demo import demo_detector, demo_labels, demo_run
-from pipeline.diagnosis.marks import read_marks
-from pipeline.diagnosis.verdict import shown_verdicts
+from pipeline.datasets import demo_labels, demo_run
+from pipeline.datasets.demo import demo_detector
+from pipeline.diagnosis import read_marks, shown_verdicts
+from pipeline.evaluation import open_run
 from pipeline.evaluation.records import COLUMNS
 from pipeline.evaluation.run import Evaluator, table_of
-from pipeline.evaluation.run_folder import open_run
-from pipeline.labels.cases import read_cases
-from pipeline.labels.reading import open_labels
+from pipeline.labels import open_labels, read_cases
 from pipeline.labels.rewording import read_sentences, reword
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 HERE = demo_run().parent
 

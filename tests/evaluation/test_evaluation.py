@@ -14,26 +14,19 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from slow_cases import mostly_slow
 
-from pipeline.answering.answering import FrameAnswers
-from pipeline.answering.ask import AskConfig
-from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import open_pipeline
-from pipeline.answering.ranking import alone
-from pipeline.evaluation.comparing import compare
+from pipeline.answering import AskConfig, FrameAnswers, PreparedFrame, alone, open_pipeline
+from pipeline.evaluation import EvalSpec, VlmOptions, compare, evaluate_dataset, evaluate_labels, read_records
 from pipeline.evaluation.grounding_tables import problem_warnings, read_reported, reported_rows
-from pipeline.evaluation.job import evaluate_dataset, make_tables
-from pipeline.evaluation.records import COLUMNS, DETECTIONS, read_records, records_schema
-from pipeline.evaluation.run import EvalSpec, Evaluator, VlmOptions, evaluate_labels, table_of
-from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import HIT, read_cases
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
-from pipeline.labels.reading import open_labels
-from pipeline.language.relation_names import PHRASE
-from pipeline.metrics.intervals import BootstrapConfig, Estimate
-from pipeline.metrics.tables import Row, Table, as_csv, latex, markdown
-from pipeline.system.errors import InputError
+from pipeline.evaluation.job import make_tables
+from pipeline.evaluation.records import COLUMNS, DETECTIONS, records_schema
+from pipeline.evaluation.run import Evaluator, table_of
+from pipeline.geometry import iou_2d
+from pipeline.labels import HIT, SourceSpec, label_dataset, open_labels, read_cases
+from pipeline.language import PHRASE
+from pipeline.metrics import BootstrapConfig, Estimate, Row, Table, as_csv, latex, markdown
+from pipeline.system import InputError
 
 FRAMES = 4
 OF_CALIBRATED = {f"{end}_{what}" for end in ("target", "reference") for what in DETECTIONS}
@@ -88,9 +81,10 @@ def spec_of(labels: Path, recording: Path | None, **options: Any) -> EvalSpec:
 
 
 # The simulated detector finds a thing under several names, and the trained network scores it by name.
-@pytest.mark.parametrize(
-    "chosen", [{"srm": "rule"}, {"srm": "trained"}, {"srm": "trained", "detector": "simulated"}], ids=str
-)
+CHOSEN = [{"srm": "trained"}, {"srm": "rule"}, {"srm": "trained", "detector": "simulated"}]
+
+
+@pytest.mark.parametrize("chosen", mostly_slow(CHOSEN), ids=str)
 def test_winners_are_those_of_ask(labels: Path, recording: Path, chosen: dict[str, Any]) -> None:
     evaluator = Evaluator(spec_of(labels, None if "detector" in chosen else recording, **chosen))
     asked = 0
@@ -155,6 +149,7 @@ def test_records_follow_from_boxes_and_labels(labels: Path, recording: Path) -> 
             assert row["label_state"] == state
 
 
+@pytest.mark.slow
 def test_rows_do_not_depend_on_the_number_of_workers(labels: Path, recording: Path, monkeypatch: Any) -> None:
     import pyarrow as pa
 
@@ -329,6 +324,7 @@ def test_published_figures_name_their_source(tmp_path: Path) -> None:
         read_reported(tmp_path / "mine.json")
 
 
+@pytest.mark.slow
 def test_tables_of_a_run_hold_every_system(labels: Path, recording: Path) -> None:
     (poor, *_), (exact, *_) = evaluate_labels(spec_of(labels, recording)), evaluate_labels(spec_of(labels, None))
     grounding, relations, stages, *_ = make_tables({"poor": poor, "exact": exact}, QUICK)

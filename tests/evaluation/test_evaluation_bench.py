@@ -12,18 +12,14 @@ import numpy as np
 import pytest
 
 import pipeline.evaluation.bench as bench
-from pipeline.answering.answering import StageClock
-from pipeline.answering.objects import PreparedFrame, mask_iou
-from pipeline.answering.opening import open_pipeline
-from pipeline.answering.recording import record_detections
-from pipeline.datasets.base import load_picture
-from pipeline.evaluation.run import EvalSpec, evaluate_labels
-from pipeline.geometry.lifting import lift
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
-from pipeline.proposals.base import reads_annotations
-from pipeline.system.errors import InputError
-from pipeline.system.peak_memory import PeakMemory
+from pipeline.answering import PreparedFrame, StageClock, open_pipeline, record_detections
+from pipeline.answering.objects import mask_iou
+from pipeline.datasets import load_picture
+from pipeline.evaluation import EvalSpec, evaluate_labels
+from pipeline.geometry import lift
+from pipeline.labels import SourceSpec, label_dataset
+from pipeline.proposals import reads_annotations
+from pipeline.system import InputError, PeakMemory
 
 FRAMES = 3
 
@@ -43,6 +39,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_answers_agree_and_figures_follow_from_each_other(labels: Path, recording: Path) -> None:
     record = bench.bench_evaluation("demo", labels, recording=recording, workers=1, singly=12, pairs=500)
     assert record.keys() == {
@@ -67,6 +64,7 @@ def test_answers_agree_and_figures_follow_from_each_other(labels: Path, recordin
         assert record["training"]["pairs"] == 500
 
 
+@pytest.mark.slow
 def test_an_answer_that_differs_is_told(labels: Path, recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record = bench._same_answer
 
@@ -80,6 +78,7 @@ def test_an_answer_that_differs_is_told(labels: Path, recording: Path, monkeypat
     assert len(found["differ"]) == 6 - found["same_answers"]
 
 
+@pytest.mark.slow
 def test_training_without_torch_is_said_plainly(labels: Path, recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     record = bench.bench_evaluation("demo", labels, recording=recording, singly=1, pairs=100)
@@ -93,6 +92,7 @@ def test_nothing_to_measure_is_an_error(wrong: dict[str, int]) -> None:
         bench.bench_evaluation("demo", **wrong)  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.slow
 def test_rows_do_not_depend_on_the_blocks(labels: Path, recording: Path) -> None:
     import pyarrow as pa
 

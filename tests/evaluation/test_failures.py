@@ -6,9 +6,9 @@ import pyarrow as pa
 import pytest
 
 import pipeline
-from pipeline.datasets.demo import demo_run
-from pipeline.evaluation.search import find_failures
-from pipeline.system.in_notebook import InNotebook
+from pipeline.datasets import demo_run
+from pipeline.evaluation import find_failures
+from pipeline.system import InNotebook
 
 
 @pytest.fixture(scope="module")

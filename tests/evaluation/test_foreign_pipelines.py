@@ -31,6 +31,7 @@ CHANGED = {
 KINDS = picture_relations.KINDS
 
 
+@pytest.mark.slow
 def test_the_verdict_names_the_planted_module_of_another_pipeline() -> None:
     labels = open_labels(demo_labels())
     found = list(lines(CENTRES, open_pipeline("demo", srm="rule").dataset, labels, 4, every=10, share=0.7))
@@ -56,6 +57,7 @@ def changed(line: Line) -> set[str]:
     return {f.name for f in fields(Question) if differs(f.name)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("own", "tried"),
     [
@@ -86,6 +88,7 @@ def test_a_fault_that_counts_is_wrong_in_one_module_and_makes_a_right_answer_wro
     assert all(line.line == predicted(own, line.before) for line in found if line.fault is None)
 
 
+@pytest.mark.slow
 def test_a_rule_breaks_every_line_of_a_whole_file_and_a_thing_has_one_box_in_all_of_them(tmp_path: Path) -> None:
     own = normalised_scores.make("standardised")
     found = lines_of_frames(own, lambda *_: ["LIFT disparity"], every=5, frames=4, whole=True)

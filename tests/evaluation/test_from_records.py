@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import pipeline
-from pipeline.answering.predictions import Header, read_predictions
-from pipeline.datasets.demo import demo_labels
-from pipeline.evaluation.importing import import_run
+from pipeline.answering import Header, read_predictions
+from pipeline.datasets import demo_labels
+from pipeline.evaluation import import_run
 
 ASKED = 6
 

@@ -5,56 +5,78 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from itertools import product, takewhile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from benchmarks.centre_rule import CENTRES
 from benchmarks.fault_figures import lines
+from slow_cases import mostly_slow
 
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering import GivenAnswer, GivenBox, Header, Prediction, open_pipeline, write_predictions
 from pipeline.answering.pair_rules import factors_of
-from pipeline.answering.predictions import GivenAnswer, GivenBox, Header, Prediction, write_predictions
-from pipeline.datasets.demo import demo_labels
-from pipeline.evaluation.adapters import import_published
-from pipeline.evaluation.importing import import_run
-from pipeline.evaluation.job import RunReport
-from pipeline.evaluation.run_folder import open_run
-from pipeline.geometry.masks import RunLength
-from pipeline.labels.reading import open_labels
-from pipeline.system.errors import InputError
+from pipeline.datasets import demo_labels
+from pipeline.evaluation import RunReport, import_published, import_run, open_run
+from pipeline.geometry import RunLength
+from pipeline.labels import SourceSpec, label_dataset, open_labels
+from pipeline.system import InputError
+
+Import = Callable[..., tuple[RunReport, list[str]]]
 
 
 @pytest.fixture(scope="module")
-def every_frame() -> list[Prediction]:
+def one_frame(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Labels of the demo's first frame: what is told of a file does not depend on how many frames there are."""
+    out = tmp_path_factory.mktemp("one_frame") / "labels"
+    label_dataset(SourceSpec("demo"), out, limit=1)
+    return out
+
+
+def given_lines(labels: Path) -> list[Prediction]:
     """What a pipeline without a fault gives in level 3, where it answers right."""
-    dataset, labels = open_pipeline("demo", srm="rule").dataset, open_labels(demo_labels())
-    return [x.line for x in lines(CENTRES, dataset, labels, 4, every=10, share=0.0)]
+    dataset = open_pipeline("demo", srm="rule").dataset
+    return [x.line for x in lines(CENTRES, dataset, open_labels(labels), 4, every=10, share=0.0)]
 
 
 @pytest.fixture(scope="module")
-def given(every_frame: list[Prediction]) -> list[Prediction]:
+def given(one_frame: Path) -> list[Prediction]:
     """That of one frame."""
-    return [line for line in every_frame if line.frame == every_frame[0].frame]
+    return given_lines(one_frame)
 
 
-def imported(folder: Path, given: list[Prediction], header: Header = CENTRES.header) -> tuple[RunReport, list[str]]:
+def run_of(
+    folder: Path, given: list[Prediction], header: Header = CENTRES.header, *, labels: Path
+) -> tuple[RunReport, list[str]]:
+    """The report of an imported file, and the verdicts in the order of its lines."""
     folder.mkdir(exist_ok=True)
     write_predictions(folder / "p.jsonl", header, given)
-    report = import_run(folder / "p.jsonl", "demo", demo_labels(), folder / "run", plots=False)
+    report = import_run(folder / "p.jsonl", "demo", labels, folder / "run", plots=False)
     return report, open_run(folder / "run").records.column("verdict").to_pylist()
 
 
-def test_answers_among_the_proposals_are_mostly_right(given: list[Prediction], tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def imported(one_frame: Path) -> Import:
+    """Imports lines of that frame."""
+    return partial(run_of, labels=one_frame)
+
+
+def test_answers_among_the_proposals_are_mostly_right(
+    imported: Import, given: list[Prediction], tmp_path: Path
+) -> None:
     assert imported(tmp_path, given)[1].count("CORRECT") > 0.6 * len(given)
 
 
-@pytest.mark.parametrize("ranking", ["pair_scores", "product", "none"])
+ANSWERS = [GivenAnswer(point=(5.0, 5.0)), GivenAnswer(box=(0.0, 0.0, 20.0, 20.0)), GivenAnswer(yes=False)]
+
+
 @pytest.mark.parametrize(
-    "answer", [GivenAnswer(point=(5.0, 5.0)), GivenAnswer(box=(0.0, 0.0, 20.0, 20.0)), GivenAnswer(yes=False)]
+    ("ranking", "answer"),
+    mostly_slow(product(["pair_scores", "product", "none"], ANSWERS), fast=(4,), several=True),
 )
 def test_an_answer_that_is_no_proposal_is_not_replaced_by_the_best_pair(
-    given: list[Prediction], tmp_path: Path, answer: GivenAnswer, ranking: str
+    imported: Import, given: list[Prediction], tmp_path: Path, answer: GivenAnswer, ranking: str
 ) -> None:
     pairs = {} if ranking == "pair_scores" else {"pairs": None}
     wrong = [replace(line, answer=answer, **pairs) for line in given]  # type: ignore[arg-type]
@@ -64,7 +86,9 @@ def test_an_answer_that_is_no_proposal_is_not_replaced_by_the_best_pair(
     assert set(verdicts) <= {"UNEXPLAINED", "LIFT", "OPM-TARGET", "OPM-REF", "LABEL"}
 
 
-def test_ends_that_are_swapped_are_refused_with_their_line(given: list[Prediction], tmp_path: Path) -> None:
+def test_ends_that_are_swapped_are_refused_with_their_line(
+    imported: Import, given: list[Prediction], tmp_path: Path
+) -> None:
     line = next(x for x in given if x.answer and x.answer.reference is not None)
     assert line.answer is not None
     swapped = GivenAnswer(object=line.answer.reference, reference=line.answer.object)
@@ -99,19 +123,21 @@ def resized(given: list[Prediction], change: Callable[[float, int], float]) -> l
     return found
 
 
-def test_boxes_that_are_smaller_than_a_pixel_are_refused(given: list[Prediction], tmp_path: Path) -> None:
+def test_boxes_that_are_smaller_than_a_pixel_are_refused(
+    imported: Import, given: list[Prediction], tmp_path: Path
+) -> None:
     with pytest.raises(InputError, match='"box_unit": "shares"'):
         imported(tmp_path, resized(given, _shares))
 
 
-def test_a_mask_of_another_size_is_told_by_its_line(given: list[Prediction], tmp_path: Path) -> None:
+def test_a_mask_of_another_size_is_told_by_its_line(imported: Import, given: list[Prediction], tmp_path: Path) -> None:
     known = given[1].proposals or {}
     proposals = {name: tuple(replace(p, mask=SMALL) for p in every) for name, every in known.items()}
     with pytest.raises(InputError, match=r"line \d+, mask of \d+: the mask has another size; got \(4, 8\)"):
         imported(tmp_path, [replace(given[1], proposals=proposals)])
 
 
-def test_boxes_that_lie_on_nothing_are_told(given: list[Prediction], tmp_path: Path) -> None:
+def test_boxes_that_lie_on_nothing_are_told(imported: Import, given: list[Prediction], tmp_path: Path) -> None:
     told = "lies on a labelled object"
     (words,) = [words for words in imported(tmp_path, resized(given, _half))[0].warnings if told in words]
     assert "are their boxes of smaller pictures? Times 2, " in words
@@ -123,7 +149,7 @@ def test_boxes_that_lie_on_nothing_are_told(given: list[Prediction], tmp_path: P
     assert not any(told in words for words in imported(tmp_path / "whole", given)[0].warnings)
 
 
-def test_a_row_that_stands_twice_is_refused(given: list[Prediction], tmp_path: Path) -> None:
+def test_a_row_that_stands_twice_is_refused(imported: Import, given: list[Prediction], tmp_path: Path) -> None:
     line = given[0]
     assert line.relations is not None
     ((relation, rows),) = line.relations.items()
@@ -133,16 +159,18 @@ def test_a_row_that_stands_twice_is_refused(given: list[Prediction], tmp_path: P
         imported(tmp_path, [twice])
 
 
-@pytest.mark.parametrize("encoding", ["utf-16", "latin-1"])
-def test_a_file_in_another_encoding_is_told(given: list[Prediction], tmp_path: Path, encoding: str) -> None:
+@pytest.mark.parametrize("encoding", mostly_slow(["utf-16", "latin-1"]))
+def test_a_file_in_another_encoding_is_told(
+    one_frame: Path, given: list[Prediction], tmp_path: Path, encoding: str
+) -> None:
     file = tmp_path / "p.jsonl"
     write_predictions(file, replace(CENTRES.header, system="Gerät"), given)
     text = file.read_text("utf-8").replace("\\u00e4", "ä")
     file.write_bytes(text.encode(encoding))
     with pytest.raises(InputError, match="saved as UTF-8"):
-        import_published(file, "demo", demo_labels(), tmp_path / "run")
+        import_published(file, "demo", one_frame, tmp_path / "run")
     file.write_bytes(text.encode("utf-8-sig"))
-    assert import_published(file, "demo", demo_labels(), tmp_path / "run", plots=False).folder == tmp_path / "run"
+    assert import_published(file, "demo", one_frame, tmp_path / "run", plots=False).folder == tmp_path / "run"
 
 
 def test_a_missing_file_is_told_as_missing(tmp_path: Path) -> None:
@@ -186,17 +214,22 @@ def numbered_apart(line: Prediction, k: int) -> Prediction:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_relation_that_is_as_probable_of_every_pair_is_the_scorers_fault(
-    every_frame: list[Prediction], tmp_path: Path
+    tmp_path: Path,
 ) -> None:
-    asked = [line for line in every_frame if len(factors_of(line)) >= 3]
-    _, verdicts = imported(tmp_path, [ranked(line, lambda p: 0.31 + 0.01 * p) for line in asked])
+    asked = [line for line in given_lines(demo_labels()) if len(factors_of(line)) >= 3]
+    _, verdicts = run_of(tmp_path, [ranked(line, lambda p: 0.31 + 0.01 * p) for line in asked], labels=demo_labels())
     wrong = [v for v in verdicts if v not in ("CORRECT", "LABEL")]
     assert wrong.count("SRM") > 0.5 * len(wrong) > 0
     assert "LIFT" not in wrong
 
 
-def test_a_relation_of_a_box_that_is_off_as_no_other_is_the_boxs_fault(given: list[Prediction], tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_relation_of_a_box_that_is_off_as_no_other_is_the_boxs_fault(tmp_path: Path) -> None:
+    dataset, labels = open_pipeline("demo", srm="rule").dataset, open_labels(demo_labels())
+    every = (x.line for x in lines(CENTRES, dataset, labels, 4, every=10, share=0.0))
+    given = list(takewhile(lambda line: line.frame == dataset.frame_ids[0], every))
     asked = [numbered_apart(line, k) for k, line in enumerate(given) if len(factors_of(line)) >= 2]
     broken = [ranked(line, (lambda p: 1 - p) if k % 4 == 0 else float) for k, line in enumerate(asked)]
 
@@ -209,8 +242,9 @@ def test_a_relation_of_a_box_that_is_off_as_no_other_is_the_boxs_fault(given: li
 
         return replace(line, boxes_3d={i: farther(box) for i, box in (line.boxes_3d or {}).items()})
 
-    _, as_usual = imported(tmp_path / "usual", broken)
-    _, off = imported(tmp_path / "off", [moved(line) if k % 4 == 0 else line for k, line in enumerate(broken)])
+    _, as_usual = run_of(tmp_path / "usual", broken, labels=demo_labels())
+    apart = [moved(line) if k % 4 == 0 else line for k, line in enumerate(broken)]
+    _, off = run_of(tmp_path / "off", apart, labels=demo_labels())
     scorers = [k for k, v in enumerate(as_usual) if v == "SRM" and k % 4 == 0]
     assert len(scorers) >= 2
     assert all(off[k] == "LIFT" for k in scorers)

@@ -13,20 +13,17 @@ from pathlib import Path
 import pytest
 from benchmarks.centre_rule import CENTRES
 from benchmarks.fault_figures import Line, lines
+from slow_cases import mostly_slow
 
-from pipeline.answering.imported import ImportedPipeline, open_imported
-from pipeline.answering.opening import open_pipeline
-from pipeline.answering.predictions import Prediction, read_predictions, write_predictions
-from pipeline.datasets.demo import demo_labels
-from pipeline.datasets.saved_case import MANIFEST
-from pipeline.diagnosis.asking import known_truth
+from pipeline.answering import ImportedPipeline, Prediction, open_pipeline, read_predictions, write_predictions
+from pipeline.answering.imported import open_imported
+from pipeline.datasets import MANIFEST, demo_labels
+from pipeline.diagnosis import Result, known_truth, open_case, replay_all, save_case
 from pipeline.diagnosis.cases.manifest import PREDICTIONS
-from pipeline.diagnosis.cases.replay import Result, replay_all
-from pipeline.diagnosis.cases.saving import open_case, save_case
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.system.errors import InputError
+from pipeline.labels import Labels, open_labels
+from pipeline.system import InputError
 
-FRAMES = 3
+FRAMES, EVERY = 2, 6
 RIGHT = ("CORRECT", "LABEL")
 """The answer is right, or as right as the label."""
 
@@ -62,10 +59,10 @@ def written(path: Path, found: list[Prediction]) -> Path:
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory, labels: Labels, asked: list[tuple[Line, Line]]) -> Path:
-    """A case of each third line, by the verdict that the whole file gives."""
+    """A case of every few lines, by the verdict that the whole file gives."""
     folder = tmp_path_factory.mktemp("cases")
     source = open_imported(written(folder / "first.jsonl", [x.line for x, _ in asked]), "demo")
-    for k, (x, _) in enumerate(asked[::3]):
+    for k, (x, _) in enumerate(asked[::EVERY]):
         context = source.prepare(x.line.frame)
         save_case(
             folder / "cases" / f"{k:03d}", source, context, x.line.text, truth=known_truth(source, context, labels)
@@ -95,7 +92,7 @@ def test_a_case_holds_what_its_verdict_was_found_by(kept: Path, asked: list[tupl
 
 def test_a_later_version_is_judged_by_the_same_cases(kept: Path, asked: list[tuple[Line, Line]]) -> None:
     later = written(kept / "later.jsonl", [y.line for _, y in asked])
-    faults = [x.fault for x, _ in asked[::3]]
+    faults = [x.fault for x, _ in asked[::EVERY]]
     for fault, result in zip(faults, replayed(kept, predictions=later), strict=True):
         assert result.replay is not None
         before, after = result.replay.before.judgement, result.replay.after.judgement
@@ -116,7 +113,11 @@ def test_a_file_that_lacks_a_case_is_told(kept: Path, asked: list[tuple[Line, Li
         list(replayed(kept, predictions=kept / "cases" / "000" / MANIFEST))
 
 
-@pytest.mark.parametrize("wrong", [{"coordinates": "camera_opengl"}, {"length": "mm"}, {"boxes": "xywh"}])
+WRONG = [{"length": "mm"}, {"coordinates": "camera_opengl"}, {"boxes": "xywh"}]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", mostly_slow(WRONG))
 def test_a_later_file_in_other_coordinates_is_refused(
     kept: Path, asked: list[tuple[Line, Line]], wrong: dict[str, str], tmp_path: Path
 ) -> None:

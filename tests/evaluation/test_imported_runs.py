@@ -11,30 +11,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+from slow_cases import mostly_slow
 
-from pipeline.answering.given_places import check_places
-from pipeline.answering.imported import ImportedPipeline, open_imported
-from pipeline.answering.opening import open_pipeline
-from pipeline.answering.pair_rules import factors_of
-from pipeline.answering.predictions import (
+from pipeline.answering import (
     GivenAnswer,
     Header,
+    ImportedPipeline,
     Prediction,
     Proposal,
+    check_places,
+    open_pipeline,
     read_predictions,
     write_predictions,
 )
-from pipeline.diagnosis.answer import answer_record
-from pipeline.diagnosis.asking import ask_and_judge, edited_trace
-from pipeline.diagnosis.cases.saving import open_case, save_case
-from pipeline.evaluation.importing import export_run, import_run
-from pipeline.evaluation.job import evaluate_dataset
-from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_folder import Run, open_run
-from pipeline.geometry.masks import RunLength
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
-from pipeline.system.errors import InputError
+from pipeline.answering.imported import open_imported
+from pipeline.answering.pair_rules import factors_of
+from pipeline.diagnosis import answer_record, ask_and_judge, open_case, save_case
+from pipeline.diagnosis.asking import edited_trace
+from pipeline.evaluation import EvalSpec, Run, evaluate_dataset, export_run, import_run, open_run
+from pipeline.geometry import RunLength
+from pipeline.labels import SourceSpec, label_dataset
+from pipeline.system import InputError
 
 ASKED = 40
 
@@ -137,7 +134,7 @@ def at_level(folder: Path, level: int) -> Path:
     return path
 
 
-@pytest.mark.parametrize("level", [0, 1, 2])
+@pytest.mark.parametrize("level", mostly_slow([2, 0, 1]))
 def test_a_level_says_what_it_can_and_no_more(folder: Path, level: int) -> None:
     import_run(at_level(folder, level), "demo", folder / "labels", folder / f"run{level}", plots=False)
     ours = {r["id"]: r for r in rows(open_run(folder / "run"))}
@@ -178,7 +175,7 @@ def test_points_in_another_unit_are_refused(folder: Path, tmp_path: Path, unit: 
     assert f'"{unit}"' in str(caught.value)
 
 
-@pytest.mark.parametrize("level", [0, 1, 2])
+@pytest.mark.parametrize("level", mostly_slow([1, 0, 2]))
 def test_an_answer_without_its_ranking_is_shown_as_it_was_given(folder: Path, level: int) -> None:
     source = open_imported(at_level(folder, level), "demo")
     labels, seen = open_run(folder / "run").labels, set()

@@ -9,16 +9,12 @@ from typing import Any
 
 import pytest
 
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.answering.recording import record_detections
-from pipeline.evaluation.run import EvalSpec, evaluate_labels
-from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
-from pipeline.evaluation.summary import summarise_run
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.answering import Pipeline, open_pipeline, record_detections
+from pipeline.evaluation import EvalSpec, SentenceReport, evaluate_labels, evaluate_sentences, summarise_run
+from pipeline.labels import Labels, open_labels
 from pipeline.labels.rewording import reword
-from pipeline.language.relation_names import PHRASE
-from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
+from pipeline.language import PHRASE
+from pipeline.system import InputError, pa
 
 FRAME = "000001/000000"
 LEFT_MUG = "the mug left of the laptop"
@@ -71,6 +67,7 @@ def recorded(source: Pipeline, folder: Path) -> Path:
     return folder / "found.json"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", ["targets", "points", "boxes"])
 def test_where_nothing_is_right_a_refusal_is(source: Pipeline, tmp_path: Path, truth: str) -> None:
     path, nothing = tmp_path / "s.jsonl", {truth: []}
@@ -232,6 +229,7 @@ def test_files_that_cannot_be_used(source: Pipeline, tmp_path: Path) -> None:
     assert len((tmp_path / "out" / "sentences.jsonl").read_text().splitlines()) == 2
 
 
+@pytest.mark.slow
 def test_a_label_that_was_not_read_as_meant_says_why(demo_labels: Labels, tmp_path: Path) -> None:
     shutil.copytree(demo_labels.root, tmp_path / "labels")
     rows = demo_labels.expressions.slice(0, 5).to_pylist()

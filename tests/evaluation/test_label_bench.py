@@ -17,7 +17,7 @@ from pipeline.evaluation.labels_bench import (
     our_lifting,
     pairs_per_second,
 )
-from pipeline.labels.plan import SourceSpec
+from pipeline.labels import SourceSpec
 
 REQUIRED = os.environ.get("SPATIALVIZ_REQUIRE_EXTRAS") == "1"
 
@@ -27,6 +27,7 @@ def views() -> list[BenchView]:
     return bench_views(FIRST_ROOM)
 
 
+@pytest.mark.slow
 def test_faces_of_exact_extents_have_no_error(views: list[BenchView]) -> None:
     for view in views:
         assert len(view.masks) >= 5
@@ -34,6 +35,7 @@ def test_faces_of_exact_extents_have_no_error(views: list[BenchView]) -> None:
         assert not face_errors((view.lo, view.hi), view).any()
 
 
+@pytest.mark.slow
 def test_our_lifting_finds_the_visible_surface(views: list[BenchView]) -> None:
     errors = np.concatenate([face_errors(our_lifting(view), view) for view in views])
     assert np.isfinite(errors).all()
@@ -41,6 +43,7 @@ def test_our_lifting_finds_the_visible_surface(views: list[BenchView]) -> None:
     assert errors.mean() < 0.06
 
 
+@pytest.mark.slow
 def test_the_recipe_of_others_is_no_better(views: list[BenchView]) -> None:
     if not REQUIRED:
         pytest.importorskip("open3d", reason="the extra open3d is not installed")
@@ -51,6 +54,7 @@ def test_the_recipe_of_others_is_no_better(views: list[BenchView]) -> None:
     assert ours.mean() <= theirs.mean()
 
 
+@pytest.mark.slow
 def test_figures_of_relations_and_of_the_whole_job() -> None:
     rates = pairs_per_second(1)
     assert {name.split(", ")[1] for name in rates} == {"states", "states and margins"}

@@ -13,38 +13,38 @@ from hypothesis import given
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, saved
 
-from pipeline.answering.opening import open_pipeline
-from pipeline.answering.recording import record_detections
+from pipeline.answering import open_pipeline, record_detections
+from pipeline.corrections import Corrector, FieldRef, Journal, effective_tables
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.effective import Corrector, effective_tables
-from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.journal import Journal
-from pipeline.evaluation.job import RunReport, evaluate_dataset
-from pipeline.evaluation.relation_cases import RelationSpec, open_systems
-from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_folder import open_run
-from pipeline.evaluation.shared_makers import (
+from pipeline.evaluation import (
     AGREEMENT,
-    CHECKED,
-    HAD_A_PART,
     PERFECT,
-    REPEATED,
-    SIMULATED,
-    Measured,
-    rank,
+    EvalSpec,
+    RelationSpec,
+    RunReport,
+    evaluate_dataset,
+    open_run,
     scorer_share,
-    shared_makers,
     shares_of_run,
     title_of,
 )
-from pipeline.labels.job import label_dataset
-from pipeline.labels.makers import Decided, Makers, Model, makers_of, mask_makers
-from pipeline.labels.plan import SourceSpec
-from pipeline.labels.profiles import NONE
-from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
-from pipeline.metrics.intervals import BootstrapConfig
-from pipeline.metrics.tables import Row, Table, as_csv, in_blocks, latex, markdown
-from pipeline.relations.relations import PROFILE, T
+from pipeline.evaluation.relation_cases import open_systems
+from pipeline.evaluation.shared_makers import CHECKED, HAD_A_PART, REPEATED, SIMULATED, Measured, rank, shared_makers
+from pipeline.labels import (
+    MANIFEST_FILE,
+    NONE,
+    Labels,
+    Makers,
+    Model,
+    SourceSpec,
+    label_dataset,
+    makers_of,
+    mask_makers,
+    open_labels,
+)
+from pipeline.labels.makers import Decided
+from pipeline.metrics import BootstrapConfig, Row, Table, as_csv, in_blocks, latex, markdown
+from pipeline.relations import PROFILE, T
 
 QUICK = BootstrapConfig(resamples=50)
 A, B = "0123456789abcdef0123456789abcdef", "fedcba9876543210fedcba9876543210"
@@ -148,6 +148,7 @@ def evaluated(folder: Path, out: Path, model: str, plots: bool = False) -> RunRe
     return evaluate_dataset(spec, out, plots=plots, bootstrap=QUICK)
 
 
+@pytest.mark.slow
 def test_a_run_says_that_it_graded_itself(folder: Path, tmp_path: Path) -> None:
     report = evaluated(folder, tmp_path / "run", "own.json")
     manifest = json.loads((tmp_path / "run" / "run.json").read_text())
@@ -174,6 +175,7 @@ def test_a_run_says_that_it_graded_itself(folder: Path, tmp_path: Path) -> None:
     assert AGREEMENT in next(t.title for t in report.tables if t.key == "srm")
 
 
+@pytest.mark.slow
 def test_every_picture_of_a_run_that_graded_itself_says_so(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,22 +13,14 @@ import pyarrow.parquet as pq
 import pytest
 from run_records import random_records
 
-from pipeline.datasets import given_expressions, open_dataset
-from pipeline.datasets.semantic_abstraction_file import SUBSETS, subsets_of
+from pipeline.datasets import SUBSETS, given_expressions, open_dataset, subsets_of
+from pipeline.evaluation import AGREEMENT, PERFECT, EvalSpec, RelationSpec, RunReport, evaluate_dataset, tables_of_run
 from pipeline.evaluation.grounding_tables import read_reported
-from pipeline.evaluation.job import RunReport, evaluate_dataset
-from pipeline.evaluation.paper_tables import ALL_NEGATIVE, AVD, IMITATION, SA, Evaluated, paper_tables, tables_of_run
-from pipeline.evaluation.relation_cases import RelationSpec
+from pipeline.evaluation.paper_tables import ALL_NEGATIVE, AVD, IMITATION, SA, Evaluated, paper_tables
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
-from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.shared_makers import AGREEMENT, PERFECT
-from pipeline.labels.check import check_labels
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import LabelConfig, SourceSpec
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.language.relation_names import DIRECTIONAL, VOCABULARIES
-from pipeline.metrics.intervals import BootstrapConfig, Estimate
-from pipeline.metrics.tables import Row, Table, as_csv, latex, markdown
+from pipeline.labels import LabelConfig, Labels, SourceSpec, check_labels, label_dataset, open_labels
+from pipeline.language import DIRECTIONAL, VOCABULARIES
+from pipeline.metrics import BootstrapConfig, Estimate, Row, Table, as_csv, latex, markdown
 
 QUICK = BootstrapConfig(resamples=100)
 OF_SUBSETS = tuple(f"{k} {s}" for k in ("Top-1", "Top-2") for s in SUBSETS)
@@ -227,6 +219,7 @@ def given_labels(copy: Path, tmp_path_factory: pytest.TempPathFactory) -> Labels
     return open_labels(out)
 
 
+@pytest.mark.slow
 def test_given_labels_say_what_the_dataset_says(copy: Path, given_labels: Labels) -> None:
     dataset = open_dataset(copy)
     frames = given_labels.frames.to_pylist()
@@ -255,6 +248,7 @@ def test_given_labels_say_what_the_dataset_says(copy: Path, given_labels: Labels
     assert not [f for f in check_labels(given_labels) if f.severity == "error"]
 
 
+@pytest.mark.slow
 def test_a_run_on_the_copy_has_rows_by_subset(given_labels: Labels, copy: Path, tmp_path: Path) -> None:
     spec = EvalSpec(str(copy), str(given_labels.root), {"srm": "rule"}, relations=RelationSpec())
     out = tmp_path / "run"
@@ -280,6 +274,7 @@ def test_a_run_on_the_copy_has_rows_by_subset(given_labels: Labels, copy: Path, 
     assert (out / "tables" / "paper_pipeline_semantic_abstraction.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_scorer_of_the_labels_own_rule_is_told(given_labels: Labels, copy: Path, tmp_path: Path) -> None:
     config = LabelConfig(vocabulary="avd", second_opinion="none")
     label_dataset(SourceSpec(str(copy)), tmp_path / "ruled", config, frames_of=("vool/unseen_instances",))

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from pipeline.evaluation import EvalSpec, evaluate_dataset, evaluate_labels, read_records
 from pipeline.evaluation.grounding_tables import relation_gain
-from pipeline.evaluation.job import evaluate_dataset
-from pipeline.evaluation.records import read_records
-from pipeline.evaluation.run import EvalSpec, evaluate_labels
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
-from pipeline.labels.reading import Labels
-from pipeline.metrics.tables import markdown
+from pipeline.labels import Labels, SourceSpec, label_dataset
+from pipeline.metrics import markdown
+
+pytestmark = pytest.mark.slow
 
 
 def test_the_relation_adds_ten_points_in_rendered_rooms(label_sets: dict[str, Labels], tmp_path: Path) -> None:

@@ -7,20 +7,19 @@ from collections import Counter
 import numpy as np
 import pytest
 from benchmarks.planted import KINDS, Outcome, Planted, clean_source, confusion, judge, planted_failures
+from slow_cases import mostly_slow
 
-from pipeline.answering.objects import PreparedFrame
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.datasets.demo import demo_labels
+from pipeline.answering import Pipeline, PreparedFrame, open_pipeline
+from pipeline.datasets import demo_labels
 from pipeline.evaluation.run import class_names_of
-from pipeline.labels.cases import read_cases
-from pipeline.labels.reading import open_labels
+from pipeline.labels import open_labels, read_cases
 
 NAMED = 0.95
 BY_DEFINITION = ("OPM-TARGET", "OPM-REF", "PARSE", "LABEL", "OPM-CONF")
 BY_FLIP = ("LIFT", "SRM", "PRM")
 
 
-@pytest.fixture(scope="module", params=["rule", "trained"])
+@pytest.fixture(scope="module", params=mostly_slow(["rule", "trained"]))
 def source(request: pytest.FixtureRequest) -> Pipeline:
     return open_pipeline("demo", srm=request.param)
 
@@ -30,7 +29,10 @@ def outcomes(source: Pipeline, modules: tuple[str, ...], every: int) -> list[Out
     return list(planted_failures(source, open_labels(demo_labels()), kinds=kinds, every=every))
 
 
-@pytest.mark.parametrize(("modules", "every"), [(BY_DEFINITION, 170), (BY_FLIP, 21)])
+DENSITIES = [(BY_DEFINITION, 170), (BY_FLIP, 63), (BY_FLIP, 21)]
+
+
+@pytest.mark.parametrize(("modules", "every"), mostly_slow(DENSITIES, fast=(0, 1), several=True))
 def test_the_verdict_names_the_planted_module(source: Pipeline, modules: tuple[str, ...], every: int) -> None:
     by_module: dict[str, Counter[str]] = {}
     for (module, _), verdicts in confusion(outcomes(source, modules, every)).items():
@@ -51,6 +53,7 @@ def test_the_clean_pipeline_is_right(source: Pipeline) -> None:
     assert seen["CORRECT"] > 0.8 * seen.total()
 
 
+@pytest.mark.slow
 def test_details_of_planted_misses(source: Pipeline) -> None:
     wanted = {"absent": "ABSENT", "threshold": "THRESHOLD", "rank": "RANK", "localisation": "LOCALISATION"}
     found = outcomes(source, ("OPM-TARGET",), 60)
@@ -59,6 +62,7 @@ def test_details_of_planted_misses(source: Pipeline) -> None:
     assert right.mean() >= NAMED
 
 
+@pytest.mark.slow
 def test_what_is_planted_follows_from_the_seed(source: Pipeline) -> None:
     labels = open_labels(demo_labels())
 

@@ -7,8 +7,10 @@ from collections import Counter
 import pytest
 from benchmarks.planted_sentences import KINDS, planted_sentence_failures
 
-from pipeline.answering.opening import open_pipeline
-from pipeline.diagnosis.oracles import ALL_ORACLES
+from pipeline.answering import open_pipeline
+from pipeline.diagnosis import ALL_ORACLES
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("truth", ["typed", "given"])

@@ -12,13 +12,12 @@ import pytest
 from dataset_writers import write_votenet
 from scenes import frame_of, upright
 
-from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.datasets.base import InMemoryDataset
+from pipeline.answering import Pipeline, open_pipeline
+from pipeline.datasets import InMemoryDataset
+from pipeline.evaluation import evaluate_sentences, read_sentence_file
 from pipeline.evaluation.published import acc_iou
-from pipeline.evaluation.sentence_report import evaluate_sentences
-from pipeline.evaluation.sentences import read_sentence_file
-from pipeline.geometry.boxes import Box3D
-from pipeline.system.errors import InputError
+from pipeline.geometry import Box3D
+from pipeline.system import InputError
 
 CHAIR = (0.4, 0.6, 0.4)
 BOXES = [upright((-0.6, 0.9, 2.5), CHAIR), upright((0.6, 0.9, 2.5), CHAIR), upright((0, 0.8, 3.4), (0.6, 0.8, 0.5))]

@@ -11,25 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 from label_worlds import label_worlds
+from needs import needs
 
-from pipeline.evaluation.job import RunReport, evaluate_dataset
-from pipeline.evaluation.relation_cases import RelationSpec
+from pipeline.evaluation import AGREEMENT, EvalSpec, RelationSpec, RunReport, VlmOptions, evaluate_dataset
 from pipeline.evaluation.relation_records import read_relation_records
 from pipeline.evaluation.relation_report import BY_RELATION, MEASURES, all_systems, counted_pairs
-from pipeline.evaluation.run import EvalSpec, VlmOptions
-from pipeline.evaluation.shared_makers import AGREEMENT
-from pipeline.labels.reading import MANIFEST_FILE, Labels
-from pipeline.language.relation_names import DIRECTIONAL, PHRASE, VOCABULARIES
-from pipeline.metrics.intervals import BootstrapConfig, Estimate
-from pipeline.metrics.splits import DROPPED, VALIDATION
-from pipeline.metrics.tables import Row, markdown
-from pipeline.relations.model import OnnxScorer
-from pipeline.system.errors import InputError
-from pipeline.training.label_training import LabelTraining, train_on_labels
-from pipeline.training.train import TrainConfig
+from pipeline.labels import MANIFEST_FILE, Labels
+from pipeline.language import DIRECTIONAL, PHRASE, VOCABULARIES
+from pipeline.metrics import DROPPED, VALIDATION, BootstrapConfig, Estimate, Row, markdown
+from pipeline.relations import OnnxScorer
+from pipeline.system import InputError
+from pipeline.training import LabelTraining, TrainConfig, train_on_labels
 
-pytest.importorskip("torch")
-pytest.importorskip("onnx")
+pytestmark = needs("torch", "onnx")
+
 
 QUICK = BootstrapConfig(resamples=100)
 FAST = TrainConfig(hidden=16, epochs=2, batch=256)
@@ -93,6 +88,7 @@ def as_columns(path: Path, system: str, relations: tuple[str, ...]) -> tuple[np.
     return np.stack(stacked[:k], axis=1), np.stack(stacked[k:], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", ["rule", "flat", "worded", "choosing"])
 def test_figures_are_those_of_scikit_learn_on_the_recorded_rows(system: str, run: tuple[RunReport, Path]) -> None:
     sk = pytest.importorskip("sklearn.metrics")
@@ -125,6 +121,7 @@ def test_figures_are_those_of_scikit_learn_on_the_recorded_rows(system: str, run
     assert found["mean AP"] == pytest.approx(np.mean(ap), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_top_one_is_that_of_the_network_before_the_prior_is_divided_out(
     run: tuple[RunReport, Path], networks: dict[str, Path]
 ) -> None:
@@ -144,6 +141,7 @@ def test_top_one_is_that_of_the_network_before_the_prior_is_divided_out(
     assert numbers(rows["rule"], MEASURES)["Top-1"] is None
 
 
+@pytest.mark.slow
 def test_the_row_that_always_says_no(run: tuple[RunReport, Path]) -> None:
     report, out = run
     records = read_relation_records(out / "relation_records.parquet")
@@ -161,10 +159,11 @@ def test_the_row_that_always_says_no(run: tuple[RunReport, Path]) -> None:
         assert found["ECE"] == pytest.approx(share, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_probabilities_are_those_of_relations_and_the_rule_agrees_with_its_own_labels(
     run: tuple[RunReport, Path], networks: dict[str, Path]
 ) -> None:
-    from pipeline.answering.opening import open_pipeline, relate_frames
+    from pipeline.answering import open_pipeline, relate_frames
 
     _, out = run
     import pyarrow.parquet as pq
@@ -185,6 +184,7 @@ def test_probabilities_are_those_of_relations_and_the_rule_agrees_with_its_own_l
     assert {(state, p) for state, p in said if state} == {(1, 0.95), (-1, 0.05)}
 
 
+@pytest.mark.slow
 def test_one_is_warned_of_pairs_that_were_learnt_by_heart(
     run: tuple[RunReport, Path], label_sets: dict[str, Labels], networks: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -247,6 +247,7 @@ def test_a_damaged_record_of_training_is_refused(networks: dict[str, Path], tmp_
             OnnxScorer(tmp_path / "odd.onnx")
 
 
+@pytest.mark.slow
 def test_workers_and_shared_frames_change_nothing(
     label_sets: dict[str, Labels], networks: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -311,7 +312,7 @@ def test_what_cannot_be_measured_is_refused(
 
 
 def test_labels_of_other_objects_are_refused(label_sets: dict[str, Labels], tmp_path: Path) -> None:
-    from pipeline.labels.reading import read_table, write_table
+    from pipeline.labels import read_table, write_table
 
     labels = tmp_path / "labels"
     shutil.copytree(label_sets["demo"].root, labels)

@@ -8,12 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.datasets.demo import demo_run
-from pipeline.evaluation.figures import STANDS_IN, Listing, RunFigures, figures_of
-from pipeline.evaluation.run_folder import Run, open_run
-from pipeline.evaluation.slices import Slices
-from pipeline.evaluation.summary import RunSummary
-from pipeline.system.errors import InputError
+from pipeline.datasets import demo_run
+from pipeline.evaluation import STANDS_IN, Listing, Run, RunFigures, RunSummary, Slices, figures_of, open_run
+from pipeline.system import InputError
 
 
 @pytest.fixture(scope="module")

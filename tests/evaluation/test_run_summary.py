@@ -16,23 +16,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from run_records import random_records
 
-from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.evaluation.comparing import compare
+from pipeline.diagnosis import VERDICTS
+from pipeline.evaluation import (
+    EvalSpec,
+    compare,
+    evaluate_dataset,
+    find_rows,
+    open_database,
+    oracle_deltas,
+    quote,
+    slice_by,
+    slice_table,
+    summarise_run,
+)
 from pipeline.evaluation.confusion import answer_confusion, answer_standings, network_confusion, stands_in
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.evaluation.job import diagnose_run, evaluate_dataset
+from pipeline.evaluation.job import diagnose_run
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
-from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_folder import open_database
-from pipeline.evaluation.search import find_rows
-from pipeline.evaluation.search_words import quote
-from pipeline.evaluation.slices import DIMENSIONS, slice_by, slice_table
-from pipeline.evaluation.summary import oracle_deltas, oracle_table, summarise_run, verdict_table
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
-from pipeline.labels.reading import open_labels
-from pipeline.metrics.intervals import BootstrapConfig, mean_estimate
-from pipeline.system.errors import InputError
+from pipeline.evaluation.slices import DIMENSIONS
+from pipeline.evaluation.summary import oracle_table, verdict_table
+from pipeline.labels import SourceSpec, label_dataset, open_labels
+from pipeline.metrics import BootstrapConfig, mean_estimate
+from pipeline.system import InputError
 
 QUICK = BootstrapConfig(resamples=100)
 
@@ -62,6 +67,7 @@ def test_shares_sum_to_one_and_losses_to_the_whole(seed: int, rows: int) -> None
     json.dumps(found.record(), allow_nan=False)
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from(sorted(DIMENSIONS)), st.sampled_from([None, 1, 3]))
 def test_slices_hold_every_expression_once(seed: int, dimension: str, most: int | None) -> None:

@@ -9,20 +9,15 @@ from pathlib import Path
 import pytest
 from chat_server import MODELS, Clock, running
 
-from pipeline.answering.opening import open_pipeline
-from pipeline.answering.recording import record_detections
+from pipeline.answering import open_pipeline, record_detections
+from pipeline.evaluation import PERFECT, EvalSpec, RunReport, VlmOptions, evaluate_dataset
 from pipeline.evaluation.grounding_tables import relation_gain
-from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import other_systems
 from pipeline.evaluation.plots import PALE_TONE, _tones
-from pipeline.evaluation.run import EvalSpec, VlmOptions
-from pipeline.evaluation.shared_makers import PERFECT, SIMULATED
-from pipeline.labels.job import label_dataset
-from pipeline.labels.makers import Makers
-from pipeline.labels.plan import SourceSpec
-from pipeline.labels.reading import open_labels
-from pipeline.metrics.intervals import BootstrapConfig, Estimate
-from pipeline.system.errors import InputError
+from pipeline.evaluation.shared_makers import SIMULATED
+from pipeline.labels import Makers, SourceSpec, label_dataset, open_labels
+from pipeline.metrics import BootstrapConfig, Estimate
+from pipeline.system import InputError
 
 FRAMES = 3
 EXPRESSIONS = 60
@@ -63,6 +58,7 @@ def evaluated(
     )
 
 
+@pytest.mark.slow
 def test_every_detector_has_its_rows(folder: Path) -> None:
     pytest.importorskip("plotly", reason="the extra report is not installed")
     others = ("annotations", "simulated", "whole", "vlm")
@@ -98,6 +94,7 @@ def test_every_detector_has_its_rows(folder: Path) -> None:
     assert f"{VLM}, OPM only" not in page, "it has none"
 
 
+@pytest.mark.slow
 def test_names_that_are_taken_are_told_apart(folder: Path) -> None:
     shutil.copytree(folder / "simulated", folder / "again", dirs_exist_ok=True)
     hashed = open_labels(folder / "labels").manifest.tables["expressions"].content_hash
@@ -110,6 +107,7 @@ def test_names_that_are_taken_are_told_apart(folder: Path) -> None:
     assert gain.n == test.n == found["annotations + rule"][0].num_rows
 
 
+@pytest.mark.slow
 def test_runs_that_cannot_stand_beside_are_refused(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="other labels"):
         other_systems([folder / "simulated"], "x", "0123", MAKERS)

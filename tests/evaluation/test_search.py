@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from run_records import CLASSES, RELATIONS, random_records
 
-from pipeline.diagnosis.oracles import ORACLES
-from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.diagnosis import ORACLES, VERDICTS
+from pipeline.evaluation import complete, find_failures, find_rows, quote
 from pipeline.evaluation.records import records_schema
-from pipeline.evaluation.search import compile_search, complete, completions, find_failures, find_rows
-from pipeline.evaluation.search_words import quote, read_terms
-from pipeline.system.errors import InputError
+from pipeline.evaluation.search import compile_search, completions
+from pipeline.evaluation.search_words import read_terms
+from pipeline.system import InputError
 
 TABLES = [random_records(seed) for seed in range(4)]
 COMPARE: dict[str, Any] = {

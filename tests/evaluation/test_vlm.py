@@ -17,10 +17,10 @@ import pytest
 from chat_server import MODELS, ChatServer, Clock, CutOff, Make, Raw, Script, Slow, Trickle, completion, error, flat
 from waiting import LONG_S
 
-from pipeline.system.chat.client import KEY_VARIABLE, Question
-from pipeline.system.chat.protocol import Picture, Usage
+from pipeline.system import InputError, Picture, Question, ServerError
+from pipeline.system.chat.client import KEY_VARIABLE
+from pipeline.system.chat.protocol import Usage
 from pipeline.system.chat.transport import wait_asked
-from pipeline.system.errors import InputError, ServerError
 
 
 def test_a_question_is_sent_as_the_protocol_has_it(server: ChatServer, client_of: Make) -> None:

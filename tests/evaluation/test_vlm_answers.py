@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.evaluation.vlm.answers import parse_box, parse_yes_no, yes_probability
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 YES = (
     "Yes", "yes.", "YES!", " **Yes** ", "‘Yes’", "y", "Yes, the mug is not behind it.", "The answer is yes",

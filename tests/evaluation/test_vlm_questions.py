@@ -11,8 +11,8 @@ from scenes import frame_of, upright
 
 from pipeline.evaluation.vlm.questions import GroundingConfig, RelationConfig, ground_many, score_pairs
 from pipeline.evaluation.vlm.view import PADDING, marked, view_of
-from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
+from pipeline.geometry import Frame
+from pipeline.system import InputError
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import camera_of, random_rotation
 
-from pipeline.geometry.boxes import CORNER_SIGNS, EDGES, Box3D, iou_2d, iou_3d, ray_entry
-from pipeline.geometry.camera import Camera, backproject, intrinsics, lift_pixels, project, to_world
-from pipeline.geometry.frame import Annotation, Frame
-from pipeline.system.errors import InputError
+from pipeline.geometry import (
+    CORNER_SIGNS,
+    EDGES,
+    Annotation,
+    Box3D,
+    Camera,
+    Frame,
+    backproject,
+    intrinsics,
+    iou_2d,
+    iou_3d,
+    lift_pixels,
+    project,
+    to_world,
+)
+from pipeline.geometry.boxes import ray_entry
+from pipeline.system import InputError
 
 CAMERAS = st.builds(
     lambda fx, fy, cx, cy: Camera(intrinsics(fx, fy, cx, cy), 640, 480),

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.cloud import FAR, Cloud, cloud_of, drawn_pixels
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.viewer import viewer_axes
+from pipeline.geometry import Camera, Cloud, Frame, cloud_of, drawn_pixels, viewer_axes
+from pipeline.geometry.cloud import FAR
 
 HEIGHT, WIDTH = 48, 64
 

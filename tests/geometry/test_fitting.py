@@ -9,12 +9,11 @@ from hypothesis import strategies as st
 from lifting_checks import LEVEL, SEEDS
 from scenes import filled_cloud, random_rotation, solid, up_of, upright
 
-from pipeline.geometry.boxes import Box3D, iou_3d
-from pipeline.geometry.fitting import AXIS_RELABELLINGS, canonicalised, extents_of, gravity_box, pca_box
+from pipeline.geometry import Box3D, canonicalised, extents_of, iou_3d, pca_box, viewer_axes
+from pipeline.geometry.fitting import AXIS_RELABELLINGS, gravity_box
 from pipeline.geometry.lifting import (
     fit_box,
 )
-from pipeline.geometry.viewer import viewer_axes
 
 # Fitting.
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scenes import frame_of, up_of, upright
 
-from pipeline.geometry.cloud import cloud_of
-from pipeline.geometry.floor_grid import GRID_LIFT, floor_height, grid_lines, metre_grid, over_floor
-from pipeline.geometry.viewer import viewer_axes
+from pipeline.geometry import cloud_of, metre_grid, over_floor, viewer_axes
+from pipeline.geometry.floor_grid import GRID_LIFT, floor_height, grid_lines
 
 
 def test_the_grid_has_metre_cells_and_finer_lines_between() -> None:

@@ -11,21 +11,22 @@ from hypothesis import strategies as st
 from scenes import Plane, angle_deg, camera_of, cast, up_of, upright
 from test_viewer import noisy
 
-from pipeline.datasets.synthetic import camera_at, make_room, sense_view
-from pipeline.geometry.camera import IMAGE_UP, Camera
-from pipeline.geometry.floor_or_wall import LOOKED_UP_DEG, block_noise, may_be_wall, surface_blocks
-from pipeline.geometry.level_plane import (
+from pipeline.datasets import make_room, sense_view
+from pipeline.datasets.synthetic import camera_at
+from pipeline.geometry import (
+    IMAGE_UP,
     MIN_SCORE,
-    NOISY,
-    _of_surface,
+    Camera,
     decided,
     far_from_level,
     level_normal_at,
-    level_plane,
+    resolve_up,
     up_hypotheses,
+    viewer_axes,
 )
-from pipeline.geometry.viewer import resolve_up, viewer_axes
-from pipeline.system.errors import InputError
+from pipeline.geometry.floor_or_wall import LOOKED_UP_DEG, block_noise, may_be_wall, surface_blocks
+from pipeline.geometry.level_plane import NOISY, _of_surface, level_plane
+from pipeline.system import InputError
 
 CAMERA = camera_of()
 
@@ -74,6 +75,7 @@ def stereo(depth: np.ndarray, seed: int, error: float = 0.35) -> np.ndarray:
     return np.where(depth > 0, product / np.maximum(np.round(disparity * 8) / 8, 0.5), 0).astype(np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pitch", "roll"), [(30.0, -9.0), (40.0, 5.0), (48.0, 12.0)])
 def test_up_is_found_in_the_noise_of_a_stereo_camera(pitch: float, roll: float) -> None:
     for seed in range(3):
@@ -220,6 +222,7 @@ def test_a_table_top_that_fills_the_picture_gives_up(pitch: float) -> None:
     assert angle_deg(found, viewer.up) < 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_rendered_rooms_never_claim_a_wrong_up(seed: int) -> None:
     room, rng = make_room(900 + seed), np.random.default_rng(seed)

@@ -10,10 +10,8 @@ from hypothesis import given, settings
 from lifting_checks import LEVEL, SEEDS
 from scenes import Plane, camera_of, cast, filled_cloud, random_rotation, up_of, upright
 
-from pipeline.geometry.boxes import Box3D, iou_3d
-from pipeline.geometry.camera import project
-from pipeline.geometry.fitting import pca_box
-from pipeline.geometry.lifting import (
+from pipeline.geometry import (
+    Box3D,
     LiftConfig,
     LiftedObject,
     Pixel,
@@ -21,9 +19,12 @@ from pipeline.geometry.lifting import (
     clean,
     depth_edges,
     extents,
+    iou_3d,
     lift,
+    pca_box,
+    project,
+    viewer_axes,
 )
-from pipeline.geometry.viewer import viewer_axes
 
 WIDTH, HEIGHT = 640, 480
 CAMERA = camera_of(WIDTH, HEIGHT, 500)

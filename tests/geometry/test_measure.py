@@ -8,11 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import camera_of, up_of
 
-from pipeline.answering.opening import open_pipeline
-from pipeline.geometry.boxes import Box3D
+from pipeline.answering import open_pipeline
+from pipeline.geometry import Box3D, viewer_axes
 from pipeline.geometry.measure import measure
-from pipeline.geometry.viewer import viewer_axes
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 CAMERA = camera_of()
 PIXELS = st.tuples(st.integers(0, CAMERA.width - 1), st.integers(0, CAMERA.height - 1))

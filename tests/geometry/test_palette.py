@@ -7,7 +7,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from pipeline.geometry.palette import RGB, hex_color, ink, palette
+from pipeline.geometry import RGB, hex_color, ink
+from pipeline.geometry.palette import palette
 
 LEAST = 19.0
 """Of the distances in CIE Lab (CIE76): some eight times what two patches that touch need to be told apart."""

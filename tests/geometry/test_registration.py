@@ -6,12 +6,25 @@ import numpy as np
 import pytest
 from scenes import random_rotation
 
-from pipeline.datasets.demo import demo_path
-from pipeline.datasets.opening import open_dataset
-from pipeline.geometry.camera import Camera, intrinsics, lift_pixels, project, to_world
-from pipeline.geometry.pose_convention import CONVENTIONS, STANDARD, as_convention, check_convention, standard_poses
-from pipeline.geometry.registration import Outlines, Registration, agreement, estimated, registered
-from pipeline.system.errors import InputError
+from pipeline.datasets import demo_path, open_dataset
+from pipeline.geometry import (
+    CONVENTIONS,
+    STANDARD,
+    Camera,
+    Outlines,
+    Registration,
+    agreement,
+    check_convention,
+    estimated,
+    intrinsics,
+    lift_pixels,
+    project,
+    registered,
+    standard_poses,
+    to_world,
+)
+from pipeline.geometry.pose_convention import as_convention
+from pipeline.system import InputError
 
 
 def rigid(rng: np.random.Generator) -> np.ndarray:
@@ -114,6 +127,7 @@ def test_a_focal_length_of_zero_is_one_clear_error() -> None:
         Registration(0.0, 500.0, 320.0, 240.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("warp", [(1.09, 0.025, 0.005), (0.94, -0.03, 0.0)])
 def test_a_planted_warp_is_estimated(warp: tuple[float, float, float]) -> None:
     dataset = open_dataset(demo_path())

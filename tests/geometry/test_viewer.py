@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scenes import Plane, angle_deg, camera_of, cast, up_of, upright
 
 from pipeline.datasets import open_dataset
-from pipeline.geometry.camera import Camera
+from pipeline.geometry import Camera, resolve_up, viewer_axes
 from pipeline.geometry.level_plane import level_plane
-from pipeline.geometry.viewer import IMAGE_UP, STEEP, resolve_up, viewer_axes
+from pipeline.geometry.viewer import IMAGE_UP, STEEP
 
 ROLLS = (0.0, 10.0, -15.0)
 
@@ -179,6 +179,7 @@ def test_two_frames_of_a_ycb_scene_agree_where_up_is(shared_data: Path) -> None:
         assert angle_deg(first, second) < 1.5
 
 
+@pytest.mark.slow
 def test_the_views_of_a_room_agree_where_up_is(shared_data: Path) -> None:
     kitchen = ups_in_world(shared_data / "real" / "7scenes-redkitchen")
     dining = ups_in_world(

@@ -12,16 +12,22 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scenes import frame_of, upright
 
-from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.geometry.frame import Frame
+from pipeline.answering import PreparedFrame, all_objects
+from pipeline.geometry import Frame
+from pipeline.labels import (
+    MANIFEST_FILE,
+    TABLES,
+    LabelConfig,
+    SourceSpec,
+    Store,
+    label_objects,
+    merge_labels,
+    save_plan,
+)
 from pipeline.labels.engines import shard_tables
-from pipeline.labels.labelling import label_objects
-from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import LabelConfig, Plan, SourceSpec, save_plan
-from pipeline.labels.reading import MANIFEST_FILE, arrow_schema
-from pipeline.labels.schema import TABLES
-from pipeline.labels.store import Store
-from pipeline.proposals.annotations import AnnotationDetector
+from pipeline.labels.plan import Plan
+from pipeline.labels.reading import arrow_schema
+from pipeline.proposals import AnnotationDetector
 
 Tables = dict[str, list[dict[str, Any]]]
 """Rows as dicts, by table; under "manifest" a list of the one manifest."""

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.labels.job import label_dataset
-from pipeline.labels.plan import SourceSpec
+from pipeline.labels import SourceSpec, label_dataset
 
 DEMO = SourceSpec("demo")
 FRAMES = 6

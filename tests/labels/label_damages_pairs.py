@@ -8,7 +8,7 @@ from damaged_labels import Tables
 from label_damages import Listed, Where, item, pair, put, row_of, said
 from label_damages import damages as damages_into
 
-from pipeline.datasets.up import OFF_SCENE
+from pipeline.datasets import OFF_SCENE
 
 PAIR_DAMAGES: Listed = []
 damages = partial(damages_into, into=PAIR_DAMAGES)

@@ -10,23 +10,19 @@ import pyarrow.parquet as pq
 import pytest
 from journal_world import FRAME, an_expression, saved
 
+from pipeline.corrections import Corrector, FieldRef, Journal, materialise, object_ref, relation_ref
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
-from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.materialise import materialise
-from pipeline.labels.exports import export_labels, import_labels
-from pipeline.labels.exports.provenance import ENTRY, REVIEWED, ExportedFrom, extended_schema
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.schema import TABLES, labels_version
-from pipeline.relations.relations import F
-from pipeline.system.errors import InputError
+from pipeline.labels import TABLES, ExportedFrom, Labels, export_labels, labels_version, open_labels
+from pipeline.labels.exports import import_labels
+from pipeline.labels.exports.provenance import ENTRY, REVIEWED, extended_schema
+from pipeline.relations import F
+from pipeline.system import InputError
 
 
 @pytest.fixture(scope="module")
 def corrected(demo_labels: Labels, bare_corrector: Corrector, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Labels with a renamed object, a flipped relation, marks, statuses and a note, and their events."""
-    from pipeline.corrections.journal.journal import journal_of
+    from pipeline.corrections import journal_of
 
     folder = tmp_path_factory.mktemp("corrected")
     with journal_of(demo_labels, folder / "j.sqlite") as journal:
@@ -110,6 +106,7 @@ def test_rows_of_jsonl_and_parquet(corrected: Any, tmp_path: Path) -> None:
                 validator.validate(row)
 
 
+@pytest.mark.slow
 def test_coco_kitti_and_questions(corrected: Any, tmp_path: Path) -> None:
     labels, events, ids = corrected
     for format in ("coco", "kitti", "vqa"):
@@ -155,6 +152,7 @@ def test_reading_back_gives_the_corrected_tables(corrected: Any, format: str, tm
         assert table.to_pylist() == getattr(labels, name).to_pylist()
 
 
+@pytest.mark.slow
 def test_the_schema_is_the_same_whether_anything_was_corrected_or_not(
     demo_labels: Labels, corrected: Any, tmp_path: Path
 ) -> None:

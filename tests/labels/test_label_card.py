@@ -9,12 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.labels import TABLES, HubConfig, Labels, export_labels
 from pipeline.labels.card import croissant, dataset_card
-from pipeline.labels.exports import export_labels
-from pipeline.labels.exports.exporting import HubConfig
 from pipeline.labels.exports.provenance import extended_schema
-from pipeline.labels.reading import Labels
-from pipeline.labels.schema import TABLES
 
 
 def front_matter(card: str) -> dict[str, object]:

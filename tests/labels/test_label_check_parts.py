@@ -10,26 +10,17 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scenes import camera_of, frame_of, upright
 
-from pipeline.geometry.boxes import paired_iou_2d
-from pipeline.geometry.masks import MaskCrop, encode_run_length
-from pipeline.labels.check.expressions import says_the
-from pipeline.labels.check.objects import (
-    SizeSurvey,
-    corners_of,
-    moved_towards,
-    projected,
-)
+from pipeline.geometry import MaskCrop, encode_run_length, paired_iou_2d
+from pipeline.labels import PROFILES, TABLES, expression_text, projected, says_the
+from pipeline.labels.check.objects import SizeSurvey, corners_of, moved_towards
 from pipeline.labels.check.relations import shortest_cycle
 from pipeline.labels.check.stream import Rows, violations
 from pipeline.labels.check.view import read_mask
-from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import arrow_schema
-from pipeline.labels.schema import TABLES
-from pipeline.labels.wording import expression_text
-from pipeline.language.class_sizes import size_range, size_table
+from pipeline.language import DIRECTIONAL, PAIRWISE, size_range
+from pipeline.language.class_sizes import size_table
 from pipeline.language.counted import counted
-from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
-from pipeline.relations.relations import T
+from pipeline.relations import T
 
 
 @settings(max_examples=30, deadline=None)

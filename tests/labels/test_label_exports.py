@@ -16,27 +16,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from label_sets import K, frame_row, object_row, pair_row, write_labels
+from slow_cases import mostly_slow
 
-from pipeline.datasets import open_dataset
-from pipeline.datasets.demo import demo_path
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.camera import Camera, project
-from pipeline.labels.exports import (
-    FORMATS,
-    ExportFormat,
-    base,
-    export_labels,
-    exporting,
-    import_labels,
-    kitti,
-)
-from pipeline.labels.exports.exporting import HubConfig, read_rows
+from pipeline.datasets import demo_path, open_dataset
+from pipeline.geometry import Box3D, Camera, project
+from pipeline.labels import TABLES, HubConfig, Labels, VqaConfig, build_table, export_labels
+from pipeline.labels.exports import FORMATS, ExportFormat, base, exporting, import_labels, kitti
+from pipeline.labels.exports.exporting import read_rows
 from pipeline.labels.exports.provenance import json_lines
-from pipeline.labels.exports.vqa_geometry import VqaConfig
-from pipeline.labels.reading import Labels, build_table, content_hash
-from pipeline.labels.schema import SCHEMA_FOLDER, TABLES, json_schemas, schema_text
-from pipeline.system import plugins
-from pipeline.system.errors import InputError
+from pipeline.labels.reading import content_hash
+from pipeline.labels.schema import SCHEMA_FOLDER, json_schemas, schema_text
+from pipeline.system import InputError, plugins
 
 LOSSLESS = [name for name, found in FORMATS.items() if found.lossless]
 
@@ -57,24 +47,24 @@ def test_what_is_read_back_is_what_was_exported(
         assert content_hash(table, name) == labels.manifest.tables[name].content_hash
 
 
-@pytest.mark.parametrize("format", list(FORMATS))
+@pytest.mark.parametrize("format", mostly_slow(FORMATS, fast=(0, 1)))
 def test_small_batches_write_the_same_files(
-    label_sets: dict[str, Labels], format: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    demo_labels: Labels, format: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    export_labels(label_sets["demo"], format, tmp_path / "whole")
-    monkeypatch.setattr(base, "BATCH", 37)
+    export_labels(demo_labels, format, tmp_path / "whole")
+    monkeypatch.setattr(base, "BATCH", 97)
     seen: list[tuple[int, int]] = []
-    export_labels(label_sets["demo"], format, tmp_path / "pieces", progress=lambda done, of: seen.append((done, of)))
-    assert format == "parquet" or seen[-1] == (12, 12)
+    export_labels(demo_labels, format, tmp_path / "pieces", progress=lambda done, of: seen.append((done, of)))
+    assert format == "parquet" or seen[-1] == (6, 6)
     for path in (tmp_path / "whole").rglob("*"):
         if path.is_file() and path.suffix != ".parquet" and path.name != "croissant.json":
             other = tmp_path / "pieces" / path.relative_to(tmp_path / "whole")
             assert other.read_bytes() == path.read_bytes(), path
 
 
-@pytest.mark.parametrize("format", list(FORMATS))
+@pytest.mark.parametrize("format", mostly_slow(FORMATS, fast=(0, 1)))
 def test_an_export_that_is_stopped_leaves_nothing(
-    label_sets: dict[str, Labels], format: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    label_sets: dict[str, Labels], demo_labels: Labels, format: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stopped(job: object) -> None:
         FORMATS_BEFORE[format].write(job)  # type: ignore[arg-type]
@@ -86,7 +76,7 @@ def test_an_export_that_is_stopped_leaves_nothing(
     monkeypatch.setitem(exporting.FORMATS, format, replace(FORMATS[format], write=stopped))
     for target in ("new", "kept"):
         with pytest.raises(KeyboardInterrupt):
-            export_labels(label_sets["demo"], format, tmp_path / target, overwrite=True)
+            export_labels(demo_labels, format, tmp_path / target, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == ["kept"]
     assert earlier
     assert {p: p.read_bytes() for p in (tmp_path / "kept").rglob("*") if p.is_file()} == before
@@ -186,6 +176,7 @@ def test_a_number_that_json_cannot_carry_is_refused(tmp_path: Path, format: str,
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_every_line_of_jsonl_fits_its_schema(label_sets: dict[str, Labels], tmp_path: Path) -> None:
     jsonschema = pytest.importorskip("jsonschema")
     for kind, every in (("demo", 29), ("hostile", 1)):
@@ -210,7 +201,7 @@ def test_the_committed_json_schemas_are_those_of_the_models() -> None:
         assert (SCHEMA_FOLDER / f"{name}.json").read_text(encoding="utf-8") == schema_text(schema), again
 
 
-@pytest.mark.parametrize("kind", ["demo", "hostile"])
+@pytest.mark.parametrize("kind", mostly_slow(["hostile", "demo"]))
 def test_pycocotools_reads_the_coco_export(label_sets: dict[str, Labels], kind: str, tmp_path: Path) -> None:
     from pycocotools import mask as coco_mask
     from pycocotools.coco import COCO

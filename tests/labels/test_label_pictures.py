@@ -11,9 +11,8 @@ from dataset_writers import write_folder
 from depth_graphs import write_network, write_picture
 
 from pipeline.datasets import open_dataset
-from pipeline.labels.by_hand import begun_labels, default_folder, with_frames
-from pipeline.labels.reading import Labels, labelled_dataset
-from pipeline.system.errors import InputError
+from pipeline.labels import Labels, begun_labels, default_folder, labelled_dataset, with_frames
+from pipeline.system import InputError
 
 
 def test_a_recording_keeps_the_camera_that_was_said_when_it_was_labelled(demo_labels: Labels, tmp_path: Path) -> None:

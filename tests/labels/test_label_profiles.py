@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.labels.profiles import GIVEN, PROFILES, profile_of
-from pipeline.language.relation_names import INVERSE, PAIRWISE
-from pipeline.system.errors import InputError
+from pipeline.labels import GIVEN, PROFILES, profile_of
+from pipeline.language import INVERSE, PAIRWISE
+from pipeline.system import InputError
 
 NAMES = [name for name in PROFILES if name != GIVEN]
 

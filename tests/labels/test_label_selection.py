@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.labels.merge import SCARCE, SelectConfig, select
-from pipeline.system.errors import InputError
+from pipeline.labels import SelectConfig
+from pipeline.labels.merge import SCARCE, select
+from pipeline.system import InputError
 
 Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 

@@ -12,27 +12,21 @@ from label_sets import validate_rows
 from other_makers import FIGURES, FLIPS, REGIMES, figures, tallied, unnamed
 from scenes import frame_of, upright
 
-from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.lifting import LiftedObject
-from pipeline.geometry.viewer import ViewerAxes
-from pipeline.labels.job import label_dataset
-from pipeline.labels.labelling import FrameLabels, judge_objects, label_objects, occluded_share, with_undecided
-from pipeline.labels.plan import LabelConfig
-from pipeline.labels.profiles import doubted, open_second_opinion
-from pipeline.labels.reading import content_hash, open_labels
-from pipeline.labels.schema import TABLES
-from pipeline.language.naming import same_class
-from pipeline.language.noun_phrase import readable
-from pipeline.language.relation_names import DIRECTIONAL, INVERSE
-from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import directional_states
-from pipeline.system.errors import InputError
+from pipeline.answering import PreparedFrame, all_objects
+from pipeline.geometry import Annotation, Frame, LiftedObject, ViewerAxes
+from pipeline.labels import TABLES, LabelConfig, label_dataset, label_objects, open_labels, open_second_opinion
+from pipeline.labels.labelling import FrameLabels, judge_objects, occluded_share, with_undecided
+from pipeline.labels.profiles import doubted
+from pipeline.labels.reading import content_hash
+from pipeline.language import DIRECTIONAL, INVERSE, readable, same_class
+from pipeline.proposals import AnnotationDetector
+from pipeline.relations import OnnxScorer, directional_states
+from pipeline.system import InputError
 
 # What is said is true.
 
 
+@pytest.mark.slow
 def test_rows_fit_their_schema_and_their_hashes(demo: Path) -> None:
     labels = open_labels(demo)
     for name in TABLES:
@@ -178,6 +172,7 @@ def cells(views: list[np.ndarray]) -> np.ndarray:
     return np.concatenate([v[~np.eye(len(v), dtype=bool)] for v in views])
 
 
+@pytest.mark.slow
 def test_labels_of_rooms_of_another_maker_agree_with_exact_geometry(
     worlds: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
 ) -> None:
@@ -195,6 +190,7 @@ def test_labels_of_rooms_of_another_maker_agree_with_exact_geometry(
     assert ((said > 0) & (truth > 0)).sum() / (truth > 0).sum() > 0.87
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("regime", ["low", "usual", "high"])
 def test_labels_hold_from_low_and_from_high(regime: str) -> None:
     network = open_second_opinion("trained")
@@ -220,6 +216,7 @@ def judge_list_of(objects: list[LiftedObject], viewer: ViewerAxes, network: Onnx
     return doubted(rules, network, objects, viewer, unnamed(objects)).states[..., :6]
 
 
+@pytest.mark.slow
 def test_the_second_opinion_only_ever_doubts(worlds: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
     for rules, with_doubt, _ in worlds:
         changed = rules != with_doubt

@@ -16,20 +16,33 @@ from typing import Any
 import numpy as np
 import pytest
 from label_checks import DEMO, FRAMES, demo  # noqa: F401
+from slow_cases import mostly_slow
 from waiting import wait_until
 
-from pipeline.answering.opening import open_pipeline
-from pipeline.datasets.demo import demo_path
-from pipeline.labels.engines import label_shard, open_labeller
-from pipeline.labels.job import label_dataset
-from pipeline.labels.merge import SelectConfig, merge_labels
-from pipeline.labels.plan import LabelConfig, SourceSpec, load_plan, make_plan, part_of, save_plan
-from pipeline.labels.profiles import PROFILES
-from pipeline.labels.reading import PART_TABLES, open_labels, read_table
-from pipeline.labels.schema import SCHEMA_VERSION, Manifest
-from pipeline.labels.store import Store
-from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
-from pipeline.system.errors import InputError
+from pipeline.answering import open_pipeline
+from pipeline.datasets import demo_path
+from pipeline.labels import (
+    PROFILES,
+    SCHEMA_VERSION,
+    LabelConfig,
+    Manifest,
+    SelectConfig,
+    SourceSpec,
+    Store,
+    label_dataset,
+    label_shard,
+    load_plan,
+    make_plan,
+    merge_labels,
+    open_labeller,
+    open_labels,
+    read_table,
+    save_plan,
+)
+from pipeline.labels.plan import part_of
+from pipeline.labels.reading import PART_TABLES
+from pipeline.language import DIRECTIONAL, PAIRWISE
+from pipeline.system import InputError
 
 REQUIRED = os.environ.get("SPATIALVIZ_REQUIRE_EXTRAS") == "1"
 
@@ -42,7 +55,7 @@ def hashes(manifest: Manifest | None) -> dict[str, str]:
 # The same rows, whatever makes them.
 
 
-@pytest.mark.parametrize(("workers", "frames_a_shard"), [(1, 1), (1, 100), (2, 3)])
+@pytest.mark.parametrize(("workers", "frames_a_shard"), mostly_slow([(2, 3), (1, 1), (1, 100)], several=True))
 def test_rows_depend_on_neither_workers_nor_shards(
     demo: Path, tmp_path: Path, workers: int, frames_a_shard: int
 ) -> None:
@@ -50,6 +63,7 @@ def test_rows_depend_on_neither_workers_nor_shards(
     assert hashes(report.manifest) == hashes(open_labels(demo).manifest)
 
 
+@pytest.mark.slow
 def test_tasks_of_an_array_in_any_order_give_the_same_rows(demo: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     for k in (3, 1, 2):
@@ -105,6 +119,7 @@ def write_recording(path: Path, frames: int) -> None:
     path.write_text(json.dumps({"frames": found}))
 
 
+@pytest.mark.slow
 def test_a_second_run_has_the_same_hashes_and_another_seed_other_sentences(demo: Path, tmp_path: Path) -> None:
     first = open_labels(demo).manifest
     again = label_dataset(DEMO, tmp_path / "again", limit=FRAMES, frames_a_shard=2).manifest
@@ -116,6 +131,7 @@ def test_a_second_run_has_the_same_hashes_and_another_seed_other_sentences(demo:
     assert other.config_hash != first.config_hash
 
 
+@pytest.mark.slow
 def test_labels_at_a_url_are_merged_into_a_folder(demo: Path, tmp_path: Path) -> None:
     pytest.importorskip("fsspec")
     where = f"memory://labels-{os.getpid()}"
@@ -129,12 +145,15 @@ def test_labels_at_a_url_are_merged_into_a_folder(demo: Path, tmp_path: Path) ->
 # Killed, resumed, refused.
 
 
-def test_killed_in_the_middle_nothing_is_half_written_and_the_rest_is_kept(demo: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", mostly_slow([1, 2]))
+def test_killed_in_the_middle_nothing_is_half_written_and_the_rest_is_kept(
+    demo: Path, tmp_path: Path, workers: int
+) -> None:
     out = tmp_path / "out"
     code = (
         "from pipeline.labels.job import *\n"
         f"if __name__ == '__main__': label_dataset(SourceSpec('demo'), {str(out)!r}, limit={FRAMES}, "
-        "frames_a_shard=1, workers=2)"
+        f"frames_a_shard=1, workers={workers})"
     )
     script = tmp_path / "run.py"
     script.write_text(code)
@@ -244,6 +263,7 @@ def test_a_broken_frame_is_listed_with_its_reason_and_the_rest_goes_on(tmp_path:
     assert set(labels.objects.column("frame_index").to_pylist()) == {0, 2}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the peak from Linux's /proc")
 def test_a_worker_stays_under_half_a_gigabyte() -> None:
     code = (

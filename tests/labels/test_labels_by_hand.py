@@ -8,18 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.corrections import JournalLocation, LabelEditor, Saved, materialise
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.journal_location import JournalLocation
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.datasets import Dataset
-from pipeline.datasets.demo import demo_path
-from pipeline.datasets.opening import open_dataset
-from pipeline.labels.by_hand import begun_labels, default_folder, grows, with_frames
+from pipeline.datasets import Dataset, demo_path, open_dataset
+from pipeline.labels import Labels, begun_labels, default_folder, grows, labelled_dataset, open_labels, with_frames
 from pipeline.labels.check.linter import check_labels
-from pipeline.labels.reading import Labels, labelled_dataset, open_labels
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 
 @pytest.fixture(scope="module")

@@ -16,17 +16,24 @@ import pytest
 from waiting import wait_until
 
 from pipeline import __version__
-from pipeline.datasets.demo import demo_path
-from pipeline.labels import merge
-from pipeline.labels.engines import label_shard, open_labeller
-from pipeline.labels.job import label_dataset
-from pipeline.labels.merge import SelectConfig, merge_labels
-from pipeline.labels.plan import LabelConfig, SourceSpec, files_hash, load_plan, make_plan, save_plan
-from pipeline.labels.reading import open_labels
-from pipeline.labels.store import Store
-from pipeline.system import whole_files
-from pipeline.system.errors import InputError, MissingExtra
-from pipeline.system.whole_files import clear_abandoned, temporary_sibling
+from pipeline.datasets import demo_path
+from pipeline.labels import (
+    LabelConfig,
+    SelectConfig,
+    SourceSpec,
+    Store,
+    label_dataset,
+    label_shard,
+    load_plan,
+    make_plan,
+    merge,
+    merge_labels,
+    open_labeller,
+    open_labels,
+    save_plan,
+)
+from pipeline.labels.plan import files_hash
+from pipeline.system import InputError, MissingExtra, clear_abandoned, temporary_sibling, whole_files
 
 DEMO = SourceSpec("demo")
 QUICK = LabelConfig(second_opinion="none")
@@ -129,6 +136,7 @@ def test_more_tasks_than_shards(tmp_path: Path) -> None:
 # Plans.
 
 
+@pytest.mark.slow
 def test_labels_may_go_into_the_dataset(tmp_path: Path) -> None:
     copy = Path(shutil.copytree(demo_path(), tmp_path / "data"))
     spec, out = SourceSpec(str(copy)), copy / "labels"
@@ -332,6 +340,7 @@ def test_errors_of_workers_reach_their_parent_whole() -> None:
         assert (str(again), vars(again)) == (str(error), vars(error))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads Linux's /proc")
 def test_workers_end_with_a_parent_that_was_killed(tmp_path: Path) -> None:
     script = tmp_path / "run.py"

@@ -13,17 +13,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.answering.objects import PreparedFrame, SceneObject, prepare_frame
-from pipeline.answering.opening import open_pipeline
-from pipeline.answering.recording import record_detections
-from pipeline.evaluation.sentence_report import evaluate_sentences
+from pipeline.answering import PreparedFrame, SceneObject, open_pipeline, prepare_frame, record_detections
+from pipeline.evaluation import evaluate_sentences
+from pipeline.labels import (
+    SENTENCE_KINDS,
+    SENTENCES_FILE,
+    LabelConfig,
+    Labels,
+    SourceSpec,
+    canonical_hash,
+    label_dataset,
+    label_objects,
+    open_labeller,
+    open_labels,
+)
 from pipeline.labels.card import dataset_card
-from pipeline.labels.engines import open_labeller
-from pipeline.labels.job import label_dataset
-from pipeline.labels.labelling import FrameLabels, label_objects
-from pipeline.labels.plan import SENTENCE_KINDS, LabelConfig, SourceSpec
-from pipeline.labels.profiles import canonical_hash
-from pipeline.labels.reading import SENTENCES_FILE, Labels, open_labels
+from pipeline.labels.labelling import FrameLabels
 from pipeline.labels.sentence_maker import (
     COUNTED,
     EXTREMES,
@@ -36,13 +41,9 @@ from pipeline.labels.sentence_maker import (
 )
 from pipeline.labels.tree_truth import TreeTruth
 from pipeline.labels.tree_wording import tree_text
-from pipeline.language.attributes import attribute
-from pipeline.language.expression import parse
-from pipeline.language.noun_phrase import same_names
-from pipeline.language.relation_names import PAIRWISE
-from pipeline.language.tree import Attachment, Choice, Node
-from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError
+from pipeline.language import PAIRWISE, Attachment, Choice, Node, attribute, parse, same_names
+from pipeline.relations import F, T, U
+from pipeline.system import InputError
 
 DEMO = SourceSpec("demo")
 FRAMES = 6
@@ -257,6 +258,7 @@ def lines(labels: Labels) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (labels.root / SENTENCES_FILE).read_text().splitlines()]
 
 
+@pytest.mark.slow
 def test_the_evaluation_reads_the_file_and_answers_it(labelled: Labels) -> None:
     report = evaluate_sentences(labelled.root / SENTENCES_FILE, open_pipeline("demo"), name="demo")
     assert len(report.judged) == sum(labelled.manifest.sentences.values()) > 60
@@ -265,6 +267,7 @@ def test_the_evaluation_reads_the_file_and_answers_it(labelled: Labels) -> None:
     assert len(wrong) <= 0.03 * len(report.judged), wrong
 
 
+@pytest.mark.slow
 def test_the_card_and_the_manifest_count_them(labelled: Labels) -> None:
     counts = Counter(line["kind"] for line in lines(labelled))
     assert labelled.manifest.sentences == {kind: counts[kind] for kind in SENTENCE_KINDS}
@@ -275,6 +278,7 @@ def test_the_card_and_the_manifest_count_them(labelled: Labels) -> None:
     assert SENTENCES_FILE not in dataset_card(labelled, files={t: f"{t}.parquet" for t in labelled.manifest.tables})
 
 
+@pytest.mark.slow
 def test_without_the_option_all_is_as_it_was(labelled: Labels, tmp_path: Path) -> None:
     manifest = label_dataset(DEMO, tmp_path / "plain", limit=FRAMES, frames_a_shard=2).manifest
     assert manifest is not None
@@ -291,6 +295,7 @@ def test_without_the_option_all_is_as_it_was(labelled: Labels, tmp_path: Path) -
     assert LabelConfig(sentences_a_kind=9).hash == config.hash
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_sentences(labelled: Labels, tmp_path: Path) -> None:
     again, other = (LabelConfig(sentences=("side", "ordinal"), seed=seed) for seed in (0, 1))
     label_dataset(DEMO, tmp_path / "again", again, limit=FRAMES, frames_a_shard=1)

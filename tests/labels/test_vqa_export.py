@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 from vqa_check import read_questions, verify_vqa
 
-from pipeline.labels.exports import export_labels
-from pipeline.labels.exports.vqa_geometry import CONVERSATIONS_FILE, KINDS, VqaConfig
-from pipeline.labels.reading import Labels
-from pipeline.system.errors import InputError
+from pipeline.labels import Labels, VqaConfig, export_labels
+from pipeline.labels.exports.vqa_geometry import CONVERSATIONS_FILE, KINDS
+from pipeline.system import InputError
 
 
 def test_every_answer_follows_from_the_tables(label_sets: dict[str, Labels], tmp_path: Path) -> None:
@@ -39,6 +38,7 @@ def test_every_answer_follows_from_the_tables(label_sets: dict[str, Labels], tmp
         assert "<image>" not in question.question + question.answer
 
 
+@pytest.mark.slow
 def test_the_check_of_answers_finds_false_ones(label_sets: dict[str, Labels], tmp_path: Path) -> None:
     export_labels(label_sets["demo"], "vqa", tmp_path / "out")
     path = tmp_path / "out" / CONVERSATIONS_FILE

@@ -17,27 +17,13 @@ from scenes import frame_of, upright
 from scipy.optimize import lsq_linear
 from vqa_check import read_questions, verify_vqa
 
-from pipeline.answering.objects import PreparedFrame, all_objects
+from pipeline.answering import PreparedFrame, all_objects
 from pipeline.datasets import Dataset
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.viewer import viewer_axes
-from pipeline.labels.exports import export_labels
+from pipeline.geometry import Annotation, Box3D, Frame, viewer_axes
+from pipeline.labels import LabelConfig, Labels, VqaConfig, build_table, export_labels, label_objects
 from pipeline.labels.exports.base import FrameRows
-from pipeline.labels.exports.vqa_geometry import (
-    EXACT,
-    HUMAN,
-    POINTS,
-    Depths,
-    Figures,
-    VqaConfig,
-    figures_of,
-    gap_between,
-)
-from pipeline.labels.labelling import label_objects
-from pipeline.labels.plan import LabelConfig
-from pipeline.labels.reading import Labels, build_table
-from pipeline.proposals.annotations import AnnotationDetector
+from pipeline.labels.exports.vqa_geometry import EXACT, HUMAN, POINTS, Depths, Figures, figures_of, gap_between
+from pipeline.proposals import AnnotationDetector
 
 
 def rows_of(frame: Frame) -> FrameRows:
@@ -72,6 +58,7 @@ def worlds(seeds: range) -> Iterator[tuple[Frame, list[tuple[np.ndarray, np.ndar
         yield Frame(f"{seed}", np.zeros((*depth.shape, 3), np.uint8), depth, camera, tuple(found)), exact
 
 
+@pytest.mark.slow
 def test_sizes_without_boxes_are_those_of_the_objects() -> None:
     told: list[np.ndarray] = []
     before: list[np.ndarray] = []
@@ -182,6 +169,7 @@ def test_another_depth_is_not_measured() -> None:
     assert "another depth than was labelled" in depths.problem
 
 
+@pytest.mark.slow
 def test_an_export_without_the_dataset_says_what_is_not_asked(label_sets: dict[str, Labels], tmp_path: Path) -> None:
     labels = label_sets["demo"]
     config = VqaConfig(per_frame=200, kinds=("distance", "size"))

@@ -11,14 +11,14 @@ import pytest
 from expression_checks import expression_of
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from slow_cases import mostly_slow
 
-from pipeline.datasets.opening import open_dataset
-from pipeline.labels.wording import STYLES, can_be_worded, expression_text, question_text
-from pipeline.language.expression import parse
-from pipeline.language.naming import is_named, match, normal_form
-from pipeline.language.noun_phrase import indefinite_article, noun_phrase, readable
-from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE, PHRASE, VOCABULARIES
-from pipeline.system.errors import InputError
+from pipeline.datasets import open_dataset
+from pipeline.labels import expression_text
+from pipeline.labels.wording import STYLES, can_be_worded, question_text
+from pipeline.language import DIRECTIONAL, PAIRWISE, PHRASE, VOCABULARIES, is_named, match, normal_form, parse, readable
+from pipeline.language.noun_phrase import indefinite_article, noun_phrase
+from pipeline.system import InputError
 
 
 def _listed(names: str, between: str = ",") -> list[str]:
@@ -100,25 +100,26 @@ def check_all(names: list[str], keys: range) -> None:
             check_read_back(text, target, relation, reference, known)
 
 
-# ---- read back ---------------------------------------------------------------------------------------------------
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(("names", "keys"), [(["mug", "laptop"], 80), (BRIEF, 24)], ids=["plain", "brief"])
 def test_every_sentence_of_ordinary_names_is_read_back(names: list[str], keys: int) -> None:
     check_all(names, range(keys))
 
 
-@pytest.mark.parametrize("kind", ["coco", "avd", "semantic-abstraction"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", mostly_slow(["avd", "coco", "semantic-abstraction"]))
 def test_the_classes_of_known_datasets_are_read_back(kind: str) -> None:
     check_all(SETS[kind], range(11, 14))
 
 
+@pytest.mark.slow
 def test_the_classes_of_the_demo_are_read_back() -> None:
     demo = open_dataset(Path(__file__).resolve().parents[2] / "assets" / "demo")
     assert len(demo.class_names) > 20
     check_all(list(demo.class_names), range(3, 6))
 
 
+@pytest.mark.slow
 def test_the_classes_of_real_data_are_read_back(shared_data: Path) -> None:
     path = shared_data / "real" / "avd-format" / "instance_id_map.txt"
     listed = [line.split()[0] for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
@@ -249,7 +250,7 @@ def test_the_sentences_say_no_more_than_a_vocabulary_without_on_allows() -> None
 # ---- variety and determinism -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("relation", PAIRWISE)
+@pytest.mark.parametrize("relation", mostly_slow(PAIRWISE, fast=(0, 4, 8)))
 @pytest.mark.parametrize("step", [1, 0x9E3779B97F4A7C15])
 def test_shapes_are_many_and_evenly_used(relation: str, step: int) -> None:
     keys = [k * step % 2**64 for k in range(1000)]
@@ -426,9 +427,6 @@ def test_readable_names_the_class_and_settles(name: str) -> None:
 def test_number(name: str, plural: bool) -> None:
     assert noun_phrase(name).plural is plural
     assert noun_phrase(name).verb == ("are" if plural else "is")
-
-
-# ---- arguments ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("key", [-1, 2**64, 1.5, "3", None])

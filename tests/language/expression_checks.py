@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.language.expression import parse
+from pipeline.language import parse
 from pipeline.language.tree import Expression
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 
 def expression_of(text: str, **options: object) -> Expression:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.language.attributes import Attribute, attribute
-from pipeline.relations.attributes import SIZES
+from pipeline.language import Attribute, attribute
+from pipeline.relations import SIZES
 from pipeline.relations.colors import _LIGHTNESS
 
 

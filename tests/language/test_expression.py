@@ -11,12 +11,9 @@ from expression_checks import expression_of, refused, triple
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from pipeline.language import grammar, lexicon
-from pipeline.language.expression import parse, sentence_kind
-from pipeline.language.lexicon import FAR, SAYS, SAYS_SWAPPED, wording
-from pipeline.language.relation_names import MIRRORED, RELATIONS
-from pipeline.language.tree import Node, Query
-from pipeline.system.errors import InputError
+from pipeline.language import MIRRORED, RELATIONS, Node, Query, grammar, lexicon, parse, sentence_kind, wording
+from pipeline.language.lexicon import FAR, SAYS, SAYS_SWAPPED
+from pipeline.system import InputError
 
 NAMES = [
     "mug", "trash can", "front door", "remote control", "tv stand", "box of tissues on wheels", "pillow on bed",

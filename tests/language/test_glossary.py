@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.diagnosis.oracles import ORACLES
-from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
-from pipeline.language.glossary import find_term, glossary, glossary_markdown
-from pipeline.system.errors import InputError
+from pipeline.diagnosis import MODULE_OF, ORACLES, VERDICTS
+from pipeline.language import find_term, glossary_markdown
+from pipeline.language.glossary import glossary
+from pipeline.system import InputError
 
 
 def test_the_document_is_the_glossary():

@@ -12,15 +12,14 @@ from typing import Any
 import pytest
 from chat_server import MODELS, ChatServer, Clock, Raw, Script, Slow, error
 
-from pipeline.answering.opening import open_pipeline
-from pipeline.diagnosis.cases.saving import open_case, save_case
+from pipeline.answering import open_pipeline
+from pipeline.diagnosis import open_case, save_case
 from pipeline.diagnosis.whatif.rerun import Baseline
-from pipeline.evaluation.sentence_report import evaluate_sentences
-from pipeline.language.expression import parse
-from pipeline.language.llm_reader import MOST_CHARACTERS, LlmReader, tree_schema
-from pipeline.language.relation_names import RELATIONS
+from pipeline.evaluation import evaluate_sentences
+from pipeline.language import RELATIONS, LlmReader, parse
+from pipeline.language.llm_reader import MOST_CHARACTERS, tree_schema
+from pipeline.system import InputError, ServerError, Unsupported
 from pipeline.system.chat.client import KEY_VARIABLE
-from pipeline.system.errors import InputError, ServerError, Unsupported
 
 NAMES = ("front_door", "mug", "laptop")
 Make = Callable[..., LlmReader]

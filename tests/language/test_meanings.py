@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.language import Meaning, match, meanings, normal_form, open_vectors
 from pipeline.language.name_table import NAMES, Synonyms, checked_table, default_synonyms
-from pipeline.language.naming import GENERIC, Meaning, is_compound, known_words, match, meanings, normal_form
+from pipeline.language.naming import GENERIC, is_compound, known_words
 from pipeline.language.normal import key_of
-from pipeline.language.vectors import open_vectors
 from pipeline.proposals.class_names import synonyms_hash
 from tests.language.test_naming import COCO
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 from expression_checks import expression_of, refused, triple
 
-from pipeline.language.expression import parse
-from pipeline.language.relation_names import RELATIONS
+from pipeline.language import RELATIONS, parse
 from pipeline.language.tree import Expression
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 # ---- vocabularies of relations -----------------------------------------------------------------------------------
 

@@ -9,9 +9,10 @@ from expression_checks import refused
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.language import parse
 from pipeline.language.chain import OWN_WORDS
-from pipeline.language.expression import MOST_READINGS, parse
-from pipeline.system.errors import InputError
+from pipeline.language.expression import MOST_READINGS
+from pipeline.system import InputError
 
 
 def unused(text: str) -> list[str]:

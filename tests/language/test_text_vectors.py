@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vector_writers import VOCABULARY, fasttext_bytes, vec_text, written
 
-from pipeline.language.vectors import LanguageContract, TextVectors, open_vectors
+from pipeline.language import LanguageContract, TextVectors, open_vectors
 from pipeline.language.vectors.fasttext_bin import FastTextBinary, Subwords
 from pipeline.language.vectors.phrases import phrase_words
 from pipeline.language.vectors.tables import VectorTable
 from pipeline.language.vectors.vec_text import VecFile
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 RNG = np.random.default_rng(11)
 WORDS = ("chair", "table", "mug", "trash", "can", "t", "shirt", "box", "of", "tissue", "Polaroid", "TV", "café")

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vector_writers import fasttext_bytes, npy_bytes, npz_with, vec_text, written
 
-from pipeline.language.vectors import open_vectors
+from pipeline.language import open_vectors
 from pipeline.language.vectors.fasttext_bin import FastTextBinary
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 
 @pytest.fixture(autouse=True)

@@ -10,8 +10,8 @@ from benchmarks.grounding_figures import SWEEP, grounding_outcomes, largest_iou,
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.geometry.boxes import iou_2d, paired_iou_2d
-from pipeline.system.errors import InputError
+from pipeline.geometry import iou_2d, paired_iou_2d
+from pipeline.system import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -13,19 +13,20 @@ from benchmarks.grounding_figures import GroundingOutcomes, grounding_estimates,
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.intervals import (
+from pipeline.language import DIRECTIONAL
+from pipeline.metrics import (
     BootstrapConfig,
     Estimate,
     bootstrap,
+    cell_outcomes,
     f1_of,
     mean_estimate,
-    ratio_estimate,
-    resample_weights,
+    multi_label_metrics,
+    relation_estimates,
     share_estimate,
 )
-from pipeline.metrics.relation_metrics import cell_outcomes, multi_label_metrics, relation_estimates
-from pipeline.system.errors import InputError
+from pipeline.metrics.intervals import ratio_estimate, resample_weights
+from pipeline.system import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = BootstrapConfig(resamples=200)
@@ -115,6 +116,7 @@ def test_intervals_are_those_of_a_plain_loop(seed: int) -> None:
         assert (found.n, found.clusters) == (n, len(set(clusters)))
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_only_with_whole_scenes_drawn() -> None:
     rng = np.random.default_rng(0)
     config = BootstrapConfig(resamples=400)

@@ -3,34 +3,41 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
-from sklearn import metrics as oracle
+from slow_cases import mostly_slow
 
-from pipeline.metrics.calibration_metrics import (
-    brier_score,
-    calibration_metrics,
-    expected_calibration_error,
-    reliability_diagram,
-)
-from pipeline.metrics.intervals import mcnemar
-from pipeline.metrics.relation_metrics import (
+from pipeline.metrics import (
     RelationMetrics,
-    average_precision,
+    brier_score,
     cell_outcomes,
+    expected_calibration_error,
+    mcnemar,
     multi_label_metrics,
+    reliability_diagram,
     single_label_metrics,
     true_ranks,
     tuned_thresholds,
 )
-from pipeline.system.errors import InputError
+from pipeline.metrics.calibration_metrics import calibration_metrics
+from pipeline.metrics.relation_metrics import average_precision
+from pipeline.system import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 NAMES = ("behind", "left", "right", "front", "on", "in")
+
+
+@pytest.fixture(scope="module")
+def oracle() -> Any:
+    """scikit-learn's metrics; loaded by the worker that asks."""
+    from sklearn import metrics
+
+    return metrics
 
 
 def random_cells(seed: int, pairs: int = 300, grain: int | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -51,8 +58,8 @@ def figures(m: RelationMetrics) -> np.ndarray:
 
 
 @pytest.mark.parametrize("grain", [None, 4, 20])
-@pytest.mark.parametrize("seed", range(5))
-def test_relation_metrics_are_those_of_scikit_learn(seed: int, grain: int | None) -> None:
+@pytest.mark.parametrize("seed", mostly_slow(range(5), fast=(0, 1)))
+def test_relation_metrics_are_those_of_scikit_learn(oracle: Any, seed: int, grain: int | None) -> None:
     p, truth = random_cells(seed, grain=grain)
     thresholds = tuned_thresholds(*random_cells(seed + 100, grain=grain))
     for cut in (np.full(6, 0.5), thresholds):
@@ -91,6 +98,7 @@ def test_a_case_worked_by_hand() -> None:
     np.testing.assert_allclose(tuned_thresholds(p, truth), [0.4, 0.35])
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(seed=SEEDS, grain=st.sampled_from([None, 3, 10]))
 def test_no_threshold_has_a_larger_f1_than_the_tuned_one(seed: int, grain: int | None) -> None:
@@ -230,7 +238,7 @@ def test_names_and_thresholds_must_match_the_columns() -> None:
 # Relations, one a pair.
 
 
-def test_single_label_metrics_are_those_of_scikit_learn() -> None:
+def test_single_label_metrics_are_those_of_scikit_learn(oracle: Any) -> None:
     rng = np.random.default_rng(1)
     truth = rng.integers(0, 6, 400)
     logits = rng.normal(size=(400, 6)) + 1.5 * np.eye(6)[truth]
@@ -298,7 +306,7 @@ def slow_ece(p: np.ndarray, holds: np.ndarray, bins: int) -> float:
 
 @settings(max_examples=30, deadline=None)
 @given(seed=SEEDS, bins=st.sampled_from([1, 2, 10, 15]), grain=st.sampled_from([None, 10, 15]))
-def test_calibration_error_is_that_of_a_plain_loop(seed: int, bins: int, grain: int | None) -> None:
+def test_calibration_error_is_that_of_a_plain_loop(oracle: Any, seed: int, bins: int, grain: int | None) -> None:
     rng = np.random.default_rng(seed)
     p = rng.random(80)
     p = np.round(p * grain) / grain if grain else p
@@ -314,7 +322,7 @@ def test_calibration_error_is_that_of_a_plain_loop(seed: int, bins: int, grain: 
     assert (diagram.confidence[held] <= diagram.edges[1:][held] + 1e-12).all()
 
 
-def test_calibration_by_relation_and_pooled() -> None:
+def test_calibration_by_relation_and_pooled(oracle: Any) -> None:
     p, truth = random_cells(5)
     found = calibration_metrics(p, truth)
     known = truth != 0

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.metrics.splits import DROPPED, TEST, TRAIN, VALIDATION, FrameKey, position_blocks, split_frames
-from pipeline.system.errors import InputError
+from pipeline.metrics import DROPPED, TEST, TRAIN, VALIDATION, FrameKey, split_frames
+from pipeline.metrics.splits import position_blocks
+from pipeline.system import InputError
 
 # At least three frames of each scene, so that two scenes can be cut into blocks.
 keys = st.lists(st.integers(0, 9), min_size=1, max_size=20).map(

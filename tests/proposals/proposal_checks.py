@@ -9,7 +9,7 @@ import pytest
 from hypothesis import strategies as st
 from scenes import frame_of, upright
 
-from pipeline.geometry.frame import Frame
+from pipeline.geometry import Frame
 from pipeline.proposals import Proposals
 
 SEEDS = st.integers(0, 2**32 - 1)

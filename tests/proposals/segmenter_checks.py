@@ -13,7 +13,7 @@ import numpy as np
 from pycocotools import mask as coco
 from scenes import frame_of, upright
 
-from pipeline.geometry.frame import Frame
+from pipeline.geometry import Frame
 from pipeline.proposals import Proposals
 
 

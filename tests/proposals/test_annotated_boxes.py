@@ -11,14 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.answering import PreparedFrame, all_objects, pixels_inside
 from pipeline.answering.ask import ask
-from pipeline.answering.objects import BOX_MARGIN_M, PreparedFrame, all_objects, pixels_inside
+from pipeline.answering.objects import BOX_MARGIN_M
 from pipeline.datasets import open_dataset
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.camera import Camera, backproject, intrinsics
-from pipeline.geometry.frame import Annotation, Frame
-from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.proposals.base import Proposals
+from pipeline.geometry import Annotation, Box3D, Camera, Frame, backproject, intrinsics
+from pipeline.proposals import AnnotationDetector, Proposals
 
 HEIGHT, WIDTH = 120, 160
 CAMERA = Camera(intrinsics(150, 150, 79.5, 59.5), WIDTH, HEIGHT).with_up(np.array([0, -1.0, 0]), "declared")

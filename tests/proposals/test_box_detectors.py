@@ -15,13 +15,11 @@ from onnx_stubs import write_stub
 from scenes import frame_of, upright
 
 from pipeline.datasets import open_dataset
-from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.picture_input import place_picture
+from pipeline.geometry import Frame, iou_2d, place_picture
 from pipeline.proposals import make_detector
 from pipeline.proposals.box_config import BoxInput, read_box_model
 from pipeline.proposals.box_detector import BoxDetector
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 EXAMPLES = Path(read_box_model.__code__.co_filename).with_name("detectors")
 PICTURE: dict[str, Any] = {"image": (TensorProto.FLOAT, (1, 3, 64, 128))}
@@ -286,6 +284,7 @@ GOLDEN = {
 """The best of the first picture: names, scores, boxes."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GOLDEN)
 def test_picodet_on_real_pictures(shared_data: Path, name: str) -> None:
     camera: dict[str, Any] = {"intrinsics": (518, 519, 325.5, 253.5), "depth_scale": 1000}

@@ -17,11 +17,9 @@ from concept_graph_maps import corners, map_object, write_map
 from proposal_checks import _own_cache, frame  # noqa: F401
 from segmenter_checks import run_lengths
 
-from pipeline.geometry.frame import Frame
-from pipeline.proposals import make_detector
-from pipeline.proposals.base import Proposals
-from pipeline.proposals.recorded import RecordedDetector
-from pipeline.system.errors import FrameUnusable, InputError
+from pipeline.geometry import Frame
+from pipeline.proposals import Proposals, RecordedDetector, make_detector
+from pipeline.system import FrameUnusable, InputError
 
 FRAMES = ("scene/0", "scene/1", "other/000007")
 

@@ -14,11 +14,11 @@ from onnx import TensorProto
 from onnx_stubs import write_stub
 from scenes import frame_of, upright
 
-from pipeline.geometry.frame import Frame
+from pipeline.geometry import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.class_names import read_class_names
 from pipeline.proposals.detic import DeticDetector, paste_masks, resized_shape
-from pipeline.system.errors import InputError, UnknownClass
+from pipeline.system import InputError, UnknownClass
 
 NAMES = ("cup", "dining_table", "hot dog", "cracker box", "dog", "cup")
 FREE: dict[str, Any] = {"img": (TensorProto.FLOAT, (1, 3, "h", "w"))}

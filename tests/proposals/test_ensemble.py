@@ -13,18 +13,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from shelf import NAMES, SHELF, H, W, rows_of
 
+from pipeline.answering import open_pipeline, record_detections
 from pipeline.answering.ask import ask
-from pipeline.answering.opening import open_pipeline
-from pipeline.answering.recording import record_detections
-from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_folder import _read_spec, spec_record
-from pipeline.geometry.frame import Frame
-from pipeline.proposals import Proposals
-from pipeline.proposals.class_names import known_names, name_groups, same_name
+from pipeline.evaluation import EvalSpec, spec_record
+from pipeline.evaluation.run_folder import _read_spec
+from pipeline.geometry import Frame
+from pipeline.proposals import Proposals, SimulatedDetector, SimulationOptions, known_names, name_groups, same_name
 from pipeline.proposals.ensemble import EnsembleDetector, _identity, fuse_boxes
-from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions
-from pipeline.system.detector_setup import named_model, with_model
-from pipeline.system.errors import InputError, UnknownClass
+from pipeline.system import InputError, UnknownClass, named_model
+from pipeline.system.detector_setup import with_model
 
 # Three detectors' boxes (0..1), scores and classes, and what ensemble-boxes 1.0.9 of the paper's authors made of them.
 BOXES = [

@@ -13,13 +13,13 @@ from onnx_stubs import GROUNDING, grounding_outputs, write_stub
 from scenes import frame_of, upright
 
 from pipeline.evaluation.run import Referring
-from pipeline.geometry.frame import Frame
+from pipeline.geometry import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.captions import build_captions, load_tokenizer, sigmoid, span_scores, token_blocks
 from pipeline.proposals.contracts import GROUNDING_DINO_CONTRACTS
 from pipeline.proposals.grounding_dino import GroundingDinoDetector
 from pipeline.proposals.network import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system import InputError, MissingExtra
 
 if TYPE_CHECKING:
     from open_vocabulary_models import Export
@@ -85,6 +85,7 @@ def processor_of(tokenizer: Any, size: dict[str, int]) -> Any:
 # Against the reference library.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contract", ["transformers", "original"])
 def test_detections_are_those_of_the_reference(request: pytest.FixtureRequest, contract: str, frame: Frame) -> None:
     import torch
@@ -125,6 +126,7 @@ def test_detections_are_those_of_the_reference(request: pytest.FixtureRequest, c
     assert len(set(found.label_index.tolist())) > 1
 
 
+@pytest.mark.slow
 def test_the_two_contracts_agree(exported: dict[str, Export], frame: Frame) -> None:
     one, other = (GroundingDinoDetector(exported[c].path).detect(frame, NAMES) for c in ("transformers", "original"))
     assert len(one) > 3
@@ -133,6 +135,7 @@ def test_the_two_contracts_agree(exported: dict[str, Export], frame: Frame) -> N
     np.testing.assert_allclose(one.scores, other.scores, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(480, 640), (97, 333), (641, 479), (30, 30), (800, 1000)])
 def test_pixel_values_are_those_of_the_reference(transformers_export: Export, size: tuple[int, int]) -> None:
     rgb = np.random.default_rng(1).integers(0, 256, (*size, 3)).astype(np.uint8)
@@ -145,6 +148,7 @@ def test_pixel_values_are_those_of_the_reference(transformers_export: Export, si
         np.testing.assert_allclose(ours, expected, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ids", [
     [101, 200, 201, 1012, 202, 1012, 102], [101, 200, 102], [101, 102], [101, 1012, 102], [200, 201, 1029, 202],
     [101, 200, 1012, 102, 0, 0, 0], [101, 200, 1012, 1012, 201, 202, 203, 1029, 102], [101, 200, 201],
@@ -162,6 +166,7 @@ def test_token_blocks_are_those_of_the_reference(ids: list[int]) -> None:
     assert ours[1].tolist() == positions[0].tolist()
 
 
+@pytest.mark.slow
 def test_captions_are_tokenised_as_the_reference_does(transformers_export: Export, vocabulary: Path) -> None:
     export = transformers_export
     for path in (export.path.with_name("tokenizer.json"), vocabulary):
@@ -269,6 +274,7 @@ def test_without_names_the_datasets_are_looked_for(tmp_path: Path, vocabulary: P
         make_detector("grounding-dino", model=path).detect(frame, None)
 
 
+@pytest.mark.slow
 def test_a_whole_expression_is_one_phrase(transformers_export: Export, frame: Frame) -> None:
     detector = make_detector("grounding-dino", model=transformers_export.path, min_score=0.01)
     (pointed, unknown) = Referring(detector).point(frame, ["The mug left of the laptop.", "???"])
@@ -374,6 +380,7 @@ def test_a_broken_file_is_one_clear_line(
     assert vocabulary.is_file()
 
 
+@pytest.mark.slow
 def test_another_models_tokenizer_is_refused(tmp_path: Path, vocabulary: Path, transformers_export: Export) -> None:
     words = vocabulary.read_text(encoding="utf-8").splitlines()
     vocabulary.write_text("\n".join(words[1:]) + "\n", encoding="utf-8")
@@ -396,6 +403,7 @@ def test_another_models_tokenizer_is_refused(tmp_path: Path, vocabulary: Path, t
     assert GroundingDinoDetector(tmp_path / "onnx" / "model.onnx").tokenizer_path == tmp_path / "tokenizer.json"
 
 
+@pytest.mark.slow
 def test_a_token_beyond_the_models_vocabulary_is_explained(
     transformers_export: Export, tmp_path: Path, vocabulary: Path
 ) -> None:
@@ -415,6 +423,7 @@ def test_a_missing_library_is_named(tmp_path: Path, vocabulary: Path, monkeypatc
         GroundingDinoDetector(path)
 
 
+@pytest.mark.slow
 def test_the_contracts_name_what_the_exports_declare(exported: dict[str, Export]) -> None:
     import onnxruntime as ort
 

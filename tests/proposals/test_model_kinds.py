@@ -15,22 +15,15 @@ import numpy as np
 import pytest
 from model_stubs import STUBS, change, grown, halved, loosened, poisoned, write_model
 from scenes import frame_of, upright
+from slow_cases import mostly_slow
 from waiting import LONG_S
 
-from pipeline.geometry.frame import Frame
-from pipeline.proposals import make_detector, make_segmenter
-from pipeline.proposals.base import reads_annotations
+from pipeline.geometry import Frame
+from pipeline.proposals import make_detector, make_segmenter, reads_annotations, recognise
 from pipeline.proposals.ensemble import EnsembleDetector
-from pipeline.proposals.mismatch import explain_mismatch, recognise
-from pipeline.system.errors import InputError
-from pipeline.system.onnx_session import (
-    PROVIDER_VARIABLE,
-    ProviderWarning,
-    open_session,
-    use_execution,
-    wanted_accelerator,
-    warn_once,
-)
+from pipeline.proposals.mismatch import explain_mismatch
+from pipeline.system import PROVIDER_VARIABLE, InputError, ProviderWarning, open_session, use_execution
+from pipeline.system.onnx_session import wanted_accelerator, warn_once
 
 pytest.importorskip("tokenizers", reason="detectors that read text need the extra hub")
 ROOT = Path(__file__).resolve().parents[2]
@@ -149,7 +142,7 @@ def test_a_broken_file_is_one_clear_line(
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("edit", [halved, loosened])
+@pytest.mark.parametrize("edit", mostly_slow([halved, loosened]))
 @pytest.mark.parametrize("kind", KINDS)
 def test_half_precision_and_open_sizes_are_read(
     kind: str, edit: Callable[[Any], None], tmp_path: Path, files: dict[str, Path], frame: Frame
@@ -258,6 +251,7 @@ def child(*arguments: str, **environment: str) -> subprocess.CompletedProcess[st
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_onnx_runtimes_own_messages_are_shown_only_where_asked_for(shared_data: Path) -> None:
     path = str(shared_data / "onnx" / "picodet_s_416_coco.onnx")
     quiet = child("models", path)
@@ -268,6 +262,7 @@ def test_onnx_runtimes_own_messages_are_shown_only_where_asked_for(shared_data: 
     assert loud.stdout == quiet.stdout
 
 
+@pytest.mark.slow
 def test_the_command_says_what_a_file_is(files: dict[str, Path], tmp_path: Path) -> None:
     (tmp_path / "no.onnx").write_bytes(b"nothing")
     done = child("models", *(str(files[k]) for k in ("yolo-seg", "detic", "sam decoder")), "--json")
@@ -281,6 +276,7 @@ def test_the_command_says_what_a_file_is(files: dict[str, Path], tmp_path: Path)
     assert "damaged, incomplete, or no ONNX file" in bad.stdout
 
 
+@pytest.mark.slow
 def test_the_command_lists_what_there_is(tmp_path: Path) -> None:
     folder = tmp_path / "models" / "someone--a-model" / ("a" * 40)
     folder.mkdir(parents=True)
@@ -299,8 +295,7 @@ def test_the_command_lists_what_there_is(tmp_path: Path) -> None:
 
 
 def test_a_long_run_is_counted_and_keeps_its_memory(files: dict[str, Path], tmp_path: Path) -> None:
-    from pipeline.answering.bench import run_endurance
-    from pipeline.answering.opening import open_pipeline
+    from pipeline.answering import open_pipeline, run_endurance
 
     source = open_pipeline("demo", detector="yolo-seg", model=files["yolo-seg"], srm="rule")
     seen: list[tuple[int, int]] = []
@@ -319,6 +314,7 @@ def test_a_long_run_is_counted_and_keeps_its_memory(files: dict[str, Path], tmp_
     assert json.loads(json.dumps(asdict(report)))["detector"] == "yolo-seg"
 
 
+@pytest.mark.slow
 def test_a_detector_is_made_of_a_model_on_a_hub(
     files: dict[str, Path], frame: Frame, monkeypatch: pytest.MonkeyPatch
 ) -> None:

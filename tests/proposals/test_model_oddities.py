@@ -14,13 +14,11 @@ from onnx import TensorProto
 from onnx_stubs import write_stub
 from scenes import frame_of, upright
 
-from pipeline.geometry.frame import Frame
-from pipeline.proposals import detic, make_detector, make_segmenter, prompt_models
-from pipeline.proposals.class_names import metadata_names
+from pipeline.geometry import Frame
+from pipeline.proposals import detic, make_detector, make_segmenter, metadata_names, prompt_models
 from pipeline.proposals.network import shortest_edge
 from pipeline.proposals.yolo_seg import letterbox
-from pipeline.system.errors import InputError
-from pipeline.system.onnx_session import metadata, model_hash, open_session
+from pipeline.system import InputError, metadata, model_hash, open_session
 
 
 @pytest.fixture(autouse=True)

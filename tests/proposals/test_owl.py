@@ -12,12 +12,12 @@ from onnx_stubs import OWL, write_stub
 from scenes import camera_of, frame_of, upright
 
 from pipeline.evaluation.run import Referring
-from pipeline.geometry.frame import Frame
+from pipeline.geometry import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.contracts import OWL_CONTRACTS
 from pipeline.proposals.network import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.proposals.owl import OwlDetector
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 if TYPE_CHECKING:
     from open_vocabulary_models import Export
@@ -71,6 +71,7 @@ def reference_answer(export: Export, kind: str, frame: Frame, texts: list[str]) 
     return processor, answer, answer.logits.amax(-1).sigmoid()[0].numpy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_detections_are_those_of_the_reference(exported: dict[str, Export], kind: Any, frame: Frame) -> None:
     texts = [f"a photo of a {n}" for n in ("mug", "hot dog", "dog", "tap")]
@@ -93,6 +94,7 @@ def test_detections_are_those_of_the_reference(exported: dict[str, Export], kind
     assert np.ptp(found.boxes, axis=0).min() > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("size", [(480, 640), (97, 333), (641, 479), (30, 20), (96, 96), (2000, 1500)])
 def test_pixel_values_are_those_of_the_reference(kind: str, size: tuple[int, int]) -> None:
@@ -110,6 +112,7 @@ def test_the_older_padding_is_grey() -> None:
     assert (image[11:] == 0.5).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_texts_are_tokenised_as_the_reference_does(exported: dict[str, Export], kind: Any) -> None:
     detector = OwlDetector(exported[kind].path, kind)
@@ -125,6 +128,7 @@ def test_texts_are_tokenised_as_the_reference_does(exported: dict[str, Export], 
         detector._tokens("x", "a photo of a dog and a mug and a dog")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_found_does_not_depend_on_what_else_is_asked(
     exported: dict[str, Export], kind: Any, frame: Frame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -141,6 +145,7 @@ def test_what_is_found_does_not_depend_on_what_else_is_asked(
     np.testing.assert_allclose(together.scores[np.argsort(together.ids)], best, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_file_for_a_fixed_number_of_names(exported: dict[str, Export], frame: Frame, tmp_path: Path) -> None:
     from open_vocabulary_models import export_owl
 
@@ -155,6 +160,7 @@ def test_a_file_for_a_fixed_number_of_names(exported: dict[str, Export], frame: 
     np.testing.assert_allclose(fixed.scores, free.scores, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_boxes_in_the_padding_are_no_detections(tmp_path: Path, exported: dict[str, Export]) -> None:
     wide = frame_of([upright((0.1, 0.9, 2), (0.3, 0.4, 0.3))], ["mug"], camera=camera_of(width=320, height=160))
     logits = np.full((1, 4, 1), 2.0, np.float32)
@@ -171,6 +177,7 @@ def test_boxes_in_the_padding_are_no_detections(tmp_path: Path, exported: dict[s
     np.testing.assert_allclose(squashed.boxes[0], [64, 24, 96, 56], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_objects_of_any_kind_where_the_file_knows_them(exported: dict[str, Export], frame: Frame) -> None:
     detector = OwlDetector(exported["owlv2"].path, min_score=0.0, nms_iou=1.0, k=1000)
     found = detector.detect(frame, None)
@@ -184,6 +191,7 @@ def test_objects_of_any_kind_where_the_file_knows_them(exported: dict[str, Expor
         make_detector("owlvit", model=exported["owlvit"].path).detect(frame, None)
 
 
+@pytest.mark.slow
 def test_a_whole_expression_is_asked_as_it_is(exported: dict[str, Export], frame: Frame) -> None:
     path = exported["owlvit"].path
     whole = make_detector("owlvit", model=path, min_score=0.0)
@@ -223,6 +231,7 @@ def broken(kind: str, folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [
     "no text", "grounding", "oblong", "of owlvit", "no boxes", "other names", "nan", "opset", "external", "truncated",
 ])  # fmt: skip
@@ -238,6 +247,7 @@ def test_a_broken_file_is_one_clear_line(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [TensorProto.FLOAT16, TensorProto.FLOAT])
 def test_half_precision_and_open_sizes(tmp_path: Path, exported: dict[str, Export], frame: Frame, kind: int) -> None:
     dtype = np.float16 if kind == TensorProto.FLOAT16 else np.float32
@@ -251,6 +261,7 @@ def test_half_precision_and_open_sizes(tmp_path: Path, exported: dict[str, Expor
     np.testing.assert_allclose(found.scores, 1 / (1 + np.exp(-1)), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_another_models_tokenizer_is_refused(tmp_path: Path) -> None:
     from transformers import BertTokenizer
 
@@ -264,6 +275,7 @@ def test_another_models_tokenizer_is_refused(tmp_path: Path) -> None:
         OwlDetector(path)
 
 
+@pytest.mark.slow
 def test_the_contracts_name_what_the_exports_declare(exported: dict[str, Export]) -> None:
     import onnxruntime as ort
 

@@ -12,17 +12,16 @@ import numpy as np
 import pytest
 from sam_exports import SAM2_SIDE, Export, export_sam, export_sam2, save
 
-from pipeline.answering.opening import open_pipeline
+from pipeline.answering import open_pipeline
 from pipeline.datasets import Dataset
-from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_folder import _read_spec, spec_record
-from pipeline.geometry.frame import Frame
-from pipeline.proposals import make_segmenter
-from pipeline.proposals.cache import CachedSegmenter
+from pipeline.evaluation import EvalSpec, spec_record
+from pipeline.evaluation.run_folder import _read_spec
+from pipeline.geometry import Frame
+from pipeline.proposals import CachedSegmenter, make_segmenter
 from pipeline.proposals.mismatch import SEGMENTERS
 from pipeline.proposals.prompt_models import EfficientSamModel, Sam2Model, SamModel
 from pipeline.proposals.prompted import PromptedSegmenter
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 
 @pytest.fixture(scope="session")
@@ -66,6 +65,7 @@ def assert_same(mask: np.ndarray, reference: np.ndarray, logits: np.ndarray, low
 # Conformance.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("flavour", "shape"), [("inside", (480, 300)), ("square", (480, 640)), ("x", (480, 300))])
 def test_sam_is_what_the_official_predictor_gives(
     sam: Export, picture: Frame, flavour: str, shape: tuple[int, int]
@@ -86,6 +86,7 @@ def test_sam_is_what_the_official_predictor_gives(
         assert_same(mask, np.asarray(reference[0]), logits, np.asarray(low_res[0]))
 
 
+@pytest.mark.slow
 def test_an_export_of_one_mask_gets_the_padding_point(sam: Export, picture: Frame) -> None:
     import torch
     from segment_anything.utils.onnx import SamOnnxModel
@@ -112,6 +113,7 @@ def test_an_export_of_one_mask_gets_the_padding_point(sam: Export, picture: Fram
         assert_same(mask, full[0, 0].numpy() > 0, logits, low_res[0, 0].numpy())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", ["samexporter", "transformers"])
 def test_sam2_is_what_its_processor_and_model_give(sam2: Export, picture: Frame, flavour: str) -> None:
     import torch
@@ -268,6 +270,7 @@ def test_masks_are_kept_on_disk_by_picture_models_and_box(tmp_path: Path, pictur
     assert len(model.runs) == count + 2
 
 
+@pytest.mark.slow
 def test_the_fingerprint_holds_both_files(sam: Export) -> None:
     found = {
         SamModel([sam.encoders[e], sam.decoders[d]]).fingerprint() for e in ("square", "x") for d in ("single", "four")
@@ -293,6 +296,7 @@ def assert_refused(name: str, files: Sequence[Path], *words: str) -> None:
         assert word in message, message
 
 
+@pytest.mark.slow
 def test_files_that_do_not_fit_are_explained(sam: Export, sam2: Export, tmp_path: Path) -> None:
     encoder, decoder = sam.encoders["x"], sam.decoders["four"]
     assert_refused("sam", [decoder, encoder], "the wrong way round", "expected --segmenter-model x.onnx four.onnx")
@@ -307,6 +311,7 @@ def test_files_that_do_not_fit_are_explained(sam: Export, sam2: Export, tmp_path
     assert_refused("sam", [tmp_path / "none.onnx", decoder], "there is no model file")
 
 
+@pytest.mark.slow
 def test_damaged_files_are_refused_in_one_line(sam: Export, tmp_path: Path) -> None:
     import onnx
 
@@ -366,6 +371,7 @@ def test_the_sam_of_transformers_js_is_refused_with_the_reason(tmp_path: Path) -
         assert_refused(name, [encoder, decoder], "transformers.js, whose decoder takes no box")
 
 
+@pytest.mark.slow
 def test_embeddings_of_another_size_are_refused(sam: Export, tmp_path: Path) -> None:
     square = {"x": ("FLOAT", [1, 3, 1024, 1024])}
     small = declare(tmp_path / "small.onnx", square, {"image_embeddings": ("FLOAT", [1, 256, 32, 32])})
@@ -384,6 +390,7 @@ def test_embeddings_of_another_size_are_refused(sam: Export, tmp_path: Path) -> 
     assert_refused("efficientsam", [encoder, one_point], "one point a query, and a box is two")
 
 
+@pytest.mark.slow
 def test_a_model_that_the_optimiser_spoils_is_loaded_without_it(sam: Export, monkeypatch: pytest.MonkeyPatch) -> None:
     import onnxruntime as ort
 
@@ -404,6 +411,7 @@ def test_a_model_that_the_optimiser_spoils_is_loaded_without_it(sam: Export, mon
 # The wiring.
 
 
+@pytest.mark.slow
 def test_a_question_is_answered_with_masks_of_sam(sam: Export, tmp_path: Path, picture: Frame) -> None:
     recording = {
         "frames": {

@@ -14,13 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from proposal_checks import SEEDS, _own_cache, equal, frame  # noqa: F401
 
-from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.frame import Frame
-from pipeline.proposals import AnnotationDetector, CachedDetector, Detector, Proposals, make_detector, top_k
-from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.base import no_proposals, suppress
+from pipeline.geometry import Frame, iou_2d
+from pipeline.proposals import (
+    AnnotationDetector,
+    CachedDetector,
+    Detector,
+    Proposals,
+    box_mask,
+    make_detector,
+    no_proposals,
+    suppress,
+    top_k,
+)
 from pipeline.proposals.yolo_seg import letterbox
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 
 def proposals_of(boxes: np.ndarray, scores: np.ndarray) -> Proposals:

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from segmenter_checks import Boxes, bare, boxes_of, coco_file, iou, masks_of, run_lengths, scene
 
-from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry import Annotation, Frame
 from pipeline.proposals import AnnotationDetector
 from pipeline.proposals.recorded_masks import open_recorded_masks
 from pipeline.proposals.segmenter import DetectorSegmenter, Segments, assign
-from pipeline.system.errors import FrameUnusable, InputError
+from pipeline.system import FrameUnusable, InputError
 
 # Assignment.
 

@@ -14,12 +14,9 @@ from hypothesis import given, settings
 from proposal_checks import SEEDS, _own_cache, frame  # noqa: F401
 from pycocotools import mask as coco
 
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import decode_run_length
-from pipeline.proposals import make_detector
-from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.recorded import RecordedDetector
-from pipeline.system.errors import InputError
+from pipeline.geometry import Frame, decode_run_length
+from pipeline.proposals import RecordedDetector, box_mask, make_detector
+from pipeline.system import InputError
 
 # Recordings.
 

@@ -13,15 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shelf import NAMES, SHELF, H, W, rows_of
 
-from pipeline.answering.ask import AskConfig, ask
-from pipeline.answering.opening import Pipeline, frame_range, open_pipeline
-from pipeline.answering.recording import record_detections
-from pipeline.datasets.demo import demo_path
-from pipeline.geometry.masks import decode_crop, decode_run_length, encode_run_length
-from pipeline.proposals import top_k
-from pipeline.proposals.recorded import RecordedDetector
-from pipeline.proposals.simulated import SimulatedDetector
-from pipeline.system.errors import InputError
+from pipeline.answering import AskConfig, Pipeline, frame_range, open_pipeline, record_detections
+from pipeline.answering.ask import ask
+from pipeline.datasets import demo_path
+from pipeline.geometry import decode_crop, decode_run_length, encode_run_length
+from pipeline.proposals import RecordedDetector, SimulatedDetector, top_k
+from pipeline.system import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 OTHER = replace(SHELF, id="scene/1")

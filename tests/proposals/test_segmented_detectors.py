@@ -11,14 +11,19 @@ import numpy as np
 import pytest
 from segmenter_checks import Boxes, bare, boxes_of, coco_file, iou, masks_of, scene
 
-from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.answering.opening import open_pipeline, relate_frames
+from pipeline.answering import PreparedFrame, all_objects, open_pipeline, relate_frames
 from pipeline.datasets import open_dataset
-from pipeline.geometry.frame import Frame
-from pipeline.proposals import AnnotationDetector, CachedDetector, Segmented, Segmenter, make_segmenter
-from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.depth_segmenter import DepthSegmenter
-from pipeline.system.errors import InputError
+from pipeline.geometry import Frame
+from pipeline.proposals import (
+    AnnotationDetector,
+    CachedDetector,
+    DepthSegmenter,
+    Segmented,
+    Segmenter,
+    box_mask,
+    make_segmenter,
+)
+from pipeline.system import InputError
 
 # Behind a detector.
 
@@ -159,6 +164,7 @@ def test_segmenters_by_name(tmp_path: Path) -> None:
         open_pipeline("demo", segmenter_model=tmp_path)
 
 
+@pytest.mark.slow
 def test_jobs_use_the_segmenter(tmp_path: Path) -> None:
     plain = open_pipeline("demo")
     frame = plain.dataset.load(plain.dataset.frame_ids[0])

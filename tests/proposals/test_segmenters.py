@@ -13,13 +13,10 @@ from hypothesis import strategies as st
 from scenes import camera_of, frame_of, upright
 from segmenter_checks import boxes_of, iou, masks_of, scene
 
-from pipeline.datasets import open_dataset
-from pipeline.datasets.demo import demo_path
-from pipeline.geometry.camera import Camera
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.normals import surface_normals
-from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.depth_segmenter import NEIGHBOURS, DepthSegmenter, minimum_cut
+from pipeline.datasets import demo_path, open_dataset
+from pipeline.geometry import Camera, Frame, surface_normals
+from pipeline.proposals import DepthSegmenter, box_mask
+from pipeline.proposals.depth_segmenter import NEIGHBOURS, minimum_cut
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -47,6 +44,7 @@ def grabcut(frame: Frame, box: np.ndarray) -> np.ndarray:
     return mask
 
 
+@pytest.mark.slow
 def test_real_masks_are_met_better_than_by_grabcut_and_by_the_bare_box(shared_data: Path) -> None:
     dataset = open_dataset(shared_data / "real" / "ycbv-bop")
     ours, compared, cut, box, alone = [], [], [], [], []
@@ -71,6 +69,7 @@ def test_real_masks_are_met_better_than_by_grabcut_and_by_the_bare_box(shared_da
     assert min(ours) > 0.4
 
 
+@pytest.mark.slow
 def test_rendered_rooms_are_met_too() -> None:
     dataset = open_dataset(demo_path())
     ours, box = [], []
@@ -107,6 +106,7 @@ def test_colour_alone_tells_a_picture_from_the_wall(missing: bool) -> None:
     assert iou(masks[0], disc) > 0.93
 
 
+@pytest.mark.slow
 def test_a_mask_does_not_depend_on_the_run_or_on_boxes_elsewhere() -> None:
     frame = scene()
     boxes = boxes_of(frame)
@@ -120,6 +120,7 @@ def test_a_mask_does_not_depend_on_the_run_or_on_boxes_elsewhere() -> None:
         np.testing.assert_array_equal(segmented(frame, boxes[k : k + 1])[0][0], first[k])
 
 
+@pytest.mark.slow
 def test_another_picture_of_the_same_colours_is_another_picture() -> None:
     frame = scene()
     flat = replace(frame, depth=np.full_like(frame.depth, 2.0), annotations=())
@@ -156,6 +157,7 @@ def test_overlapping_boxes_share_no_pixel_and_only_lose_by_it() -> None:
         assert iou(together[k], masks_of(frame)[k]) > 0.8
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(SEEDS)
 def test_a_mask_stays_in_its_box_and_is_never_empty(seed: int) -> None:
@@ -228,6 +230,7 @@ def test_there_are_no_normals_at_depth_edges() -> None:
     assert not known[:, 38:42].any()
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(SEEDS)
 def test_the_cut_has_the_least_energy(seed: int) -> None:

@@ -12,22 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shelf import DEPTH, NAMES, SHELF, H, U, V, W, rows_of, shelf
 
-from pipeline.answering.objects import PreparedFrame
-from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.frame import Annotation
-from pipeline.geometry.lifting import LiftConfig
-from pipeline.proposals import make_detector
-from pipeline.proposals.simulated import (
-    FIRST_REGION_ID,
-    SimulatedDetector,
-    SimulationOptions,
-    leaked,
-    read_options,
-    resized,
-    surroundings,
-    truncated,
-)
-from pipeline.system.errors import InputError
+from pipeline.answering import PreparedFrame
+from pipeline.geometry import Annotation, LiftConfig, iou_2d
+from pipeline.proposals import SimulatedDetector, SimulationOptions, make_detector
+from pipeline.proposals.simulated import FIRST_REGION_ID, leaked, read_options, resized, surroundings, truncated
+from pipeline.system import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 MANY = [replace(SHELF, id=f"scene/{k}") for k in range(150)]
@@ -56,6 +45,7 @@ GOLDEN_BOX = [14.3956, 12.9724, 49.0181, 47.8646]
 # What decides.
 
 
+@pytest.mark.slow
 @given(SEEDS, st.permutations(NAMES), st.integers(0, 40))
 @settings(max_examples=15, deadline=None)
 def test_nothing_depends_on_the_order_of_calls(seed: int, order: list[str], other: int) -> None:
@@ -136,6 +126,7 @@ def test_the_fingerprint_covers_every_option() -> None:
 # Its rates.
 
 
+@pytest.mark.slow
 @given(SEEDS, st.floats(0.05, 1), st.floats(0, 1), st.floats(0, 4))
 @settings(max_examples=4, deadline=None)
 def test_the_rates_are_those_that_were_asked_for(seed: int, recall: float, cross: float, background: float) -> None:
@@ -179,6 +170,7 @@ def test_masks_err_by_the_pixels_that_were_asked_for() -> None:
     assert all(within_binomial(int(n), len(ious), 1 / 6) for n in kinds[1])
 
 
+@pytest.mark.slow
 def test_boxes_are_shifted_and_scaled_by_their_size() -> None:
     detector = simulated(**QUIET | {"box_jitter": 0.03})
     errors = []
@@ -189,6 +181,7 @@ def test_boxes_are_shifted_and_scaled_by_their_size() -> None:
     assert np.concatenate(errors).std() == pytest.approx(0.03 * np.sqrt(1.25), rel=0.05)
 
 
+@pytest.mark.slow
 def test_some_masks_are_cut_and_some_leak() -> None:
     cut = leak = n = 0
     detector = simulated(**QUIET | {"truncated": 0.2, "corrupted": 0.3})
@@ -229,6 +222,7 @@ def test_a_corrupted_mask_corrupts_the_lift() -> None:
     assert np.median(sizes[1.0] / sizes[0.0]) > 1.3
 
 
+@pytest.mark.slow
 def test_scores_overlap_and_are_no_probabilities() -> None:
     detector = simulated()
     scores: dict[bool, list[float]] = {True: [], False: []}

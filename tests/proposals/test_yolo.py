@@ -10,11 +10,10 @@ import pytest
 from proposal_checks import _own_cache, equal, frame  # noqa: F401
 
 from pipeline.datasets import open_dataset
-from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.frame import Frame
-from pipeline.language.naming import Synonyms, default_synonyms
+from pipeline.geometry import Frame, iou_2d
+from pipeline.language import Synonyms, default_synonyms
 from pipeline.proposals import CachedDetector, Detector, Proposals, make_detector
-from pipeline.system.errors import InputError
+from pipeline.system import InputError
 
 # A real network.
 
@@ -49,6 +48,7 @@ def names_in(found: Proposals) -> list[str]:
     return [found.label(i) for i in range(len(found))]
 
 
+@pytest.mark.slow
 def test_the_network_finds_what_is_there(yolo: Detector, dining: list[Frame], kitchen: list[Frame]) -> None:
     for frame in dining:
         found = names_in(yolo.detect(frame, ["chair", "dining table"]))
@@ -58,6 +58,7 @@ def test_the_network_finds_what_is_there(yolo: Detector, dining: list[Frame], ki
         assert set(names_in(yolo.detect(frame, ["cup", "chairs", "zebra"]))) == {"cup", "chair"}
 
 
+@pytest.mark.slow
 def test_masks_lie_in_their_boxes_and_scores_fall(yolo: Detector, dining: list[Frame], kitchen: list[Frame]) -> None:
     for frame in (*dining, *kitchen):
         found = yolo.detect(frame, None)
@@ -90,6 +91,7 @@ def test_a_detection_is_the_same_whatever_is_asked(yolo: Detector, kitchen: list
     assert equal(again, chairs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("down", "across"), [(160, 0), (0, 320), (200, 100)])
 def test_a_moved_picture_moves_the_detections(yolo: Detector, kitchen: list[Frame], down: int, across: int) -> None:
     """A picture of another shape goes through the letterbox and its masks come back in place."""
@@ -114,6 +116,7 @@ def test_an_unknown_name_is_refused_with_what_is_near(yolo: Detector, kitchen: l
         yolo.detect(kitchen[0], ["chiar"])
 
 
+@pytest.mark.slow
 def test_what_a_cached_result_depends_on_is_in_the_fingerprint(yolo_file: Path) -> None:
     from pipeline.proposals.yolo_seg import YoloSegDetector
 

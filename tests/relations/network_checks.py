@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scenes import frame_of, upright
 
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.lifting import LiftedObject, Quality, extents, fit_box
-from pipeline.geometry.viewer import ViewerAxes
+from pipeline.geometry import Frame, LiftedObject, Quality, ViewerAxes, extents
+from pipeline.geometry.lifting import fit_box
 
 
 def lifted(points: np.ndarray, viewer: ViewerAxes, mode: Any = "gravity") -> LiftedObject:

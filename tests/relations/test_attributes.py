@@ -7,15 +7,12 @@ import time
 import cv2
 import numpy as np
 import pytest
+from slow_cases import mostly_slow
 
-from pipeline.datasets.demo import demo_path
-from pipeline.datasets.opening import open_dataset
-from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.viewer import viewer_axes
-from pipeline.language.attributes import BASIC_COLORS, attribute
-from pipeline.relations.attributes import attribute_probabilities, size_keys
-from pipeline.relations.colors import object_colors
+from pipeline.datasets import demo_path, open_dataset
+from pipeline.geometry import Box3D, Frame, viewer_axes
+from pipeline.language import BASIC_COLORS, attribute
+from pipeline.relations import attribute_probabilities, object_colors, size_keys
 
 FOCI = {
     "black": "#101010", "blue": "#1f4fb5", "brown": "#6b4226", "gray": "#808080", "green": "#2e8b3a",
@@ -113,22 +110,24 @@ def demo() -> dict[str, Frame]:
     return {key: dataset.load(key) for key in dataset.frame_ids}
 
 
+COLOURED = [
+    ("000001/000000", "yellow", 4, (3,)),
+    ("000001/000000", "green", 7, (6, 8)),
+    ("000002/000000", "red", 14, (22, 28)),
+    ("000002/000000", "brown", 28, (22,)),
+    ("000002/000000", "orange", 30, (15, 19)),
+    ("000003/000000", "pink", 2, (1, 3)),
+    ("000003/000001", "red", 16, (15, 26)),
+    ("000003/000001", "beige", 15, (16, 26)),
+    ("000003/000001", "gray", 26, (15, 16)),
+    ("000004/000000", "white", 2, (1,)),
+    ("000004/000000", "yellow", 1, (2,)),
+    ("000004/000001", "green", 22, (4,)),
+]
+
+
 @pytest.mark.parametrize(
-    ("frame", "words", "has", "lack"),
-    [
-        ("000001/000000", "yellow", 4, (3,)),
-        ("000001/000000", "green", 7, (6, 8)),
-        ("000002/000000", "red", 14, (22, 28)),
-        ("000002/000000", "brown", 28, (22,)),
-        ("000002/000000", "orange", 30, (15, 19)),
-        ("000003/000000", "pink", 2, (1, 3)),
-        ("000003/000001", "red", 16, (15, 26)),
-        ("000003/000001", "beige", 15, (16, 26)),
-        ("000003/000001", "gray", 26, (15, 16)),
-        ("000004/000000", "white", 2, (1,)),
-        ("000004/000000", "yellow", 1, (2,)),
-        ("000004/000001", "green", 22, (4,)),
-    ],
+    ("frame", "words", "has", "lack"), mostly_slow(COLOURED, fast=range(0, len(COLOURED), 3), several=True)
 )
 def test_the_thing_of_the_colour_wins_against_its_like(
     demo: dict[str, Frame], frame: str, words: str, has: int, lack: tuple[int, ...]

@@ -11,11 +11,9 @@ from hypothesis import strategies as st
 from network_checks import lifted, random_rows
 from scenes import filled_cloud, up_of, upright
 
-from pipeline.geometry.fitting import pca_box
-from pipeline.geometry.lifting import LiftedObject
-from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.relations.features import FEATURES, Appearance, feature_set
-from pipeline.system.errors import InputError
+from pipeline.geometry import LiftedObject, ViewerAxes, pca_box, viewer_axes
+from pipeline.relations import FEATURES, Appearance, feature_set
+from pipeline.system import InputError
 
 
 def some_objects(viewer: ViewerAxes, seed: int = 0, count: int = 5) -> list[LiftedObject]:

@@ -10,18 +10,14 @@ import numpy as np
 import pytest
 from network_checks import random_rows, scene  # noqa: F401
 
-from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.geometry.frame import Frame
-from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.calibration_metrics import (
-    antisymmetric,
-    sigmoid,
-)
+from pipeline.answering import PreparedFrame, all_objects
+from pipeline.geometry import Frame
+from pipeline.language import DIRECTIONAL
+from pipeline.metrics import antisymmetric, sigmoid
 from pipeline.proposals import AnnotationDetector
-from pipeline.relations import RuleScorer, make_scorer, shipped_network
-from pipeline.relations.features import FEATURES
-from pipeline.relations.model import Contract, OnnxScorer
-from pipeline.system.errors import InputError
+from pipeline.relations import FEATURES, OnnxScorer, RuleScorer, make_scorer, shipped_network
+from pipeline.relations.model import Contract
+from pipeline.system import InputError
 
 # The contract.
 
@@ -29,7 +25,7 @@ from pipeline.system.errors import InputError
 def written(path: Path, metadata: dict[str, str], inputs: int = 14, outputs: int = 6) -> Path:
     """A network of the given shape that says the given things about itself."""
     pytest.importorskip("onnx")
-    from pipeline.training.card import write_onnx
+    from pipeline.training import write_onnx
 
     rng = np.random.default_rng(0)
     write_onnx(path, [(rng.normal(size=(inputs, outputs)), np.zeros(outputs))], metadata)

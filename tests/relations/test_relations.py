@@ -11,11 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import filled_cloud, frame_of, up_of, upright
 
-from pipeline.geometry.lifting import extents
-from pipeline.geometry.viewer import viewer_axes
-from pipeline.language.relation_names import DIRECTIONAL, INVERSE, PAIRWISE, PHRASE, VOCABULARIES
-from pipeline.relations import RuleScorer, make_scorer
-from pipeline.relations.relations import F, T, U, directional_states, letter, pairwise_states
+from pipeline.geometry import extents, viewer_axes
+from pipeline.language import DIRECTIONAL, INVERSE, PAIRWISE, PHRASE, VOCABULARIES
+from pipeline.relations import F, RuleScorer, T, U, directional_states, letter, make_scorer, pairwise_states
 from pipeline.relations.scorer import between_states, distances, superlative_states
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -390,7 +388,7 @@ def test_every_relation_has_its_phrase_and_vocabularies_name_known_ones() -> Non
 
 
 def test_the_rule_scorer_turns_states_into_probabilities() -> None:
-    from pipeline.answering.objects import PreparedFrame, all_objects
+    from pipeline.answering import PreparedFrame, all_objects
     from pipeline.proposals import AnnotationDetector
 
     frame = frame_of([upright((-0.4, 0.9, 2), (0.3, 0.3, 0.3)), upright((0.4, 0.9, 2), (0.3, 0.3, 0.3))], ["a", "b"])
@@ -406,7 +404,7 @@ def test_the_rule_scorer_turns_states_into_probabilities() -> None:
 
 
 def test_an_unknown_scorer_is_refused() -> None:
-    from pipeline.system.errors import InputError
+    from pipeline.system import InputError
 
     with pytest.raises(InputError, match=r"no relation scorer 'magic'.*rule"):
         make_scorer("magic")

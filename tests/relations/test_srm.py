@@ -16,28 +16,25 @@ from hypothesis import strategies as st
 from network_checks import random_rows, scene  # noqa: F401
 from other_makers import FIGURES, REGIMES, figures, tallied, unnamed
 
+from pipeline.answering import PreparedFrame, all_objects, appearance_of, open_pipeline
 from pipeline.answering.ask import ask
-from pipeline.answering.objects import PreparedFrame, all_objects, appearance_of
-from pipeline.answering.opening import open_pipeline
 from pipeline.datasets import open_dataset
-from pipeline.geometry.frame import Frame
-from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
-from pipeline.metrics.calibration_metrics import (
-    IDENTITY,
-    antisymmetric,
-    expected_calibration_error,
-    fit_calibration,
-    fit_platt,
-    sigmoid,
-)
+from pipeline.geometry import Frame
+from pipeline.language import DIRECTIONAL, PAIRWISE
+from pipeline.metrics import IDENTITY, antisymmetric, expected_calibration_error, fit_calibration, fit_platt, sigmoid
 from pipeline.proposals import AnnotationDetector
-from pipeline.relations import RuleScorer, make_scorer, shipped_network
-from pipeline.relations.features import FEATURES, with_class_lengths
-from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import directional_states
-from pipeline.relations.scorer import rule_probabilities, stacked_extents
-from pipeline.system.errors import InputError
-from pipeline.system.paths import asset_path
+from pipeline.relations import (
+    FEATURES,
+    OnnxScorer,
+    RuleScorer,
+    directional_states,
+    make_scorer,
+    rule_probabilities,
+    shipped_network,
+    stacked_extents,
+    with_class_lengths,
+)
+from pipeline.system import InputError, asset_path
 from pipeline.training.card import clear_cut, clear_cut_report, evaluate
 
 LEFT, RIGHT, ABOVE, BELOW, FRONT, BEHIND = range(6)
@@ -218,7 +215,7 @@ def test_scorers_by_name(tmp_path: Path) -> None:
 
 
 def test_the_card_belongs_to_the_shipped_network(shipped: OnnxScorer) -> None:
-    from pipeline.system.onnx_session import file_hash
+    from pipeline.system import file_hash
 
     card = json.loads(shipped_network().with_suffix(".json").read_text())
     assert card["file"] == {"bytes": shipped_network().stat().st_size, "xxh3_128": file_hash(shipped_network())}
@@ -249,6 +246,7 @@ REGIME_LEAST = {"low": 0.955, "usual": 0.975, "high": 0.98}
 """Micro-F1 on rooms of boxes; the card has the figures of many more rooms."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("regime", REGIME_LEAST)
 def test_the_shipped_network_holds_from_low_and_from_high(regime: str, shipped: OnnxScorer) -> None:
     rows, ruled = [], []
@@ -265,9 +263,10 @@ def test_the_shipped_network_holds_from_low_and_from_high(regime: str, shipped: 
     assert found["ECE"] <= 0.012
 
 
+@pytest.mark.slow
 def test_the_shipped_network_on_rooms_it_has_not_seen(shipped: OnnxScorer) -> None:
     pytest.importorskip("embreex")
-    from pipeline.training.training_data import make_samples
+    from pipeline.training import make_samples
 
     frames = make_samples([9_500_001, 9_500_002, 9_500_003], views=1, width=320, height=240)
     report = evaluate(
@@ -327,6 +326,7 @@ def test_the_network_answers_on_real_frames(shared_data: Path, shipped: OnnxScor
             assert (trace.ranking.pairs[0].p_relation > 0.5) == holds, (frame_id, text)
 
 
+@pytest.mark.slow
 def test_clear_pairs_of_real_frames_are_told_left_and_right_by_the_network(
     shared_data: Path, shipped: OnnxScorer
 ) -> None:
@@ -350,6 +350,7 @@ def test_clear_pairs_of_real_frames_are_told_left_and_right_by_the_network(
     assert apart >= 10
 
 
+@pytest.mark.slow
 def test_importing_the_stage_imports_no_heavy_package() -> None:
     code = (
         "import sys, pipeline.relations, pipeline.relations.model, pipeline.training.train, pipeline.training.card;"

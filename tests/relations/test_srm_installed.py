@@ -7,10 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.relations import make_scorer, shipped_network
-from pipeline.relations.installed import install_network, installed_networks
-from pipeline.relations.model import OnnxScorer
-from pipeline.system.errors import InputError
+from pipeline.relations import OnnxScorer, install_network, installed_networks, make_scorer, shipped_network
+from pipeline.system import InputError
 
 
 @pytest.fixture(autouse=True)

@@ -11,8 +11,8 @@ from typing import Any
 
 from waiting import LONG_S
 
+from pipeline.system import InputError
 from pipeline.system.background import start_background
-from pipeline.system.errors import InputError
 
 
 def counted(to: int, report: Callable[[Any], None]) -> str:

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.system.encoded_pictures import THUMB, jpeg, png, resized, thumbnail
+from pipeline.system import jpeg, png, resized, thumbnail
+from pipeline.system.encoded_pictures import THUMB
 
 
 def drawn(data: bytes) -> np.ndarray:

@@ -10,25 +10,25 @@ from pathlib import Path
 import pytest
 from model_hub import Hub, running_hub
 
-from pipeline.answering.model_catalogue import depth_contracts, describe_file
-from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_folder import _read_spec, spec_record
-from pipeline.labels.plan import SourceSpec
+from pipeline.answering import describe_file
+from pipeline.answering.model_catalogue import depth_contracts
+from pipeline.evaluation import EvalSpec, spec_record
+from pipeline.evaluation.run_folder import _read_spec
+from pipeline.labels import SourceSpec
 from pipeline.proposals.mismatch import DETECTORS, SEGMENTERS
-from pipeline.system import model_files
-from pipeline.system.errors import InputError, MissingExtra
-from pipeline.system.model_files import (
+from pipeline.system import (
     HubId,
-    KnownFile,
+    InputError,
     KnownModel,
+    MissingExtra,
     all_fetched,
     fetched,
     known_models,
-    model_folder,
+    model_files,
     parse_hub_id,
     resolve_model,
-    sha256_of,
 )
+from pipeline.system.model_files import KnownFile, model_folder, sha256_of
 
 FIRST, SECOND = "a" * 40, "b" * 40
 REPO = "someone/a-model"

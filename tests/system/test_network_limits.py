@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.system.errors import InputError
-from pipeline.system.limits import LIMITS_VARIABLE
+from pipeline.system import LIMITS_VARIABLE, InputError, model_hash, open_session, run_session
 from pipeline.system.onnx_contents import declared_tensors, weight_files
-from pipeline.system.onnx_session import model_hash, open_session, run_session
 from pipeline.system.time_limit import stopped_after
 
 onnx: Any = pytest.importorskip("onnx")

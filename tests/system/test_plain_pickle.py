@@ -13,10 +13,10 @@ from uuid import uuid4
 import numpy as np
 import pytest
 from concept_graph_maps import CFG
+from slow_cases import mostly_slow
 
-from pipeline.system import plain_pickle
-from pipeline.system.errors import InputError
-from pipeline.system.plain_pickle import Passed, plain, read_plain_pickle
+from pipeline.system import InputError, plain, plain_pickle, read_plain_pickle
+from pipeline.system.plain_pickle import Passed
 
 
 class Runs:
@@ -35,7 +35,7 @@ def of(folder: Path, content: bytes) -> Any:
     return read_plain_pickle(path)
 
 
-@pytest.mark.parametrize("protocol", range(6))
+@pytest.mark.parametrize("protocol", mostly_slow(range(6), fast=(0, 4)))
 def test_arrays_and_plain_containers_are_read(tmp_path: Path, protocol: int) -> None:
     arrays = [
         np.arange(6).reshape(2, 3), np.asfortranarray(np.arange(6.0).reshape(2, 3)), np.zeros((0, 3), np.float32),
@@ -109,6 +109,7 @@ def test_what_a_file_unpacks_to_is_bounded(tmp_path: Path, monkeypatch: pytest.M
         of(tmp_path, gzip.compress(pickle.dumps(np.zeros(1 << 18)), 1))
 
 
+@pytest.mark.slow
 def test_the_bytes_of_arrays_are_let_go(tmp_path: Path) -> None:
     path = tmp_path / "file.pkl"
     path.write_bytes(pickle.dumps([np.zeros((1 << 10, 1 << 10), np.bool_) for _ in range(64)]))

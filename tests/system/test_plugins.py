@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 from pipeline.proposals import make_detector, make_segmenter
-from pipeline.system import plugins
-from pipeline.system.errors import InputError
+from pipeline.system import InputError, plugins
 
 
 class Point:

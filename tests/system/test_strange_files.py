@@ -20,11 +20,10 @@ import numpy as np
 import pytest
 
 from pipeline.datasets import Dataset, open_dataset
-from pipeline.labels.reading import open_labels
-from pipeline.proposals.recorded import RecordedDetector
-from pipeline.system import door
-from pipeline.system.errors import InputError
-from pipeline.system.limits import LIMITS_VARIABLE, Limits, current_limits, set_limits, shown
+from pipeline.labels import open_labels
+from pipeline.proposals import RecordedDetector
+from pipeline.system import LIMITS_VARIABLE, InputError, current_limits, door, set_limits
+from pipeline.system.limits import Limits, shown
 from pipeline.system.picture_headers import header_size
 
 

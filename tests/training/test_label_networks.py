@@ -5,30 +5,44 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from needs import needs
+from slow_cases import mostly_slow
 
-from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.answering.opening import open_pipeline
-from pipeline.labels.reading import Labels
-from pipeline.language.relation_names import DIRECTIONAL, INVERSE, VOCABULARIES
-from pipeline.metrics.calibration_metrics import antisymmetric_log_softmax, fit_temperature, log_softmax, softmax
-from pipeline.relations import make_scorer
-from pipeline.relations.class_vectors import ClassVectors, vectors_path
-from pipeline.relations.contract import Contract
-from pipeline.relations.features import CLI_FEATURES, FEATURES, Appearance
-from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import T
-from pipeline.system.errors import InputError
-from pipeline.training.card import evaluate_classes, write_onnx
-from pipeline.training.label_data import pair_set, read_label_data
-from pipeline.training.label_training import LabelTraining, train_on_labels
-from pipeline.training.train import TrainConfig, train_pairs
+from pipeline.answering import PreparedFrame, all_objects, open_pipeline
+from pipeline.labels import Labels
+from pipeline.language import DIRECTIONAL, INVERSE, VOCABULARIES
+from pipeline.metrics import antisymmetric_log_softmax, fit_temperature, softmax
+from pipeline.metrics.calibration_metrics import log_softmax
+from pipeline.relations import (
+    CLI_FEATURES,
+    FEATURES,
+    Appearance,
+    ClassVectors,
+    Contract,
+    OnnxScorer,
+    T,
+    make_scorer,
+    vectors_path,
+)
+from pipeline.system import InputError
+from pipeline.training import (
+    LabelTraining,
+    TrainConfig,
+    pair_set,
+    read_label_data,
+    train_on_labels,
+    train_pairs,
+    write_onnx,
+)
+from pipeline.training.card import evaluate_classes
 
-pytest.importorskip("torch")
-pytest.importorskip("onnx")
+pytestmark = needs("torch", "onnx")
+
 
 SA = VOCABULARIES["semantic-abstraction"]
 FAST = TrainConfig(hidden=16, epochs=2, batch=256)
@@ -41,21 +55,25 @@ def demo(label_sets: dict[str, Labels]) -> Labels:
 
 @pytest.fixture(scope="module")
 def networks(demo: Labels, word_vectors: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple, Path]:
-    """A network of each variant, hardly trained."""
+    """A network of each variant, hardly trained, when it is asked for."""
     folder = tmp_path_factory.mktemp("networks")
-    found = {}
-    for short, features in CLI_FEATURES.items():
-        for vocabulary in ("avd", "semantic-abstraction"):
-            out = folder / f"{short}-{vocabulary}.onnx"
+
+    class Trained(dict[tuple, Path]):
+        def __missing__(self, variant: tuple) -> Path:
+            short, vocabulary = variant
+            self[variant] = out = folder / f"{short}-{vocabulary}.onnx"
             vectors = word_vectors if "lang" in short else None
-            config = replace(FAST, features=features, vocabulary=vocabulary)
+            config = replace(FAST, features=CLI_FEATURES[short], vocabulary=vocabulary)
             train_on_labels(LabelTraining(demo.root, config, vectors=vectors), out)
-            found[short, vocabulary] = out
-    return found
+            return out
+
+    return Trained()
 
 
-@pytest.mark.parametrize("vocabulary", ["avd", "semantic-abstraction"])
-@pytest.mark.parametrize("short", CLI_FEATURES)
+VARIANTS = list(product(CLI_FEATURES, ["avd", "semantic-abstraction"]))
+
+
+@pytest.mark.parametrize(("short", "vocabulary"), mostly_slow(VARIANTS, fast=(0, 3, 6), several=True))
 def test_every_variant_answers_and_its_card_says_what_made_it(
     short: str, vocabulary: str, networks: dict[tuple, Path]
 ) -> None:
@@ -231,7 +249,7 @@ def test_a_wrong_pairing_is_refused(tmp_path: Path, changes: dict[str, str], mes
 
 
 def test_a_softmax_network_gives_no_second_opinion(networks: dict[tuple, Path]) -> None:
-    from pipeline.labels.profiles import open_second_opinion
+    from pipeline.labels import open_second_opinion
 
     with pytest.raises(InputError, match="judges each relation alone"):
         open_second_opinion(str(networks["rel14", "semantic-abstraction"]))

@@ -8,23 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from label_worlds import label_worlds
+from needs import needs
 
-from pipeline.answering.objects import PreparedFrame, all_objects, appearance_of
-from pipeline.answering.opening import open_pipeline
-from pipeline.labels.reading import Labels
-from pipeline.language.relation_names import DIRECTIONAL, VOCABULARIES
-from pipeline.relations.class_vectors import ClassVectors
-from pipeline.relations.features import FEATURES, feature_set
-from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import T, U
-from pipeline.system.errors import InputError
+from pipeline.answering import PreparedFrame, all_objects, appearance_of, open_pipeline
+from pipeline.labels import Labels
+from pipeline.language import DIRECTIONAL, VOCABULARIES
+from pipeline.relations import FEATURES, ClassVectors, OnnxScorer, T, U, feature_set
+from pipeline.system import InputError
+from pipeline.training import LabelTraining, TrainConfig, pair_set, read_label_data, train_on_labels, train_pairs
 from pipeline.training.card import save_onnx
-from pipeline.training.label_data import PairSet, pair_set, read_label_data
-from pipeline.training.label_training import LabelTraining, held_out, train_on_labels
-from pipeline.training.train import TrainConfig, train_pairs
+from pipeline.training.label_data import PairSet
+from pipeline.training.label_training import held_out
 
-pytest.importorskip("torch")
-pytest.importorskip("onnx")
+pytestmark = needs("torch", "onnx")
+
 
 SA = VOCABULARIES["semantic-abstraction"]
 FAST = TrainConfig(hidden=16, epochs=2, batch=256)
@@ -185,6 +182,7 @@ def figures(
     return [held_out(scorer, data.frames, data.names) for data in others]
 
 
+@pytest.mark.slow
 def test_a_thousand_pairs_are_enough_for_relative_extents(
     worlds: tuple[Labels, Labels, Labels], tmp_path: Path
 ) -> None:
@@ -194,6 +192,7 @@ def test_a_thousand_pairs_are_enough_for_relative_extents(
     assert shifted["micro_f1"] >= same["micro_f1"] - 0.015
 
 
+@pytest.mark.slow
 def test_depth_tells_front_from_behind_where_the_image_does_not(
     worlds: tuple[Labels, Labels, Labels], tmp_path: Path
 ) -> None:

@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from needs import needs
 
-from pipeline.datasets.synthetic import choose_views, make_room
-from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.intervals import BootstrapConfig, Estimate
-from pipeline.system.errors import InputError
+from pipeline.datasets import choose_views, make_room
+from pipeline.language import DIRECTIONAL
+from pipeline.metrics import BootstrapConfig, Estimate
+from pipeline.system import InputError
+from pipeline.training import AblationConfig, TrainConfig
 from pipeline.training.ablation import (
     HEIGHTS_M,
     PITCHES_DEG,
     ROLLS_DEG,
-    AblationConfig,
     AblationViews,
     Variant,
     ablation_table,
@@ -24,12 +25,10 @@ from pipeline.training.ablation import (
     measure_variant,
     other_camera,
 )
-from pipeline.training.train import TrainConfig
 from pipeline.training.training_data import room_seeds
 
-pytest.importorskip("embreex")
-pytest.importorskip("torch")
-pytest.importorskip("onnx")
+pytestmark = [pytest.mark.slow, needs("embreex", "torch", "onnx")]
+
 
 SMALL = AblationConfig(rooms=21, views=1, width=320, height=240, networks=1)
 QUICK = BootstrapConfig(resamples=300)

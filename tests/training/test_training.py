@@ -8,33 +8,39 @@ from typing import Any
 
 import numpy as np
 import pytest
+from needs import needs
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from pipeline.datasets.synthetic import choose_views, make_room, render_view, sense_view
-from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.calibration_metrics import fit_calibration, fit_platt, sigmoid
-from pipeline.relations.features import FEATURES
-from pipeline.relations.model import OnnxScorer
-from pipeline.system.errors import InputError, MissingExtra
-from pipeline.training import card
-from pipeline.training.card import RoomConfig, save_onnx, write_onnx
-from pipeline.training.train import TrainConfig, require_training, train_srm
+from pipeline.datasets import choose_views, make_room, sense_view
+from pipeline.datasets.synthetic import render_view
+from pipeline.language import DIRECTIONAL
+from pipeline.metrics import fit_calibration, fit_platt, sigmoid
+from pipeline.relations import FEATURES, OnnxScorer
+from pipeline.system import InputError, MissingExtra
+from pipeline.training import (
+    FrameSamples,
+    RoomConfig,
+    TrainConfig,
+    card,
+    degraded,
+    make_samples,
+    require_training,
+    write_onnx,
+)
+from pipeline.training.card import save_onnx
+from pipeline.training.train import train_srm
 from pipeline.training.training_data import (
     SCATTERED_A_ROOM,
     SOLIDS_A_VIEW,
-    FrameSamples,
-    degraded,
     iterate_pairs,
-    make_samples,
     make_split,
     room_seeds,
     varied_camera,
     with_other_sizes,
 )
 
-pytest.importorskip("embreex")
-pytest.importorskip("torch")
-pytest.importorskip("onnx")
+pytestmark = needs("embreex", "torch", "onnx")
+
 
 WIDTH, HEIGHT = 200, 150
 ASSEMBLED = 2
@@ -58,6 +64,7 @@ def same(a: FrameSamples, b: FrameSamples) -> bool:
 # What it learns from.
 
 
+@pytest.mark.slow
 def test_the_sensed_view_is_that_of_the_picture() -> None:
     room = make_room(6)
     (camera,) = choose_views(room, 1, np.random.default_rng(0), 96, 72)
@@ -67,6 +74,7 @@ def test_the_sensed_view_is_that_of_the_picture() -> None:
     np.testing.assert_array_equal(instances, frame.instances)
 
 
+@pytest.mark.slow
 def test_samples_are_repeatable_whatever_the_workers(samples: tuple[FrameSamples, ...]) -> None:
     again = make_samples(SEEDS, views=1, workers=2, width=WIDTH, height=HEIGHT)
     assert all(same(a, b) for a, b in zip(samples, again, strict=True))
@@ -163,6 +171,7 @@ def test_progress_counts_all_rooms() -> None:
 # That it learns.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rel32", "rel26", "rel14", "paper30", "canon30"])
 def test_training_lowers_the_loss(name: str, samples: tuple[FrameSamples, ...]) -> None:
     model = train_srm(samples, TrainConfig(features=name, hidden=32, epochs=9, batch=16, halve_every=9))
@@ -173,7 +182,7 @@ def test_training_lowers_the_loss(name: str, samples: tuple[FrameSamples, ...]) 
 
 
 def test_the_file_computes_what_was_trained(samples: tuple[FrameSamples, ...], tmp_path: Path) -> None:
-    from pipeline.metrics.calibration_metrics import antisymmetric
+    from pipeline.metrics import antisymmetric
 
     model = train_srm(samples, TrainConfig(hidden=16, epochs=2))
     save_onnx(tmp_path / "m.onnx", model)
@@ -200,6 +209,7 @@ def test_equal_seeds_give_equal_bytes(samples: tuple[FrameSamples, ...], tmp_pat
     assert not torch.are_deterministic_algorithms_enabled()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_candidates")
 def test_a_training_job_does_not_depend_on_the_threads_it_finds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

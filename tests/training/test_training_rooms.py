@@ -6,24 +6,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from needs import needs
 
-from pipeline.datasets.synthetic import Room, exact_view
-from pipeline.datasets.synthetic.assembled import assembled_view
+from pipeline.datasets import Room, assembled_view, exact_view, make_scattered, roaming_cameras, solid_view
 from pipeline.datasets.synthetic.layout import Instance, overlaps, part_boxes
-from pipeline.datasets.synthetic.scattered import (
-    NEAR_SHARE,
-    NEAREST_M,
-    SCATTERED,
-    TABLE_TOP,
-    make_scattered,
-    roaming_cameras,
-)
-from pipeline.datasets.synthetic.solids import Solid, solid, solid_view
-from pipeline.geometry.camera import lift_pixels
-from pipeline.geometry.viewer import viewer_axes
-from pipeline.training.training_data import make_samples
+from pipeline.datasets.synthetic.scattered import NEAR_SHARE, NEAREST_M, SCATTERED, TABLE_TOP
+from pipeline.datasets.synthetic.solids import Solid, solid
+from pipeline.geometry import lift_pixels, viewer_axes
+from pipeline.training import make_samples
 
-pytest.importorskip("embreex")
+pytestmark = needs("embreex")
+
 
 WIDTH, HEIGHT = 160, 120
 
@@ -63,6 +56,7 @@ def test_some_things_stand_on_others_and_some_lie_beside_them(rooms: list[Room])
     assert sum(i.model.label == "board" for room in rooms for i in room.instances) > 5
 
 
+@pytest.mark.slow
 def test_roaming_cameras_are_low_and_high_steep_and_rolled(rooms: list[Room]) -> None:
     heights, pitches, rolls, cut = [], [], [], 0
     for room in rooms:
@@ -168,6 +162,7 @@ def test_assembled_views_show_what_is_there() -> None:
     np.testing.assert_array_equal(again.depth, assembled_view(3, 160, 120, 60).depth)  # pyright: ignore
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("maker", ["varied", "scattered", "assembled", "solids"])
 def test_samples_of_every_maker_see_less_than_there_is(maker: str) -> None:
     seeds = range(700_001, 700_009 if maker == "assembled" else 700_002)

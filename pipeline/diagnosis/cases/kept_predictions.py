@@ -101,13 +101,16 @@ def kept_source(
     return _source(read, dataset, scorer or _shown_scorer(read, shown, dataset), config, synonyms, shown.rules)
 
 
-def newer_source(read: Predictions, shown: ShownRecord | None, before: Pipeline) -> ImportedPipeline:
+def newer_source(
+    read: Predictions, shown: ShownRecord | None, before: Pipeline, rules: RunRules | None = None
+) -> ImportedPipeline:
     """The source of a case with predictions that were made since.
 
-    What ranks is found in their file; what stands in for their scorer is the case's, or the rule where it has none.
+    What ranks is found in their file, or given as `rules` where it was found already; what stands in for their scorer
+    is the case's, or the rule where it has none.
     """
     scorer = RuleScorer() if shown is None else _shown_scorer(read, shown, before.dataset)
-    return _source(read, before.dataset, scorer, config_of(read), before.synonyms)
+    return _source(read, before.dataset, scorer, config_of(read), before.synonyms, rules)
 
 
 def _shown_scorer(read: Predictions, shown: ShownRecord, dataset: Dataset) -> ShownScorer:

@@ -17,6 +17,7 @@ import numpy as np
 from pipeline.answering.given_places import check_places
 from pipeline.answering.imported import ImportedPipeline
 from pipeline.answering.objects import SAME_BOX_IOU
+from pipeline.answering.pair_rules import RunRules
 from pipeline.answering.predictions import Predictions
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.answer import Answer, answer_record
@@ -226,12 +227,12 @@ class Result:
     problem: str | None = None
 
 
-def _check_places(folders: Sequence[Path], predictions: Predictions) -> None:
+def _check_places(folders: Sequence[Path], predictions: Predictions, rules: RunRules | None) -> None:
     """`check_places` of the cases that these predictions have lines for."""
     found = {}
     for folder in folders:
         try:
-            opened = open_case(folder).with_predictions(predictions)
+            opened = open_case(folder).with_predictions(predictions, rules)
         except InputError:
             # Told when its turn comes.
             continue
@@ -280,15 +281,17 @@ def replay_all(
     if srm is not None:
         # Said once, and not of every case: none of them is damaged by it.
         make_scorer(srm, vectors)
+    # To find what ranks takes longer than a case does.
+    rules = None if predictions is None else RunRules.of(predictions)
     if predictions is not None:
-        _check_places(folders, predictions)
+        _check_places(folders, predictions, rules)
     for folder in folders:
         try:
             opened = open_case(folder, srm=srm, vectors=vectors)
             if detector is not None:
                 opened = opened.with_detector(detector, model, min_score)
             if predictions is not None:
-                opened = opened.with_predictions(predictions)
+                opened = opened.with_predictions(predictions, rules)
             replay = replay_case(opened, tolerance, live=detector is not None or predictions is not None)
             moved = replay.record != opened.manifest.expected
             if update and moved:

@@ -18,6 +18,7 @@ from pydantic import TypeAdapter
 from pipeline.answering.imported import ImportedPipeline
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
+from pipeline.answering.pair_rules import RunRules
 from pipeline.answering.predictions import Predictions
 from pipeline.datasets.saved_case import (
     CASE_FORMAT,
@@ -315,9 +316,9 @@ class OpenedCase:
         source = replace(self.source, detector=made[min_score], open_unfiltered=lambda: made[0.0])
         return replace(self, source=source, notes=(*self.notes, *note))
 
-    def with_predictions(self, predictions: Predictions) -> OpenedCase:
+    def with_predictions(self, predictions: Predictions, rules: RunRules | None = None) -> OpenedCase:
         """The same case as another pipeline answers it, which may be a later version of the one that it is of."""
-        source = newer_source(predictions, self.manifest.shown, self.source)
+        source = newer_source(predictions, self.manifest.shown, self.source, rules)
         return replace(self, source=source, notes=())
 
 
