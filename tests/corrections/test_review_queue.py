@@ -190,6 +190,7 @@ def test_a_review_goes_on_until_all_is_settled(turned: tuple[Labels, ItemKey]) -
 judged = st.sampled_from(STATES[1:])
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(judged, judged), min_size=1, max_size=60))
 def test_kappa_is_that_of_scikit_learn(pairs: list[tuple[str, str]]) -> None:
     from sklearn.metrics import cohen_kappa_score
