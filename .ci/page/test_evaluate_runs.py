@@ -1,59 +1,19 @@
-"""Evaluate in Chromium: filters, the list and its selection, marks, kept searches, a second run, 50,000 rows, keys."""
+"""Evaluate: filters, the list and its selection, marks, kept searches, a second run, 50,000 rows, keys."""
 
 import json
-import subprocess
-import sys
-import tempfile
-import time
-from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-from browser import Server, Tab, chromium, new_tab
+import pytest
+from browser import OpenTab, Tab
+from recordings import ROWS as MANY
+from recordings import RUN, spatialviz
+from servers import Server
 
-ROOT = Path(__file__).parents[1]
-RUN = ROOT / "assets" / "demo_run"
-MANY = 50_000
 MOST_NODES = 120
 """Rows that are elements at once."""
 ROWS = "#rows .space > .expr"
 FILLED = "#rows .space > .expr:not(.wait)"
-
-
-def spatialviz(*words: object) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "spatialviz", *map(str, words)], capture_output=True, check=False, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def second_run(folder: Path) -> Path:
-    """The demo's sentences, answered with other options."""
-    spatialviz(
-        "eval", "demo", "--labels", RUN / "labels", "--out", folder, "--detector", "simulated", "--model",
-        RUN / "simulated.toml", "--min-score", "0.015", "--k", "12", "--srm", "rule", "--name", "the other",
-        "--tables", "grounding", "--no-plots",
-    )  # fmt: skip
-    return folder
-
-
-def large_run(folder: Path) -> Path:
-    """A run of 50,000 rows, synthetic: the demo's again and again under new ids."""
-    records = pq.read_table(RUN / "run" / "records.parquet")
-    rows = pa.concat_tables([records] * (MANY // records.num_rows + 1)).slice(0, MANY)
-    rows = rows.set_column(0, "id", pa.array([f"{k:06x}" for k in range(MANY)]))
-    folder.mkdir()
-    pq.write_table(rows.replace_schema_metadata(records.schema.metadata), folder / "records.parquet")
-    manifest = json.loads((RUN / "run" / "run.json").read_text())
-    manifest["expressions"] = MANY
-    manifest["spec"]["labels"] = str(RUN / "labels")
-    for key, value in manifest["spec"]["options"].items():
-        if isinstance(value, str) and value.endswith(".toml"):
-            manifest["spec"]["options"][key] = str(RUN / "simulated.toml")
-    text = json.dumps(manifest).replace("../simulated.toml", str(RUN / "simulated.toml"))
-    (folder / "run.json").write_text(text)
-    return folder
+ALL = 1800
+"""Rows of the demo's run."""
 
 
 def finds(tab: Tab, count: int) -> None:
@@ -78,12 +38,27 @@ def facet(tab: Tab, name: str) -> dict[str, int]:
 
 def told(name: str) -> dict[str, int]:
     """A facet as the command line has it."""
-    facets = json.loads(spatialviz("failures", RUN / "run", "--json"))["facets"]
+    facets = json.loads(spatialviz("failures", RUN, "--json"))["facets"]
     return {v["name"]: v["count"] for v in facets[name]["values"]}
 
 
-def filters_count_what_is_found(tab: Tab) -> None:
+def pictures_are_shown(tab: Tab) -> None:
+    tab.poll(f"[...document.querySelectorAll('{FILLED} img')].slice(0, 4).every(i => i.naturalWidth > 100)")
+
+
+@pytest.fixture
+def evaluate(compared: Server, open_tab: OpenTab) -> Tab:
+    """A tab that shows the demo's run beside a second one, with its rows."""
+    tab = open_tab(f"{compared.address}/?mode=evaluate", "absent")
+    tab.poll(f"document.querySelectorAll('{FILLED}').length > 4")
+    tab.see("#figures .falls")
+    return tab
+
+
+def test_filters_count_what_is_found(evaluate: Tab) -> None:
     """A facet's number is what a press on it finds; the others follow, its own does not."""
+    tab = evaluate
+    pictures_are_shown(tab)
     everything = told("verdict")
     before = facet(tab, "verdict")
     assert all(everything[name] == n for name, n in before.items()), (before, everything)
@@ -100,21 +75,18 @@ def filters_count_what_is_found(tab: Tab) -> None:
     assert sum(facet(tab, "verdict").values()) > left
     assert "find=verdict:OPM-REF,OPM-CONF" in tab.page.url.replace("+", " "), tab.page.url
     query = tab.see("#search input").input_value()
-    said = json.loads(spatialviz("failures", RUN / "run", query, "--json"))
+    said = json.loads(spatialviz("failures", RUN, query, "--json"))
     assert said["found"] == left, (query, said["found"], left)
 
 
-def pictures_are_shown(tab: Tab) -> None:
-    tab.poll(f"[...document.querySelectorAll('{FILLED} img')].slice(0, 4).every(i => i.naturalWidth > 100)")
-
-
-def a_failure_opens_and_back_returns(tab: Tab) -> None:
+def test_a_failure_opens_and_back_returns(evaluate: Tab) -> None:
+    tab = evaluate
     search(tab, "-verdict:CORRECT sort:margin")
-    finds(tab, 1800 - told("verdict")["CORRECT"])
+    finds(tab, ALL - told("verdict")["CORRECT"])
     tab.page.locator("#rows").evaluate("list => { list.scrollTop = 4000; }")
     tab.poll(f"[...document.querySelectorAll('{FILLED}')].some(e => +e.id.slice(4) > 40)")
     top = tab.page.locator("#rows").evaluate("list => list.scrollTop")
-    tab.page.wait_for_timeout(300)
+    tab.still(f"[...document.querySelectorAll('{FILLED}')].map(e => e.id).join()", 0.3)
     row = tab.page.locator(FILLED).nth(6)
     asked = row.locator(".asked").inner_text()
     row.click()
@@ -130,8 +102,9 @@ def a_failure_opens_and_back_returns(tab: Tab) -> None:
     assert abs(back - top) < 400, (back, top)
 
 
-def selected_are_marked_and_kept(tab: Tab) -> None:
+def test_selected_rows_are_marked_and_a_search_is_kept(evaluate: Tab) -> None:
     """By keys alone: walk, select, mark, search for the mark, keep the search under a name, forget it."""
+    tab = evaluate
     search(tab, "verdict:LIFT,SRM,PRM")
     count = sum(facet(tab, "verdict")[name] for name in ("LIFT", "SRM", "PRM"))
     finds(tab, count)
@@ -166,7 +139,7 @@ def selected_are_marked_and_kept(tab: Tab) -> None:
     keyboard.press("Enter")
     tab.see("#filters .kept", "the odd ones")
     tab.click("find:")
-    finds(tab, 1800)
+    finds(tab, ALL)
     tab.see("#filters .kept .try", "the odd ones").click()
     finds(tab, 3)
     tab.see("#filters .kept .drop").click()
@@ -176,11 +149,11 @@ def selected_are_marked_and_kept(tab: Tab) -> None:
     tab.poll("document.body.dataset.mode === 'explain'")
 
 
-def what_the_second_run_broke(tab: Tab, second: Path) -> None:
-    record = json.loads(spatialviz("failures", RUN / "run", "change:broken", "--compare", second, "--json"))
+def test_what_the_second_run_broke(evaluate: Tab, compared: Server) -> None:
+    tab, second = evaluate, compared.folder / "second"
+    record = json.loads(spatialviz("failures", RUN, "change:broken", "--compare", second, "--json"))
     broken = len(record["comparison"]["broken"])
     assert broken == record["found"] > 0, record["found"]
-    tab.click("task:evaluate")
     tab.see("#filters", "what the second run broke")
     tab.see('#filters [data-do="find:change:broken"]').click()
     finds(tab, broken)
@@ -199,13 +172,13 @@ def what_the_second_run_broke(tab: Tab, second: Path) -> None:
     assert verdicts == sorted(verdicts), verdicts
 
 
-def many_rows_scroll(tab: Tab) -> dict[str, float]:
-    """Rows appear within a moment wherever the list is scrolled to; few of them are elements."""
+def test_many_rows_scroll(large: Server, open_tab: OpenTab) -> None:
+    """Rows appear wherever the list of 50,000 is scrolled to; few of them are elements."""
+    tab = open_tab(f"{large.address}/?mode=evaluate", "absent")
     tab.click("find:")
     finds(tab, MANY)
-    waits, nodes = [], 0
+    nodes = 0
     for part in (0.1, 0.5, 0.93, 0.31, 0.999):
-        started = time.monotonic()
         tab.page.locator("#rows").evaluate("(list, part) => { list.scrollTop = part * list.scrollHeight; }", part)
         tab.poll(
             "part => { const l = document.getElementById('rows').getBoundingClientRect(), y = l.top + l.height / 2;"
@@ -213,42 +186,13 @@ def many_rows_scroll(tab: Tab) -> dict[str, float]:
             "  const r = e.getBoundingClientRect();"
             "  return r.top < y + 9 && r.bottom > y - 9 && Math.abs(+e.id.slice(4) / 50000 - part) < .03; }); }", part,
         )  # fmt: skip
-        waits.append(time.monotonic() - started)
         nodes = max(nodes, tab.page.locator(ROWS).count())
     assert nodes < MOST_NODES, nodes
-    started = time.monotonic()
     search(tab, "-verdict:CORRECT distance>1 sort:margin")
     tab.poll("document.querySelector('#rows').scrollTop < 5 && document.querySelector('#row-0:not(.wait)')")
-    searched = time.monotonic() - started
     tab.page.locator("#rows").focus()
     for _ in range(4):
         tab.page.keyboard.press("PageDown")
     tab.poll("document.querySelector('#rows .expr.at:not(.wait)')")
     tab.click("choose-all")
     tab.see("#found-bar .chosen", "selected")
-    return {"rows_s": round(max(waits), 2), "search_s": round(searched, 2), "nodes": nodes}
-
-
-def main() -> None:
-    with tempfile.TemporaryDirectory() as work, chromium() as browser:
-        second = second_run(Path(work) / "second")
-        with Server("--run", RUN / "run", "--compare", second) as server:
-            tab = new_tab(browser).open(f"{server.address}/?mode=evaluate")
-            tab.poll(f"document.querySelectorAll('{FILLED}').length > 4")
-            pictures_are_shown(tab)
-            tab.see("#figures .falls")
-            filters_count_what_is_found(tab)
-            a_failure_opens_and_back_returns(tab)
-            selected_are_marked_and_kept(tab)
-            what_the_second_run_broke(tab, second)
-            assert not tab.problems, tab.problems
-            tab.page.close()
-        with Server("--run", large_run(Path(work) / "large"), "demo") as server:
-            tab = new_tab(browser).open(f"{server.address}/?mode=evaluate")
-            report = many_rows_scroll(tab)
-            assert not tab.problems, tab.problems
-    print(json.dumps(report))
-
-
-if __name__ == "__main__":
-    main()

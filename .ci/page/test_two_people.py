@@ -7,24 +7,22 @@ other. What each of them did is written down here, and the journal must hold exa
 import json
 import random
 import re
-import subprocess
-import sys
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from browser import Server, Tab, chromium, new_tab
-from check_label import CLAIM, events
-from playwright.sync_api import Browser
+import pytest
+from browser import OpenTab, Tab
+from labelling import CLAIM
+from recordings import LABELS, events, spatialviz
+from servers import Server
 
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.labels.reading import open_labels
 
-LABELS = Path(__file__).parents[1] / "assets" / "demo_run" / "labels"
 WIDTH = "#edit label.field[title^='width'] input"
 ITEM = f"{CLAIM} && {CLAIM} + location.search"
 """A claim may follow one of the same words, of another frame of the scene. The address comes last."""
@@ -131,7 +129,7 @@ class Person:
                 mine = self.chance.random() < 0.5
                 self.told["mine" if mine else "theirs"] += 1
                 page.keyboard.press("m" if mine else "t")
-                self.tab.poll("!document.getElementById('dialog-window')")
+                self.tab.closed()
                 if not mine:
                     return
         except Refused:
@@ -148,7 +146,7 @@ class Person:
         else:
             self.told["not taken back"] += 1
             self.tab.page.keyboard.press("t")
-            self.tab.poll("!document.getElementById('dialog-window')")
+            self.tab.closed()
             self.blocked = len(self.done)
 
     def act(self, row: int) -> Iterator[None]:
@@ -158,10 +156,8 @@ class Person:
         return self.resize(row) if which < 0.6 else self.accept()
 
 
-def enter(browser: Browser, address: str, journal: Path, name: str, seed: int) -> Person:
-    tab = new_tab(browser)
-    # The scene is left out: it is drawn in software here, which takes most of the time, and no label depends on it.
-    tab.page.route("**/scene/**", lambda route: route.abort("aborted"))
+def enter(open_tab: OpenTab, address: str, journal: Path, name: str, seed: int) -> Person:
+    tab = open_tab(scene="absent")
     tab.page.add_init_script(f"localStorage.setItem('author', {name!r})")
     tab.open(address)
     tab.poll("document.querySelector('#review-list .queue .q')", seconds=120)
@@ -206,28 +202,20 @@ def work(people: list[Person], seconds: float) -> int:
     return rounds
 
 
-def check(seconds: float) -> dict[str, object]:
-    with tempfile.TemporaryDirectory() as home, chromium() as browser:
-        journal = Path(home) / "journal.sqlite"
-        with Server("demo", "--labels", LABELS, "--journal", journal) as server:
-            people = [enter(browser, server.address, journal, name, seed) for seed, name in enumerate(("ann", "bob"))]
-            rounds = work(people, seconds)
-            for person in people:
-                person.settled()
-            problems = [problem for person in people for problem in person.tab.problems]
-            assert not problems, problems
-        report: dict[str, object] = {"rounds": rounds}
-        for person in people:
-            saved, back, twice = journal_says(journal, person.name)
-            assert not twice, f"{person.name}: {twice} events doubled"
-            assert saved == person.saved, (person.name, "lost", person.saved - saved, "more", saved - person.saved)
-            assert back == person.back, (person.name, "lost", person.back - back, "more", back - person.back)
-            report[person.name] = {"saved": saved.total(), "taken back": back.total(), **person.told}
-        command = [sys.executable, "-m", "spatialviz", "journal", str(LABELS), "--journal", str(journal), "--check"]
-        assert subprocess.run(command, capture_output=True, check=False).returncode == 0, "the journal is damaged"
-    return report
-
-
-if __name__ == "__main__":
-    minutes = float(sys.argv[sys.argv.index("--minutes") + 1]) if "--minutes" in sys.argv else 1 / 3
-    print(json.dumps(check(60 * minutes)))
+@pytest.mark.parametrize("seconds", [4, pytest.param(60, marks=pytest.mark.slow)], ids=["brief", "long"])
+def test_no_edit_is_lost_or_doubled(shared: Server, open_tab: OpenTab, seconds: float) -> None:
+    journal = shared.journal
+    # Each time by other people, so that the journal tells what they did.
+    names = [f"{name}{seconds}" for name in ("ann", "bob")]
+    people = [enter(open_tab, shared.address, journal, name, seed) for seed, name in enumerate(names)]
+    rounds = work(people, seconds)
+    for person in people:
+        person.settled()
+    for person in people:
+        saved, back, twice = journal_says(journal, person.name)
+        assert saved, f"{person.name} did nothing"
+        assert not twice, f"{person.name}: {twice} events doubled"
+        assert saved == person.saved, (person.name, "lost", person.saved - saved, "more", saved - person.saved)
+        assert back == person.back, (person.name, "lost", person.back - back, "more", back - person.back)
+        print(person.name, {"rounds": rounds, "saved": saved.total(), "taken back": back.total(), **person.told})
+    spatialviz("journal", LABELS, "--journal", journal, "--check")

@@ -1,30 +1,26 @@
-"""The page in Chromium for the checks: a server of their own, tabs that know their scene's frame, and what goes wrong.
+"""The page in Chromium: tabs that know their scene's frame, and what goes wrong in them.
 
 The content policy of the page forbids `eval`, and with it `page.wait_for_function`: `Tab.poll` asks again and again by
 `page.evaluate`, which the policy does not bind.
 """
 
 import contextlib
-import json
 import os
-import signal
-import socket
-import subprocess
-import sys
-import tempfile
+import shutil
 import time
-import urllib.error
-import urllib.request
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Literal
 
-from playwright.sync_api import Browser, Locator, Page, sync_playwright
+from playwright.sync_api import Browser, Error, Locator, Page, sync_playwright
 
-CHROMIUM = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+# WebGL is rendered in software; what is not WebGL is painted without it, which takes a tenth of the time.
+CHROMIUM = [
+    "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-gpu-rasterization", "--disable-gpu-compositing",
+]  # fmt: skip
 SIZE = {"width": 1440, "height": 900}
 SLOW = float(os.environ.get("SPATIALVIZ_CHECK_PATIENCE", "60"))
 """Seconds that something may take to appear; more on a machine that is busy with other things."""
-ENDS_WITHIN = 30.0
 # viser's client always makes the sorter of its Gaussian splats, a WebAssembly module whose glue (Emscripten's embind)
 # builds its functions from strings. The page shows no splats, so nothing is missing where that is forbidden.
 SORTER = "Evaluating a string as JavaScript violates the following Content Security Policy directive"
@@ -32,57 +28,22 @@ DRAWN = """(() => {
   const nodes = document.getElementById('view').contentWindow?.__viserMutable?.nodeRefFromName;
   return !!nodes && Object.values(nodes).filter(Boolean).length > 5;
 })()"""
+Scene = Literal["painted", "unpainted", "absent"]
+"""Whether a scene is rendered; has its nodes, its camera and its names, but nothing is painted; or is not loaded.
 
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-class Server:
-    """`spatialviz view` with these words, on a port of its own unless one is given; it ends with its block."""
-
-    def __init__(self, *words: object, port: int = 0) -> None:
-        self.port = port or free_port()
-        self.address = f"http://127.0.0.1:{self.port}"
-        command = [sys.executable, "-m", "spatialviz", "view", *map(str, words)]
-        command += ["--port", str(self.port), "--no-open-browser"]
-        self.started = time.monotonic()
-        # What was corrected in the demo before is not what a check begins with, and what it corrects is nobody's.
-        self._home = tempfile.TemporaryDirectory()
-        own = {**os.environ, "XDG_DATA_HOME": self._home.name, "PYTHONFAULTHANDLER": "1"}
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=own)
-
-    def served(self, within: float = 30.0) -> float:
-        """Seconds until it answered."""
-        while time.monotonic() - self.started < within:
-            try:
-                with urllib.request.urlopen(self.address, timeout=1):
-                    return time.monotonic() - self.started
-            except urllib.error.HTTPError:
-                return time.monotonic() - self.started
-            except OSError:
-                time.sleep(0.05)
-        raise SystemExit(f"the page was not served within {within} s")
-
-    def end(self) -> list[str]:
-        """Stop it; the lines that it has said."""
-        self.process.terminate()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            return self.process.communicate(timeout=ENDS_WITHIN)[0].decode().splitlines()
-        # What holds it up is said by the fault handler.
-        self.process.send_signal(signal.SIGABRT)
-        said = self.process.communicate(timeout=ENDS_WITHIN)[0].decode()
-        raise SystemExit(f"the page did not end within {ENDS_WITHIN} s:\n{said}")
-
-    def __enter__(self) -> "Server":
-        self.served(90)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.process.poll() is None:
-            self.end()
+To render it in software takes half of a second of a processor for each picture, and one comes each second.
+"""
+UNPAINTED = """for (const name of ['drawArrays', 'drawElements', 'drawArraysInstanced', 'drawElementsInstanced']) {
+  WebGL2RenderingContext.prototype[name] = () => {};
+}"""
+POLL = """async ([arg, most]) => {
+  for (const end = performance.now() + most; performance.now() < end; await new Promise(go => setTimeout(go, 40))) {
+    let found = (%s);
+    if (typeof found === 'function') found = found(arg);
+    if (found = await found) return found;
+  }
+}"""
+ABSENT = "if (location.pathname.startsWith('/scene/')) stop();"
 
 
 class Tab:
@@ -113,17 +74,31 @@ class Tab:
         return self
 
     def drawn(self) -> "Tab":
-        """Wait until viser's client shows the scene."""
+        """Wait until viser's client has the scene."""
         self.poll(DRAWN)
         return self
 
     def poll(self, js: str, arg: Any = None, seconds: float = SLOW) -> Any:
         """What an expression, or a function of `arg`, says as soon as it is true of the page."""
         end = time.monotonic() + seconds
-        while not (found := self.page.evaluate(js, arg)):
-            if time.monotonic() > end:
-                raise AssertionError(f"never so: {js} {arg or ''}; {self.problems}")
+        while (left := end - time.monotonic()) > 0:
+            try:
+                if found := self.page.evaluate(POLL % js, [arg, left * 1000]):
+                    return found
+            except Error as error:
+                # A page that is left takes along what asks it.
+                if "context was destroyed" not in error.message:
+                    raise
+        raise AssertionError(f"never so: {js} {arg or ''}; {self.problems}")
+
+    def still(self, js: str, seconds: float = 0.5) -> Any:
+        """What an expression says once it has said the same for so long."""
+        end, found, since = time.monotonic() + SLOW, self.page.evaluate(js), time.monotonic()
+        while time.monotonic() < since + seconds:
+            assert time.monotonic() < end, f"never still: {js}"
             self.page.wait_for_timeout(40)
+            if (now := self.page.evaluate(js)) != found:
+                found, since = now, time.monotonic()
         return found
 
     def see(self, selector: str, words: str = "") -> Locator:
@@ -160,38 +135,45 @@ class Tab:
     def frame(self) -> str:
         return self.page.locator("#where .frame-id").input_value()
 
+    def other_frame(self, than: str) -> str:
+        """The frame that the page is at as soon as that is another one."""
+        now = "document.querySelector('#where .frame-id').value"
+        return self.poll(f"was => {now} !== was && {now}", than)
+
     def press(self, key: str) -> None:
         """Press a key where no field is being typed into."""
         self.page.evaluate("document.activeElement.blur()")
         self.page.keyboard.press(key)
 
+    def closed(self) -> None:
+        """Wait until no dialog is open."""
+        self.poll("!document.getElementById('dialog-window')")
 
-class Timed:
-    """Runs checks, and says of each how long it took."""
+    def close(self) -> None:
+        """Close it, with everything that its browser keeps."""
+        self.page.context.close()
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, int] = {}
 
-    def __call__(self, check: Callable[..., Any], *given: object) -> Any:
-        started = time.monotonic()
-        try:
-            return check(*given)
-        finally:
-            self.seconds[check.__name__] = round(time.monotonic() - started)
-
-    def __str__(self) -> str:
-        return json.dumps(self.seconds)
+OpenTab = Callable[..., Tab]
+"""What `open_tab` of conftest.py gives: (address, scene, options of the browser context) -> Tab."""
 
 
 @contextlib.contextmanager
 def chromium() -> Iterator[Browser]:
     with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
+        # The shell is Chromium without windows, each of which costs half of a second. Where there is none, nor another
+        # Chromium, the one of `playwright install` is taken.
+        found = shutil.which("chromium-headless-shell") or shutil.which("chromium")
+        browser = play.chromium.launch(executable_path=found, args=CHROMIUM)
         try:
             yield browser
         finally:
             browser.close()
 
 
-def new_tab(browser: Browser, **options: Any) -> Tab:
-    return Tab(browser.new_page(**({"viewport": SIZE} | options)))
+def new_tab(browser: Browser, scene: Scene = "unpainted", **options: Any) -> Tab:
+    """A tab in a context of its own: it shares neither cookies nor what is stored with another one."""
+    page = browser.new_context(**({"viewport": SIZE} | options)).new_page()
+    if scene != "painted":
+        page.add_init_script(UNPAINTED if scene == "unpainted" else ABSENT)
+    return Tab(page)

@@ -1,20 +1,21 @@
-"""Ten tasks in a real browser, each counted in keys, clicks, drags and letters typed; docs/tasks.md has the table.
+"""Ten tasks, each counted in keys, clicks, drags and letters typed; docs/tasks.md has the table.
+
+pytest -s .ci/page/test_counted_tasks.py
 
 Each task begins where the one before has left off, or where its text says, and is done when the page shows its result.
 """
 
-import json
-import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from browser import Server, Tab, chromium, new_tab
-from check_evaluate import RUN, finds, second_run
-from check_label import boxes, drawn_edge, events, object_shown
+import pytest
+from browser import OpenTab, Tab
+from labelling import CLAIM, boxes, drawn_edge, object_shown
+from recordings import LABELS, events
+from servers import Server
 
-DOCUMENT = Path(__file__).parents[1] / "docs" / "tasks.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "tasks.md"
 QUESTION = "mug left of the laptop"
 WHOLE = """() => {
   const e = document.querySelector('#stages .sentence'), s = e && getComputedStyle(e);
@@ -29,6 +30,7 @@ class Counted:
     """A tab whose keys, clicks, drags and letters are counted."""
 
     tab: Tab
+    open_tab: OpenTab
     keys: int = 0
     clicks: int = 0
     drags: int = 0
@@ -89,12 +91,9 @@ def share(c: Counted) -> None:
     c.press("Control+c")
     c.tab.see("#toasts", "the address of this view")
     address = c.tab.page.evaluate("navigator.clipboard.readText()")
-    browser = c.tab.page.context.browser
-    assert browser is not None
-    other = new_tab(browser).open(address)
+    other = c.open_tab(address, "absent")
     other.poll("asked => document.getElementById('ask-text').value === asked", QUESTION)
     assert other.frame == c.tab.frame
-    other.page.close()
 
 
 def narrow(c: Counted) -> None:
@@ -102,7 +101,8 @@ def narrow(c: Counted) -> None:
     value = c.tab.see("#facet-verdict .value", "OPM-REF")
     count = value.locator(".n").inner_text()
     c.click("#facet-verdict .value", "OPM-REF")
-    finds(c.tab, int(count))
+    c.tab.poll("n => document.querySelector('#found-bar .count b')?.textContent === n", count)
+    c.tab.see("#rows .expr:not(.wait)")
 
 
 def second_broke(c: Counted) -> None:
@@ -112,10 +112,9 @@ def second_broke(c: Counted) -> None:
 
 
 def settle(c: Counted) -> None:
-    claim = "document.querySelector('#review-item .claim')?.textContent"
-    was = c.tab.poll(claim)
+    was = c.tab.poll(CLAIM)
     c.press("y")
-    c.tab.poll(f"was => {claim} && {claim} !== was", was)
+    c.tab.poll(f"was => {CLAIM} && {CLAIM} !== was", was)
 
 
 def edit_box(c: Counted) -> None:
@@ -149,41 +148,32 @@ TASKS: dict[str, Callable[[Counted], None]] = {
 }
 
 
-def count_all(tab: Tab, journal: Path) -> dict[str, str]:
-    told = {}
+def prepare(tab: Tab, name: str) -> None:
+    """What a task begins with, where that is not what the one before has left."""
+    if name == "find what a second run broke":
+        tab.click("find:")
+    if name == "settle a label":
+        tab.click("task:label")
+        tab.poll("document.querySelector('#review-list .queue .q')", seconds=120)
+        tab.click("queue-kind:relation")
+        tab.press("j")
+    if name == "edit a box":
+        object_shown(tab)
+
+
+@pytest.mark.slow
+def test_each_task_takes_what_the_table_says(compared: Server, open_tab: OpenTab) -> None:
+    before = len(events(LABELS, "--journal", compared.journal))
+    tab = open_tab(compared.address, permissions=["clipboard-read", "clipboard-write"]).drawn()
+    told = []
     for name, task in TASKS.items():
-        if name == "find what a second run broke":
-            tab.click("find:")
-        if name == "settle a label":
-            tab.click("task:label")
-            tab.poll("document.querySelector('#review-list .queue .q')", seconds=120)
-            tab.click("queue-kind:relation")
-            tab.press("j")
-        if name == "edit a box":
-            object_shown(tab)
-        counted = Counted(tab)
+        prepare(tab, name)
+        counted = Counted(tab, open_tab)
         task(counted)
-        told[name] = counted.told
-        print(f"{name}: {counted.told}", flush=True)
-    made = events(RUN / "labels", "--journal", journal)
+        told.append(f"| {name} | {counted.told} |")
+    print("", *told, sep="\n")
+    made = events(LABELS, "--journal", compared.journal)[before:]
     assert len(boxes(made)) == 1, boxes(made)
     assert any(e["field"] == "mask" for e in made), "the mask is not saved"
-    return told
-
-
-def main() -> None:
-    with tempfile.TemporaryDirectory() as work, chromium() as browser:
-        second, journal = second_run(Path(work) / "second"), Path(work) / "journal.sqlite"
-        with Server("--run", RUN / "run", "--compare", second, "--journal", journal) as server:
-            tab = new_tab(browser, permissions=["clipboard-read", "clipboard-write"]).open(server.address).drawn()
-            told = count_all(tab, journal)
-            assert not tab.problems, tab.problems
-    print(json.dumps(told))
-    if "--check" in sys.argv:
-        table = DOCUMENT.read_text("utf-8")
-        missing = [f"| {name} | {count} |" for name, count in told.items() if f"| {name} | {count} |" not in table]
-        assert not missing, f"docs/tasks.md says otherwise: {missing}"
-
-
-if __name__ == "__main__":
-    main()
+    table = DOCUMENT.read_text("utf-8")
+    assert not [row for row in told if row not in table], "docs/tasks.md says otherwise"

@@ -1,14 +1,8 @@
-"""The states of the page one after the other, and what a script can see of how they look: what is cut or overlaps."""
+"""The states of the page, one after the other."""
 
-import time
 from collections.abc import Iterator
-from pathlib import Path
 
-from browser import Tab, new_tab
-from playwright.sync_api import Browser
-
-LOOKS = (Path(__file__).parent / "looks.js").read_text("utf-8")
-SIZES = ((1440, 900), (1920, 1080), (1024, 768))
+from browser import Tab
 
 
 def explained(tab: Tab) -> Iterator[str]:
@@ -37,7 +31,7 @@ def explained(tab: Tab) -> Iterator[str]:
     tab.see("#dialog-window")
     yield "keys"
     tab.page.keyboard.press("Escape")
-    tab.poll("!document.getElementById('dialog-window')")
+    tab.closed()
     tab.press("Shift+W")
     tab.see("#frame-grid .shot")
     yield "all frames"
@@ -61,23 +55,3 @@ def others(tab: Tab) -> Iterator[str]:
     tab.press("j")
     tab.see("#review-item .task-item")
     yield "label, an item"
-
-
-def check_looks(browser: Browser, address: str) -> None:
-    """Nothing is cut or overlaps at three sizes."""
-    found = []
-    for width, height in SIZES:
-        started = time.monotonic()
-        tab = new_tab(browser, viewport={"width": width, "height": height}).open(address).drawn()
-        tab.poll("getComputedStyle(document.querySelector('#tags .tag') ?? document.body).visibility === 'visible'")
-        looked = 0
-        for states in (explained, others):
-            for state in states(tab):
-                tab.page.wait_for_timeout(200)
-                seen = tab.page.evaluate(LOOKS)
-                found += [f"{width} {state}: {one}" for one in seen]
-                looked += 1
-        found += tab.problems
-        tab.page.close()
-        print(f"  {width}x{height}: {looked} states in {time.monotonic() - started:.0f} s", flush=True)
-    assert not found, "\n".join(found)

@@ -1,0 +1,153 @@
+"""Everybody can use the page: axe-core in both themes, words that explain themselves, what is announced, refusals in
+plain words, a window that is magnified to 200 %, other people's colours, no motion."""
+
+import pytest
+from accessibility import SMALL, axe
+from browser import OpenTab
+from servers import Server
+from states import explained, others
+
+MAGNIFIED = {"width": 720, "height": 450}
+"""1440x900 at 200 %, in the units of css."""
+HINT = (
+    "(() => { const e = document.getElementById('tip'); return e?.matches(':popover-open') ? e.textContent : ''; })()"
+)
+OUT_OF_REACH = """() => {
+  const found = [], read = 'a[href], button, input, select, textarea, summary, [tabindex="0"], h2, h3, p, td';
+  for (const e of document.querySelectorAll(read)) {
+    if (!e.checkVisibility({visibilityProperty: true}) || e.closest('.hidden, [aria-hidden=true], #tags')) continue;
+    e.scrollIntoView({block: 'nearest', inline: 'nearest'});
+    const b = e.getBoundingClientRect(), x = b.left + Math.min(b.width, 40) / 2, y = b.top + Math.min(b.height, 24) / 2;
+    const name = (e.getAttribute('aria-label') || e.textContent).trim().slice(0, 40);
+    if (b.width && (x < 0 || y < 0 || x > innerWidth || y > innerHeight)) found.push(`${e.tagName} ${e.id} "${name}"`);
+  }
+  const {scrollWidth} = document.scrollingElement;
+  return [...found, ...(scrollWidth > innerWidth ? [`the page is ${scrollWidth} wide`] : [])];
+}"""
+LISTEN = """() => {
+  window.heard = [];
+  const told = document.getElementById('announced');
+  const listen = () => { if (told.textContent) window.heard.push(told.textContent); };
+  new MutationObserver(listen).observe(told, {childList: true, characterData: true, subtree: true});
+}"""
+LIVE_PARTS = (
+    "document.querySelectorAll(':is(#answer, #stages, #objects) :is([role=status], [role=alert], [aria-live])').length"
+)
+
+
+IN_BRIEF = ("answer with verdict", "stage PRM", "keys", "evaluate", "label, an item")
+"""States of the page in which axe-core looks at it each time; it looks at the others at night."""
+
+
+@pytest.mark.parametrize("names", [IN_BRIEF, pytest.param((), marks=pytest.mark.slow)], ids=["brief", "all"])
+def test_axe_finds_nothing(demo: Server, open_tab: OpenTab, names: tuple[str, ...]) -> None:
+    """All rules in one theme, and what depends on the theme in the other; `names` of states, or all of them."""
+    found, looked = [], []
+    # axe-core styles what it measures by inline styles, which the page's own policy forbids; the other checks keep it.
+    tab = open_tab(demo.address, bypass_csp=True).drawn()
+    for states in (explained, others):
+        for state in states(tab):
+            if names and state not in names:
+                continue
+            tab.page.wait_for_timeout(150)  # until what appears has appeared
+            seen = [*axe(tab), *tab.page.evaluate(SMALL)]
+            tab.page.evaluate("document.documentElement.dataset.theme = 'light'")
+            tab.page.wait_for_timeout(150)
+            seen += [f"light: {one}" for one in axe(tab, "color-contrast", "link-in-text-block")]
+            tab.page.evaluate("document.documentElement.dataset.theme = 'dark'")
+            found += [f"{state}: {one}" for one in seen]
+            looked.append(state)
+    assert len(looked) == len(names) if names else len(looked) >= 15, looked
+    assert not found, "\n".join(found)
+
+
+def test_words_say_their_meaning(demo: Server, open_tab: OpenTab) -> None:
+    """Every word of ours to who comes by Tab; Escape takes that away, and the mouse has its title."""
+    tab = open_tab(demo.address, "absent")
+    tab.click("stage:PRM")
+    tab.see("#head-prm[aria-expanded=true]")
+    dumb = tab.page.evaluate("[...document.querySelectorAll('abbr')].filter(e => e.tabIndex < 0 || !e.title).length")
+    words = set(tab.page.locator("abbr").all_inner_texts())
+    assert not dumb
+    assert {"P(relation)", "posterior", "margin", "tgt", "ref", "rel", "P"} <= words, words
+    tab.page.locator("#head-parse").focus()
+    said = []
+    for _ in range(40):
+        tab.page.keyboard.press("Tab")
+        focused = tab.page.evaluate("[document.activeElement.tagName, document.activeElement.title]")
+        assert tab.page.evaluate(HINT) == focused[1], focused
+        said += focused[1:] if focused[0] == "ABBR" else []
+    assert any(text.startswith("posterior:") or "posterior" in text for text in said), said
+    tab.page.locator("#answer-heads abbr").first.focus()
+    tab.page.keyboard.press("Escape")
+    assert not tab.page.evaluate(HINT)
+    for control in tab.page.locator("#scene-tools button, #tools button").all():
+        assert control.get_attribute("title"), control.inner_text()
+
+
+def test_an_answer_is_announced_once(demo: Server, open_tab: OpenTab) -> None:
+    """However many parts of the page it changes; a refusal is an alert."""
+    tab = open_tab(demo.address, "absent")
+    tab.poll("document.getElementById('announced').textContent.length > 0")
+    tab.page.evaluate(LISTEN)
+    tab.ask("laptop right of the mug")
+    tab.poll("window.heard.length > 0")
+    tab.see("#answer .names", "right of")
+    tab.page.wait_for_timeout(600)  # long enough for a second announcement of the same answer
+    heard = tab.page.evaluate("window.heard")
+    assert len(heard) == 1, heard
+    assert "right of" in heard[0], heard
+    assert tab.page.evaluate(LIVE_PARTS) == 0
+    tab.ask("unicorn left of the mug")
+    tab.see("#ask-problem [role=alert]", "unicorn")
+
+
+def test_refusals_are_plain_words(demo: Server, open_tab: OpenTab) -> None:
+    """What cannot be taken is said, and the page goes on as it was."""
+    tab = open_tab(demo.address, "absent")
+    before, field = tab.frame, tab.page.locator("#where .frame-id")
+    field.fill("kitchen")
+    field.press("Enter")
+    tab.see(".toast.bad", "no frame 'kitchen'")
+    tab.poll("before => document.querySelector('#where .frame-id').value === before", before)
+    tab.send("paste-state")
+    tab.see("#dialog-window textarea").fill("no view")
+    tab.see("#dialog-window .go").click()
+    tab.see("#dialog-problem", "view")
+    tab.page.keyboard.press("Escape")
+    tab.closed()
+    tab.ask("laptop right of the mug")
+    tab.see("#answer .names", "right of")
+    raw = tab.page.locator(".toast, #log").all_inner_texts()
+    assert not any(word in text for text in raw for word in ("Error:", "Traceback", "must be a valid")), raw
+
+
+@pytest.mark.parametrize("size", [MAGNIFIED, {"width": 1024, "height": 768}], ids=["magnified", "small"])
+def test_magnified_nothing_is_lost(demo: Server, open_tab: OpenTab, size: dict[str, int]) -> None:
+    """Whatever can be read or pressed comes into view by scrolling down."""
+    tab = open_tab(demo.address, viewport=size)
+    for task in ("explain", "evaluate", "label"):
+        tab.click(f"task:{task}")
+        tab.poll("task => document.body.dataset.mode === task", task)
+        tab.still("document.body.innerHTML.length")
+        lost = tab.page.evaluate(OUT_OF_REACH)
+        assert not lost, (size, task, lost)
+        view = tab.page.locator("#view").bounding_box()
+        # Evaluate has the width for itself.
+        assert task == "evaluate" or (view is not None and min(view["width"], view["height"]) >= 200), (size, view)
+
+
+def test_what_a_reader_prefers(demo: Server, open_tab: OpenTab) -> None:
+    """Nothing moves by itself for who asks for that; with the reader's own colours what is chosen is still seen."""
+    tab = open_tab(demo.address, "absent", reduced_motion="reduce", forced_colors="active")
+    tab.ask("laptop right of the mug")
+    tab.see("#answer .names", "right of")
+    moving = tab.page.evaluate("document.getAnimations().filter(a => a.playState === 'running').length")
+    assert not moving, moving
+    edges = "e => { const s = getComputedStyle(e); return [s.outlineStyle, s.outlineWidth, s.outlineColor].join(' '); }"
+    for group in ("#tasks", "#scene-tools .toggles"):
+        on, off = (
+            tab.page.locator(f"{group} button:is([aria-checked={v}], [aria-pressed={v}])").first
+            for v in ("true", "false")
+        )
+        assert on.evaluate(edges) != off.evaluate(edges), group

@@ -1,0 +1,131 @@
+"""The page of the demo answers as the command line does, shows the evidence, and takes what is typed as text."""
+
+import json
+from urllib.parse import quote, urlsplit
+
+from browser import OpenTab, Tab
+from recordings import LABELS, MARKUP, SIMULATED, spatialviz
+from servers import Server
+
+from pipeline.answering.json_records import probability
+
+ROW = '#stages tr[data-do^="pair:"]'
+COLORS = """() => {
+  const all = [...document.getElementById('view').contentDocument.querySelectorAll('canvas')];
+  const canvas = all.find(c => c.dataset.engine || c.width > 100), made = document.createElement('canvas');
+  [made.width, made.height] = [60, 60];
+  const at = made.getContext('2d');
+  at.drawImage(canvas, 0, 0, 60, 60);
+  const d = at.getImageData(0, 0, 60, 60).data;
+  return new Set(Array.from({length: 3600}, (_, k) => `${d[4 * k]},${d[4 * k + 1]},${d[4 * k + 2]}`)).size;
+}"""
+
+
+def test_the_page_says_what_the_command_line_says(demo: Server, open_tab: OpenTab) -> None:
+    """The first page shows a failure of the demo's run."""
+    tab = open_tab(demo.address)
+    chip = tab.see("#verdict")
+    words = ("--detector", "simulated", "--model", SIMULATED, "--min-score", "0.015", "--k", "5", "--labels", LABELS)
+    said = json.loads(spatialviz("ask", "demo", tab.frame, tab.question, *words, "--json", fails=True))
+    assert said["verdict"]["verdict"] != "CORRECT", said["verdict"]
+    assert chip.inner_text().startswith(said["verdict"]["verdict"]), (chip.inner_text(), said["verdict"])
+    sentence = tab.see("#side .sentence").inner_text()
+    assert sentence.endswith(said["verdict"]["said"]), (sentence, said["verdict"])
+    heads = tab.page.locator("#answer .heads b").all_inner_texts()
+    wanted = [probability(said["answer"][k]) for k in ("relation_probability", "product")]
+    assert heads == wanted, (heads, said["answer"])
+
+
+def test_the_scene_is_painted(demo: Server, open_tab: OpenTab) -> None:
+    """The points of the frame are seen, and go where they are hidden: the other checks leave them out."""
+    tab = open_tab(demo.address, "painted").drawn()
+    points = tab.poll(f"({COLORS})() > 400 && ({COLORS})()")
+    tab.click("flag:cloud")
+    tab.poll(f"points => ({COLORS})() < points / 2", points)
+
+
+def test_a_question_and_its_evidence(demo: Server, open_tab: OpenTab) -> None:
+    tab = open_tab(demo.address, "absent")
+    tab.ask("laptop right of the mug")
+    tab.see("#answer .names", "right of")
+    tab.click("stage:PRM")
+    tab.see(ROW)
+    tab.click("stage:SRM")
+    tab.see('#stages [data-do^="relation:"]', "left of").click()
+    tab.see("#answer .names", "left of")
+
+
+def test_up_is_what_is_clicked(demo: Server, open_tab: OpenTab) -> None:
+    """A click names a level surface; what was declared comes back."""
+    tab = open_tab(demo.address, "absent")
+    tab.ask("laptop right of the mug")
+    tab.see("#answer .names", "right of")
+    chip = tab.see("#answer .upchip")
+    assert chip.inner_text() == "up declared", chip.inner_text()
+    chip.click()
+    tab.see("#answer .note", "level surface")
+    picture = tab.see("#image [data-point]")
+    box = picture.bounding_box()
+    assert box is not None
+    picture.click(position={"x": 0.1 * box["width"], "y": 0.95 * box["height"]})
+    tab.see("#answer .upchip", "given")
+    tab.see("#answer .uptold [data-do=level-back]").click()
+    tab.see("#answer .upchip", "declared")
+
+
+def _is_text(tab: Tab, question: str) -> None:
+    tab.ask(question)
+    tab.see("#side", "cannot be read; got '<'")
+    assert tab.question == question, tab.question
+    tab.poll("text => document.getElementById('log').textContent.includes(text)", question)
+    assert not tab.page.locator("[onerror]").count()
+
+
+def test_markup_in_a_question_is_text(demo: Server, open_tab: OpenTab) -> None:
+    """And an address opens nothing that is not open already."""
+    tab = open_tab(demo.address, "absent")
+    _is_text(tab, "<img src=x onerror=alert(1)> left of the mug")
+    _is_text(tab, MARKUP)
+    before = tab.frame
+    root = urlsplit(tab.page.url)._replace(query="").geturl()
+    for query in (
+        f"data={quote('/etc')}&frame=0",
+        f"data={quote(MARKUP)}",
+        "run=/etc&scorer=/etc/passwd",
+        "mode=exec&stage=rm&item=1,x&camera=nan",
+    ):
+        tab.open(f"{root}?{query}")
+        # The page says in the address what it shows instead.
+        tab.poll("location.search.includes('frame=') && !/etc|img|exec|nan/.test(location.search)")
+        assert tab.frame == before, (query, tab.frame)
+        assert not tab.page.locator("[onerror], #dialog-window").count()
+    assert tab.page.title() != "hit"
+
+
+def test_markup_in_names_is_text(hostile: Server, open_tab: OpenTab) -> None:
+    """In the names of a dataset, of its folder and of a class, wherever they stand."""
+    tab = open_tab(hostile.address).drawn()
+    tab.see("#bar .dataset, #bar select", MARKUP)
+    tab.see("#objects", MARKUP)
+    tab.ask(f'"{MARKUP}" left of the laptop')
+    tab.press("/")
+    tab.page.keyboard.type("img")
+    tab.page.wait_for_timeout(800)  # long enough for an image to fail to load
+    tab.page.keyboard.press("Escape")
+    for name in ("Edit", "Log"):
+        tab.drawer(name)
+    assert not tab.page.locator("[onerror]").count()
+    assert "hit" not in (tab.page.title(), *(frame.evaluate("document.title") for frame in tab.page.frames))
+
+
+def test_one_page_does_not_move_another(demo: Server, open_tab: OpenTab) -> None:
+    tab, other = (open_tab(demo.address, "absent") for _ in range(2))
+    before = tab.frame
+    assert other.frame == before
+    other.press("n")
+    moved = other.other_frame(before)
+    assert tab.frame == before, "one client's frame moved another's"
+    other.poll("moved => location.search.includes(moved)", moved)
+    other.page.reload()
+    other.words()
+    assert other.frame == moved, (other.frame, moved)

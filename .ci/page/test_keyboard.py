@@ -1,0 +1,106 @@
+"""The page by keys alone: Tab reaches every control as one reads, arrows choose, Escape leaves."""
+
+from browser import OpenTab
+from servers import Server
+
+READ = """area => {
+  const stops = [...document.querySelectorAll(`${area} :is(button, input, select, summary, [tabindex="0"])`)]
+    .filter(e => e.checkVisibility({visibilityProperty: true}) && e.tabIndex >= 0)
+    .map(e => [e.getBoundingClientRect(), e.textContent.slice(0, 30) || e.id]);
+  return stops.slice(1).flatMap(([b, name], k) => {
+    const [a, before] = stops[k], beside = b.top < a.bottom - 4 && a.top < b.bottom - 4;
+    return b.bottom <= a.top + 1 || (beside && b.right <= a.left) ? [`${before} -> ${name}`] : [];
+  });
+}"""
+FOCUSED = """() => {
+  const e = document.activeElement, s = getComputedStyle(e), b = e.getBoundingClientRect();
+  return {tag: e.tagName, name: e.id || e.dataset.do || e.dataset.local || e.textContent.slice(0, 30),
+    ring: parseFloat(s.outlineWidth) > 0 && s.outlineStyle !== 'none',
+    area: e.closest('header, aside, #stage')?.id || '',
+    seen: b.width > 0 && b.bottom > 0 && b.top < innerHeight};
+}"""
+REACHED = """() => [...document.querySelectorAll(
+    'a[href], button, input, select, textarea, summary, [data-do], [data-local]')]
+  .filter(e => e.checkVisibility({visibilityProperty: true}) && !e.disabled && e.tabIndex >= 0
+    && e.getAttribute('role') !== 'option')
+  .map(e => e.id || e.dataset.do || e.dataset.local || e.textContent.slice(0, 30))"""
+
+
+def test_tab_reaches_every_control(demo: Server, open_tab: OpenTab) -> None:
+    """Bar, side, stage, with a ring that is seen."""
+    tab = open_tab(demo.address)
+    tab.page.evaluate("document.activeElement.blur()")
+    wanted, seen, areas = set(tab.page.evaluate(REACHED)), [], []
+    for _ in range(len(wanted) + 200):
+        tab.page.keyboard.press("Tab")
+        now = tab.page.evaluate(FOCUSED)
+        if now["tag"] == "BODY":
+            break
+        seen.append(now["name"])
+        if now["tag"] == "IFRAME":
+            continue
+        assert now["ring"], f"no ring around {now}"
+        assert now["seen"], f"not in view: {now}"
+        areas += [now["area"]] if not areas or areas[-1] != now["area"] else []
+        if wanted <= set(seen):
+            break
+    assert wanted <= set(seen), sorted(wanted - set(seen))
+    assert areas[:3] == ["bar", "side", "stage"], areas
+
+
+def test_a_question_is_completed_as_it_is_typed(demo: Server, open_tab: OpenTab) -> None:
+    tab = open_tab(demo.address, "absent")
+    tab.press("/")
+    field = tab.page.locator("#ask-text")
+    field.fill("")
+    for text, offered in (("lap", "laptop"), ("rig", "right of"), ("the m", "mug")):
+        tab.page.keyboard.type(text)
+        tab.see("#suggested .offer", offered)
+        # What was offered for fewer letters goes.
+        tab.still("document.getElementById('suggested').textContent")
+        for _ in range(10):
+            tab.page.keyboard.press("ArrowDown")
+            if tab.page.locator("#suggested [aria-selected=true] b").inner_text() == offered:
+                break
+        tab.page.keyboard.press("Enter")
+        assert field.input_value().endswith(f"{offered} "), field.input_value()
+    tab.page.keyboard.press("Enter")
+    tab.see("#answer .names", "right of")
+    tab.press("/")
+    tab.page.keyboard.press("Escape")
+    tab.poll("document.activeElement.tagName === 'BODY'")
+
+
+def test_keys_go_as_one_reads(demo: Server, open_tab: OpenTab) -> None:
+    """And out of the scene; arrows choose; Escape closes whatever is open, where one was."""
+    tab = open_tab(demo.address)
+    page = tab.page
+    for area in ("#bar", "#side", "#scene-tools", "#drawer-tabs"):
+        assert not page.evaluate(READ, area), (area, page.evaluate(READ, area))
+    page.evaluate("document.getElementById('view').focus()")
+    page.keyboard.press("Tab")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.tagName") != "IFRAME", "no way out of the scene"
+    page.locator("#split").focus()
+    before = page.locator("#view").bounding_box()
+    page.keyboard.press("ArrowRight")
+    after = page.locator("#view").bounding_box()
+    assert before is not None
+    assert after is not None
+    assert after["width"] > before["width"]
+    page.locator('#drawer-tabs [data-name="Objects"]').focus()
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("document.activeElement.dataset.name") == "Edit"
+    assert page.locator('#drawer-tabs [data-name="Edit"]').get_attribute("aria-selected") == "true"
+    page.locator(".menu>summary").focus()
+    page.keyboard.press("Enter")
+    tab.see(".menu[open]")
+    page.keyboard.press("Tab")
+    page.keyboard.press("Escape")
+    assert not page.locator(".menu[open]").count()
+    assert page.evaluate("document.activeElement.tagName") == "SUMMARY"
+    page.keyboard.press("h")
+    tab.see("#dialog-window")
+    page.keyboard.press("Escape")
+    tab.closed()
+    assert page.evaluate("document.activeElement.tagName") == "SUMMARY", "the focus is not where it was"

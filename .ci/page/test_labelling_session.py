@@ -1,0 +1,167 @@
+"""Labelling: items settled by keys, an edge dragged, many accepted, a bare recording labelled.
+
+What the page did is what the journal tells: it is read by the command line.
+"""
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from browser import OpenTab, Tab
+from labelling import CLAIM, SETTLED, boxes, drawn_edge, object_shown
+from recordings import LABELS, events
+from servers import Server
+
+
+@pytest.fixture
+def review(reviewed: Server, open_tab: OpenTab) -> Tab:
+    """A tab that reviews the demo's labels, with its queue."""
+    tab = open_tab(reviewed.address).drawn()
+    tab.click("task:label")
+    tab.poll("document.querySelector('#review-list .queue .q')", seconds=120)
+    return tab
+
+
+def test_items_are_settled_by_one_key_each(review: Tab, reviewed: Server) -> None:
+    """Five of them; each settled one opens the next."""
+    tab, before = review, len(events(LABELS, "--journal", reviewed.journal))
+    settled = tab.page.evaluate(SETTLED)
+    tab.click("queue-kind:relation")
+    tab.press("j")
+    seen = []
+    for n in range(5):
+        seen.append(tab.poll(CLAIM))
+        assert tab.see("#review-item .because").inner_text().strip(), "no reason is told"
+        tab.page.keyboard.press("y")
+        tab.poll(f"claim => {CLAIM} !== claim", seen[-1])
+        tab.poll(f"n => {SETTLED} > n", settled + n)
+    assert len(set(seen)) == 5, seen
+    assert len({e["group"] for e in events(LABELS, "--journal", reviewed.journal)[before:]}) == 5
+    tab.see("#pace", "an hour")
+    assert tab.page.locator("#review-item .upcoming button").count() == 5
+
+
+def test_an_edge_is_dragged(review: Tab, reviewed: Server) -> None:
+    """An edge of a side view is drawn outwards: the box of the labels grows by as much; one undo takes it back."""
+    tab, before = review, len(events(LABELS, "--journal", reviewed.journal))
+    object_shown(tab)
+    size = "[...document.querySelectorAll('#sides .side-view figcaption span')].map(e => e.textContent)[0]"
+    was = tab.poll(size)
+    x, y = drawn_edge(tab)
+    mouse = tab.page.mouse
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x + 18, y, steps=4)
+    assert tab.poll(f"was => {size} !== was && {size}", was), "the box does not follow the hand"
+    mouse.up()
+    tab.see("#side .note", "3D box")
+    (made,) = boxes(events(LABELS, "--journal", reviewed.journal)[before:])
+    grown = [round(a - b, 4) for a, b in zip(made["after"]["size"], made["before"]["size"], strict=True)]
+    assert sum(g > 0.005 for g in grown) == 1, grown
+    assert sum(abs(g) < 1e-6 for g in grown) == 2, grown
+    tab.press("Control+z")
+    tab.see("#side .note", "taken back")
+    tab.poll(f"was => {size} === was", was)
+    # Tab walks the objects while the views have the focus, and Escape leaves them.
+    tab.page.locator("#sides").focus()
+    name = "document.querySelector('#crop figcaption b').textContent"
+    was = tab.poll(name)
+    tab.page.keyboard.press("Tab")
+    tab.poll(f"was => {name} !== was", was)
+    tab.page.keyboard.press("Shift+Tab")
+    tab.poll(f"was => {name} === was", was)
+    tab.page.keyboard.press("Escape")
+    tab.poll("document.activeElement.closest('#review-item')")
+
+
+def test_many_are_accepted_as_one_step(review: Tab, reviewed: Server) -> None:
+    """All that a filter finds; one undo takes it back."""
+    tab = review
+    tab.click("queue-kind:relation")
+    before = tab.still(SETTLED)
+    tab.page.locator("#queue-find").fill("left 000002")
+    accept = tab.see('[data-do="accept-found"]:not([disabled])')
+    found = int(accept.inner_text().split()[-1].replace(",", ""))
+    assert found > 3, found
+    accept.click()
+    tab.poll(f"wanted => {SETTLED} >= wanted", before + found)
+    groups = [e["group"] for e in events(LABELS, "--journal", reviewed.journal)]
+    assert len(set(groups[-found:])) == 1, "not one step"
+    tab.press("Control+z")
+    tab.poll(f"wanted => {SETTLED} === wanted", before)
+    tab.page.locator("#queue-find").fill("")
+    tab.press("Escape")
+
+
+def outline(tab: Tab, name: str, corners: tuple[float, float, float, float]) -> None:
+    """Outline a thing by a rectangle of the picture, and type its name."""
+    tab.send(f"px-new:{','.join(map(str, corners))}")
+    field = tab.see(".pixels input.cls")
+    tab.see(".pixels .info", "points")
+    field.fill(name)
+    field.press("Enter")
+    tab.poll("!document.querySelector('.pixels')")
+
+
+def test_a_recording_that_nobody_labelled(bare: Server, open_tab: OpenTab) -> None:
+    """Two things are outlined and named; their relation follows by geometry."""
+    labels = bare.folder / "rec-labels"
+    tab = open_tab(bare.address).drawn()
+    tab.click("task:label")
+    tab.see("#review-item", "Nothing is labelled")
+    assert not labels.exists(), "looking writes nothing"
+    outline(tab, "mug", (0.34, 0.44, 0.42, 0.54))
+    assert labels.exists(), "not saved from the first stroke"
+    outline(tab, "laptop", (0.43, 0.38, 0.60, 0.56))
+    names = [e["after"] for e in events(labels) if e["field"] == "label"]
+    assert names == ["mug", "laptop"], names
+    # The two that were outlined are a pair, whose relations follow from their geometry.
+    tab.see("#review-pair .tuf")
+    assert "laptop" in tab.see("#review-pair h2").inner_text()
+
+
+def judge(tab: Tab, frame: str, fails: bool) -> str:
+    """*This pair is right* under an answer gives its verdict at once; where it `fails`, another pair is right."""
+    tab.page.locator("#where .frame-id").fill(frame)
+    tab.page.locator("#where .frame-id").press("Enter")
+    tab.poll("frame => document.title.includes(` ${frame} `)", frame)
+    tab.poll("!document.getElementById('working').textContent")
+    things = tab.page.evaluate("[...document.querySelectorAll('#objects b')].map(e => e.textContent)")
+    # The most frequent name may mean several things, the next one fewer.
+    names = [name for name, _ in Counter(t.partition("·")[0] for t in things if "·" in t).most_common()]
+    tab.ask(f"{names[0]} left of the {names[1]}")
+    offered = tab.page.locator('[data-do="right-pair"]')
+    tab.poll("document.querySelector('[data-do=\"right-pair\"]') || document.querySelector('#ask-problem .note')")
+    if not offered.count():
+        return "no pair"
+    targets = tab.page.locator("tr[id^=pair-] .w>div:first-child").all_inner_texts() if fails else []
+    # The first pair with another target.
+    other = next((k for k, target in enumerate(targets) if target != targets[0]), 0)
+    for _ in range(other):
+        tab.press("j")
+    tab.poll("k => document.querySelector(`#pair-${k}[aria-current]`)", str(other))
+    offered.click()
+    tab.see("#right-pair", "kept as true")
+    verdict = tab.see("#answer .verdict").inner_text().split()[0]
+    assert (verdict == "CORRECT") == (not other), (frame, targets, verdict)
+    return verdict
+
+
+@pytest.mark.parametrize(
+    "frames", [range(4), pytest.param(range(4, 10), marks=pytest.mark.slow)], ids=["first", "others"]
+)
+def test_answers_are_judged(bare: Server, open_tab: OpenTab, frames: range) -> None:
+    """Frame by frame; of every third one it is another pair that is right: the answer fails then."""
+    labels = bare.folder / "rec-labels"
+    before = len(judged(labels))
+    tab = open_tab(f"{bare.address}/?mode=explain").drawn()
+    verdicts = {n: judge(tab, f"{n:04d}", fails=n % 3 == 2) for n in frames}
+    made = [verdict for verdict in verdicts.values() if verdict != "no pair"]
+    assert len(made) >= len(frames) - 1, verdicts
+    assert len(set(made)) > 1, f"nothing failed: {verdicts}"
+    assert len(judged(labels)) - before == len(made)
+
+
+def judged(labels: Path) -> list[dict]:
+    """The sentences that were judged to be true, by the journal."""
+    return [e for e in events(labels) if e["field"] == "exists" and e["kind"] == "expression"]
