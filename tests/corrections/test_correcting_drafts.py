@@ -262,7 +262,6 @@ def applied(corrector: Corrector, journal: Journal, *entries: dict[str, Any]) ->
     return corrector.frame(FRAME, journal)
 
 
-@pytest.mark.slow
 def test_files_of_edits_draw_as_hands_do(
     frame: EffectiveFrame, full_corrector: Corrector, canvas: Canvas, journal: Journal
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+import pytest
 
 from pipeline.datasets import Room, choose_views, make_room
 from pipeline.datasets.synthetic import RenderedFrame, render_view
@@ -17,5 +18,8 @@ def room_of(seed: int) -> Room:
 
 @lru_cache(maxsize=8)
 def frame_of(seed: int) -> RenderedFrame:
-    camera = choose_views(room_of(seed), 1, np.random.default_rng(seed), 160, 120)[0]
+    with pytest.MonkeyPatch.context() as patch:
+        # The best of few cameras and not of many: to choose costs more than to render.
+        patch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", 8)
+        camera = choose_views(room_of(seed), 1, np.random.default_rng(seed), 160, 120)[0]
     return render_view(room_of(seed), camera, np.random.default_rng(0))

@@ -238,7 +238,6 @@ def test_an_oracle_that_changes_nothing_has_no_share_and_takes_none(right_with: 
         assert more.shapley[name].value == pytest.approx(estimate.value, abs=1e-12)
 
 
-@pytest.mark.slow
 def test_a_needed_change_of_attributes_and_no_smaller_one_puts_the_right_thing_first(weak: Pipeline) -> None:
     context = weak.prepare(weak.dataset.frame_ids[3])
     truth = known_truth(weak, context)

@@ -134,7 +134,7 @@ def at_level(folder: Path, level: int) -> Path:
     return path
 
 
-@pytest.mark.parametrize("level", mostly_slow([2, 0, 1]))
+@pytest.mark.parametrize("level", mostly_slow([2, 0, 1], fast=(0, 1)))
 def test_a_level_says_what_it_can_and_no_more(folder: Path, level: int) -> None:
     import_run(at_level(folder, level), "demo", folder / "labels", folder / f"run{level}", plots=False)
     ours = {r["id"]: r for r in rows(open_run(folder / "run"))}
@@ -175,7 +175,7 @@ def test_points_in_another_unit_are_refused(folder: Path, tmp_path: Path, unit: 
     assert f'"{unit}"' in str(caught.value)
 
 
-@pytest.mark.parametrize("level", mostly_slow([1, 0, 2]))
+@pytest.mark.parametrize("level", mostly_slow([1, 0, 2], fast=(0, 1)))
 def test_an_answer_without_its_ranking_is_shown_as_it_was_given(folder: Path, level: int) -> None:
     source = open_imported(at_level(folder, level), "demo")
     labels, seen = open_run(folder / "run").labels, set()

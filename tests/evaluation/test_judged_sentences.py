@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from slow_cases import mostly_slow
 
 from pipeline.answering import Pipeline, open_pipeline, record_detections
 from pipeline.evaluation import EvalSpec, SentenceReport, evaluate_labels, evaluate_sentences, summarise_run
@@ -67,8 +68,7 @@ def recorded(source: Pipeline, folder: Path) -> Path:
     return folder / "found.json"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("truth", ["targets", "points", "boxes"])
+@pytest.mark.parametrize("truth", mostly_slow(["targets", "points", "boxes"]))
 def test_where_nothing_is_right_a_refusal_is(source: Pipeline, tmp_path: Path, truth: str) -> None:
     path, nothing = tmp_path / "s.jsonl", {truth: []}
     assert outcome(source, path, LEFT_MUG, **nothing) == ("WRONG", "NOTHING", True)

@@ -217,6 +217,7 @@ def test_one_is_warned_of_pairs_that_were_learnt_by_heart(
     assert best >= 2 * ((p > 0.5) & (t > 0)).sum() / max((p > 0.5).sum() + (t > 0).sum(), 1)
 
 
+@pytest.mark.slow
 def test_networks_of_other_data_are_not_suspected(networks: dict[str, Path], tmp_path: Path) -> None:
     worlds = label_worlds(tmp_path / "worlds", 3, 1)
     report = measured(worlds.root, tmp_path / "run", networks["flat"])
@@ -236,6 +237,7 @@ def test_networks_of_other_data_are_not_suspected(networks: dict[str, Path], tmp
     assert "does not say what it was trained on" in warning
 
 
+@pytest.mark.slow
 def test_a_damaged_record_of_training_is_refused(networks: dict[str, Path], tmp_path: Path) -> None:
     import onnx
 
@@ -270,6 +272,7 @@ def test_workers_and_shared_frames_change_nothing(
     assert not (tmp_path / "one" / "records.parquet").exists()
 
 
+@pytest.mark.slow
 def test_a_network_that_chooses_among_relations_that_were_not_labelled(
     label_sets: dict[str, Labels], networks: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -290,6 +293,7 @@ def test_a_network_that_chooses_among_relations_that_were_not_labelled(
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_measured_is_refused(
     label_sets: dict[str, Labels], networks: dict[str, Path], tmp_path: Path
 ) -> None:

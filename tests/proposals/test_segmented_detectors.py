@@ -164,7 +164,6 @@ def test_segmenters_by_name(tmp_path: Path) -> None:
         open_pipeline("demo", segmenter_model=tmp_path)
 
 
-@pytest.mark.slow
 def test_jobs_use_the_segmenter(tmp_path: Path) -> None:
     plain = open_pipeline("demo")
     frame = plain.dataset.load(plain.dataset.frame_ids[0])
