@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-BY_NAME = ("import_module", "__import__")
+BY_NAME = ("import_module",)
 """What imports a module whose name is a string."""
 
 
@@ -43,22 +43,33 @@ def modules(package: str) -> dict[str, Imports]:
 
 def imports_of(tree: ast.Module, known: Mapping[str, object]) -> Imports:
     """What a file imports; `known` holds the dotted names of modules that strings may name."""
-    nodes = list(ast.walk(tree))
-    everywhere = [n for n in nodes if isinstance(n, (ast.Import, ast.ImportFrom))]
+    everywhere = [n for n in statements(tree) if isinstance(n, (ast.Import, ast.ImportFrom))]
     top = {id(n) for n in tree.body for n in ([n] if not isinstance(n, (ast.If, ast.Try)) else ast.walk(n))}
     return Imports(
         everywhere,
         [n for n in everywhere if id(n) in top],
         [n for n in everywhere if n in tree.body],
-        frozenset(_named(nodes, known)),
+        frozenset(_named(tree, known)),
     )
 
 
-def _named(nodes: Iterable[ast.AST], known: Mapping[str, object]) -> Iterator[str]:
+def statements(tree: ast.Module) -> Iterator[ast.stmt]:
+    """Every statement of a file, in functions and classes too; no import stands within an expression."""
+    left: list[ast.stmt] = [*tree.body]
+    while left:
+        node = left.pop()
+        yield node
+        for part in (node, *getattr(node, "handlers", ()), *getattr(node, "cases", ())):
+            for name in ("body", "orelse", "finalbody"):
+                left += getattr(part, name, ())
+
+
+def _named(tree: ast.Module, known: Mapping[str, object]) -> Iterator[str]:
     """Modules that strings name, whole or after the beginning of an f-string such as f"pipeline.proposals.{module}"."""
-    names = {n.id if isinstance(n, ast.Name) else n.attr for n in nodes if isinstance(n, (ast.Name, ast.Attribute))}
-    if not names & {*BY_NAME}:
+    imports = (n for n in statements(tree) if isinstance(n, ast.ImportFrom) and n.module == "importlib")
+    if not any(a.name in BY_NAME for n in imports for a in n.names) and "importlib" not in _imported_whole(tree):
         return
+    nodes = list(ast.walk(tree))
     texts = {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)}
     begun = {
         n.values[0].value
@@ -69,6 +80,10 @@ def _named(nodes: Iterable[ast.AST], known: Mapping[str, object]) -> Iterator[st
         # "module.Name" and "module:Name" name a module too.
         for part in {text, text.rpartition(".")[0], text.partition(":")[0]} - {""}:
             yield from {part, *(f"{start}{part}" for start in begun)} & known.keys()
+
+
+def _imported_whole(tree: ast.Module) -> set[str]:
+    return {a.name.split(".")[0] for n in statements(tree) if isinstance(n, ast.Import) for a in n.names}
 
 
 def imported(nodes: list[ast.Import | ast.ImportFrom], known: Mapping[str, object]) -> Iterator[tuple[str, int]]:

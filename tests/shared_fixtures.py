@@ -34,6 +34,16 @@ settings.register_profile("untimed", deadline=None, max_examples=30)
 settings.load_profile("untimed")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Without the slow tests, no worker reads all sources for constants that property tests might draw."""
+    if config.option.markexpr == "not slow":
+        from hypothesis.internal.conjecture import providers
+
+        # It takes four seconds in each worker and has no option; releases that do it otherwise just do it.
+        if hasattr(providers, "_get_local_constants"):
+            providers._get_local_constants = lambda: providers._local_constants
+
+
 def pytest_collection_finish() -> None:
     """What all test files loaded stays to the end: the collector need not walk it again and again, nor run so often."""
     gc.freeze()

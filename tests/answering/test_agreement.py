@@ -252,6 +252,7 @@ def test_kappa_is_one_where_all_names_are_alike_and_none_without_a_choice() -> N
 # The job.
 
 
+@pytest.mark.slow
 def test_the_job_compares_frame_by_frame_and_sums() -> None:
     source = open_pipeline("demo", detector="annotations", also="simulated", srm="rule")
     found = dict(agree_frames(source, "0:3"))

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import frame_of, upright
 
+import pipeline
 from pipeline.answering import Trace, best_pair, trace_record, why_no_answer
 from pipeline.answering.ask import ask
 from pipeline.answering.evidence import ranked_probability
@@ -134,3 +135,15 @@ def test_the_kth_of_uncertain_things_is_counted_right(things: list[tuple[float, 
 
 def test_what_has_no_place_in_an_order_is_never_chosen() -> None:
     assert ranked_probability(np.array([np.nan, 1.0]), np.ones(2), 1).tolist() == [0.0, 1.0]
+
+
+def test_what_must_not_hold_is_true_of_another_thing_of_the_name() -> None:
+    opened = pipeline.open("demo", srm="rule")
+    held, denied = (
+        opened.ask(0, text) for text in ("mug left of the laptop", "the mug that is not left of the laptop")
+    )
+    assert held.target is not None
+    assert denied.target is not None
+    assert (held.target.label, denied.target.label) == ("mug", "mug")
+    assert held.target.id != denied.target.id
+    assert denied.verdict in ("CORRECT", "LABEL", None)

@@ -71,6 +71,7 @@ def test_a_wrong_unit(room: list[Frame], factor: float, right: float) -> None:
     assert found.of("depth scale").option == f"--depth-scale {found.mends['depth_scale']:g}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", mostly_slow([1.35, 0.75]))
 def test_a_wrong_focal_length(room: list[Frame], factor: float) -> None:
     stretch = np.array([factor, factor, 1.0])[:, None]
@@ -138,6 +139,7 @@ def test_poses_of_other_frames_are_not_explained_away(room: list[Frame]) -> None
     assert not wrong(looked_at(turned))
 
 
+@pytest.mark.slow
 def test_a_declared_up_that_level_planes_contradict(room: list[Frame]) -> None:
     off = []
     for frame in room:

@@ -155,6 +155,7 @@ def test_real_sunrgbd_folders(shared_data: Path) -> None:
         assert degrees(plane, frame.camera.up * [1, 1, -1]) > 15
 
 
+@pytest.mark.slow
 def test_real_bedroom_depth_is_the_image_that_the_points_came_from(shared_data: Path) -> None:
     from scipy.io import loadmat
 

@@ -43,8 +43,8 @@ def few_candidates() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("render") / "set"
-    report = render_dataset(out, rooms=2, views=2, seed=3, **SIZE)
-    assert (report.frames, report.rooms) == (4, 2)
+    report = render_dataset(out, rooms=2, views=1, seed=3, **SIZE)
+    assert (report.frames, report.rooms) == (2, 2)
     assert report.out == out
     return out
 
@@ -78,7 +78,7 @@ def test_what_is_written_is_bop_and_agrees_with_the_room(rendered: Path) -> None
         cameras, gt, info = (
             json.loads((scene / f"scene_{name}.json").read_text()) for name in ("camera", "gt", "gt_info")
         )
-        assert cameras.keys() == gt.keys() == info.keys() == {"0", "1"}
+        assert cameras.keys() == gt.keys() == info.keys() == {"0"}
         for image, camera in cameras.items():
             R, t = np.reshape(camera["cam_R_w2c"], (3, 3)), np.array(camera["cam_t_w2c"]) / 1000
             K = np.reshape(camera["cam_K"], (3, 3))

@@ -161,6 +161,7 @@ def test_a_trash_can_stands_left_of_the_dining_table_in_the_first_view() -> None
 # Frames
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", mostly_slow([0, 1, 2, 3]))
 def test_exact_boxes_hold_the_exact_points_of_their_masks(seed: int) -> None:
     frame = frame_of(seed)
@@ -174,6 +175,7 @@ def test_exact_boxes_hold_the_exact_points_of_their_masks(seed: int) -> None:
         assert (local <= box.size / 2 + 1e-3).all(), room_of(seed).instances[index].model.label
 
 
+@pytest.mark.slow
 def test_masks_meet_the_surface_they_name() -> None:
     """The points of the floor lie on the floor: depth, pose and instance ids agree."""
     frame = frame_of(3)
@@ -255,6 +257,7 @@ def test_colour_is_neither_black_nor_burnt_out() -> None:
         assert (rgb.min(axis=2) > 250).mean() < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", mostly_slow([1, 2, 3, 9]))
 def test_the_sun_shines_where_nothing_is_between_it_and_the_point(seed: int) -> None:
     """Asking only the rays that leave by the window gives what asking all of them gives."""

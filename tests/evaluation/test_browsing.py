@@ -53,6 +53,7 @@ def test_a_facet_counts_what_the_rest_of_the_search_finds(number: int, query: st
                 assert len(found) == value.count, (query, facet.name, value)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2), st.sampled_from(QUERIES), st.data())
 def test_a_value_that_is_asked_for_twice_is_taken_back(number: int, query: str, data: st.DataObject) -> None:

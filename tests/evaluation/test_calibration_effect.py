@@ -126,6 +126,7 @@ def test_the_table_says_what_changed(plain: pa.Table, calibrated: pa.Table) -> N
     assert brier[-1] == len(scores.raw)
 
 
+@pytest.mark.slow
 def test_the_truth_has_nothing_to_calibrate(labels: Path) -> None:
     assert not is_calibrated(records_of(spec_of(labels, SHARP, "annotations")))
 

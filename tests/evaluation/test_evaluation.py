@@ -109,6 +109,7 @@ def test_winners_are_those_of_ask(labels: Path, recording: Path, chosen: dict[st
     assert asked > 20
 
 
+@pytest.mark.slow
 def test_the_truth_as_detector_answers_everything_rightly(labels: Path) -> None:
     (table, *_) = evaluate_labels(spec_of(labels, None))
     rows = table.to_pylist()
@@ -266,6 +267,7 @@ def test_a_run_of_relations_alone_is_told_from_no_run(tmp_path: Path) -> None:
         read_records(tmp_path)
 
 
+@pytest.mark.slow
 def test_runs_on_other_labels_are_not_compared(labels: Path) -> None:
     (table, *_) = evaluate_labels(spec_of(labels, None))
     with pytest.raises(InputError, match="no expression in common"):
@@ -339,6 +341,7 @@ def test_tables_of_a_run_hold_every_system(labels: Path, recording: Path) -> Non
         assert values[1] >= values[2] >= values[3]
 
 
+@pytest.mark.slow
 def test_columns_are_all_filled(labels: Path) -> None:
     (table, *_) = evaluate_labels(spec_of(labels, None))
     empty = {name for name in COLUMNS if table.column(name).null_count == table.num_rows}

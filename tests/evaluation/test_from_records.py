@@ -68,6 +68,7 @@ def test_what_is_traced_is_imported_and_judged(imported: pipeline.Run) -> None:
     assert "centres (imported, level 3)" in (answer.needed_trace().detector, answer.needed_trace().scorer)
 
 
+@pytest.mark.slow
 def test_records_at_hand_are_the_run_of_the_file(traced: Path, imported: pipeline.Run) -> None:
     header = Header(system="centres", ranking="product")
     lines = read_predictions(traced).lines.values()
@@ -88,6 +89,7 @@ def test_dicts_are_records_and_what_is_wrong_with_one_names_its_number(traced: P
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.slow
 def test_a_line_that_a_killed_writer_left_is_told(traced: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.jsonl"
     cut.write_bytes(traced.read_bytes().rstrip()[:-3])

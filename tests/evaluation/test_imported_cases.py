@@ -90,6 +90,7 @@ def test_a_case_holds_what_its_verdict_was_found_by(kept: Path, asked: list[tupl
     assert isinstance(open_case(kept / "cases" / "000").source, ImportedPipeline)
 
 
+@pytest.mark.slow
 def test_a_later_version_is_judged_by_the_same_cases(kept: Path, asked: list[tuple[Line, Line]]) -> None:
     later = written(kept / "later.jsonl", [y.line for _, y in asked])
     faults = [x.fault for x, _ in asked[::EVERY]]
@@ -105,6 +106,7 @@ def test_a_later_version_is_judged_by_the_same_cases(kept: Path, asked: list[tup
             assert after.verdict in RIGHT
 
 
+@pytest.mark.slow
 def test_a_file_that_lacks_a_case_is_told(kept: Path, asked: list[tuple[Line, Line]]) -> None:
     others = written(kept / "others.jsonl", [replace(asked[0][0].line, text="cup left of cup")])
     results = list(replayed(kept, predictions=others))

@@ -366,6 +366,7 @@ def test_a_killed_writer_leaves_whole_lines(folder: Path, tmp_path: Path) -> Non
     assert len(read_predictions(path).lines) == ASKED - 1
 
 
+@pytest.mark.slow
 def test_a_ranking_that_can_be_asked_again_is_judged_like_the_product_that_it_is(folder: Path, tmp_path: Path) -> None:
     read = read_predictions(folder / "run.jsonl")
     asked: list[int] = []

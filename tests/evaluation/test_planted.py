@@ -29,7 +29,7 @@ def outcomes(source: Pipeline, modules: tuple[str, ...], every: int) -> list[Out
     return list(planted_failures(source, open_labels(demo_labels()), kinds=kinds, every=every))
 
 
-DENSITIES = [(BY_DEFINITION, 170), (BY_FLIP, 63), (BY_FLIP, 21)]
+DENSITIES = [(BY_DEFINITION, 255), (BY_FLIP, 63), (BY_FLIP, 21)]
 
 
 @pytest.mark.parametrize(("modules", "every"), mostly_slow(DENSITIES, fast=(0, 1), several=True))

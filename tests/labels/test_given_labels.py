@@ -22,12 +22,12 @@ CONFIG = LabelConfig(vocabulary="semantic-abstraction", profile="given", style="
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One view; two of its things are said to be behind and left of others, whatever geometry says."""
     folder = tmp_path_factory.mktemp("given")
-    write_view(folder / f"{VIEW}.hdf5")
+    write_view(folder / f"{VIEW}.hdf5", points=2_000)
     things = open_dataset(folder).load(VIEW).annotations
     names = [a.label for a in things]
     first, second, third = [a for a in things if names.count(a.label) == 1 and a.mask is not None][:3]
     said = [(first.label, first.index, "behind", second.label), (third.label, third.index, "left", first.label)]
-    write_view(folder / f"{VIEW}.hdf5", descriptions=said)
+    write_view(folder / f"{VIEW}.hdf5", points=2_000, descriptions=said)
     return folder
 
 

@@ -47,7 +47,7 @@ def test_what_is_read_back_is_what_was_exported(
         assert content_hash(table, name) == labels.manifest.tables[name].content_hash
 
 
-@pytest.mark.parametrize("format", mostly_slow(FORMATS, fast=(0, 1)))
+@pytest.mark.parametrize("format", mostly_slow(FORMATS, fast=(0,)))
 def test_small_batches_write_the_same_files(
     demo_labels: Labels, format: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -62,7 +62,7 @@ def test_small_batches_write_the_same_files(
             assert other.read_bytes() == path.read_bytes(), path
 
 
-@pytest.mark.parametrize("format", mostly_slow(FORMATS, fast=(0, 1)))
+@pytest.mark.parametrize("format", mostly_slow(FORMATS, fast=(1,)))
 def test_an_export_that_is_stopped_leaves_nothing(
     label_sets: dict[str, Labels], demo_labels: Labels, format: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

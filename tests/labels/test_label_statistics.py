@@ -179,6 +179,7 @@ def test_relations_and_margins_are_those_of_the_rows(labels: Labels) -> None:
     assert found["cells"]["pairs_without_T"] == held.count(0)
 
 
+@pytest.mark.slow
 def test_distance_ambiguity_occlusion_and_text_are_those_of_the_rows(
     labels: Labels, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -214,6 +215,7 @@ def test_distance_ambiguity_occlusion_and_text_are_those_of_the_rows(
     )
 
 
+@pytest.mark.slow
 def test_targets_are_counted_where_they_lie(labels: Labels, monkeypatch: pytest.MonkeyPatch) -> None:
     objects = {(r["frame"], r["object"]): r for r in rows_of(labels, "objects")}
     pairs = rows_of(labels, "relations")
@@ -342,6 +344,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
+@pytest.mark.slow
 def test_a_report_is_whole_and_escaped_and_replaces_only_a_report(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
     many = (*HOSTILE, *(f"class {k}" for k in range(40)))

@@ -258,6 +258,7 @@ def lines(labels: Labels) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (labels.root / SENTENCES_FILE).read_text().splitlines()]
 
 
+@pytest.mark.slow
 def test_the_evaluation_reads_the_file_and_answers_it(labelled: Labels) -> None:
     report = evaluate_sentences(labelled.root / SENTENCES_FILE, open_pipeline("demo"), name="demo")
     assert len(report.judged) == sum(labelled.manifest.sentences.values()) > 60

@@ -57,6 +57,7 @@ def test_the_check_of_answers_finds_false_ones(label_sets: dict[str, Labels], tm
     assert len(verify_vqa(tmp_path / "out", label_sets["demo"])) >= len(records) - 2
 
 
+@pytest.mark.slow
 def test_questions_follow_their_options(label_sets: dict[str, Labels], tmp_path: Path) -> None:
     config = VqaConfig(per_frame=5, kinds=("relation", "grounding"), min_margin=0.2, box_decimals=2, seed=4)
     export_labels(label_sets["demo"], "vqa", tmp_path / "a", options=config)

@@ -84,6 +84,7 @@ def test_article_case_and_separator_do_not_matter(name: str, article: str, gap: 
     assert match(written, COCO)[0] == name
 
 
+@pytest.mark.slow
 def test_normal_form_of_real_names_is_a_fixed_point(shared_data: Path) -> None:
     names = np.load(shared_data / "vectors" / "clip_vitb32_object_names.npz")["names"]
     assert len(names) > 1000

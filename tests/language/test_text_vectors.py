@@ -128,12 +128,14 @@ def compare_with_gensim(path: Path, words: list[str]) -> None:
     np.testing.assert_allclose(unit.vector, oracle.get_sentence_vector(pair), atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lengths", [(3, 6), (5, 5), (1, 3), (2, 9)])
 def test_binary_model_agrees_with_gensim(tmp_path: Path, lengths: tuple[int, int]) -> None:
     path = written(tmp_path / "model.bin", fasttext_bytes(lengths=lengths))
     compare_with_gensim(path, ["armchair", "стулья", "椅子椅子", "mugçé", "überstuhl"])
 
 
+@pytest.mark.slow
 def test_real_binary_model_agrees_with_gensim(shared_data: Path) -> None:
     compare_with_gensim(shared_data / "vectors" / "tiny_fasttext.bin", ["armchair", "tableware", "überall"])
 

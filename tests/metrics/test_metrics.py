@@ -57,6 +57,7 @@ def figures(m: RelationMetrics) -> np.ndarray:
 # Relations, several a pair.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grain", [None, 4, 20])
 @pytest.mark.parametrize("seed", mostly_slow(range(5), fast=(0, 1)))
 def test_relation_metrics_are_those_of_scikit_learn(oracle: Any, seed: int, grain: int | None) -> None:
@@ -238,6 +239,7 @@ def test_names_and_thresholds_must_match_the_columns() -> None:
 # Relations, one a pair.
 
 
+@pytest.mark.slow
 def test_single_label_metrics_are_those_of_scikit_learn(oracle: Any) -> None:
     rng = np.random.default_rng(1)
     truth = rng.integers(0, 6, 400)
@@ -304,6 +306,7 @@ def slow_ece(p: np.ndarray, holds: np.ndarray, bins: int) -> float:
     return total
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(seed=SEEDS, bins=st.sampled_from([1, 2, 10, 15]), grain=st.sampled_from([None, 10, 15]))
 def test_calibration_error_is_that_of_a_plain_loop(oracle: Any, seed: int, bins: int, grain: int | None) -> None:
@@ -322,6 +325,7 @@ def test_calibration_error_is_that_of_a_plain_loop(oracle: Any, seed: int, bins:
     assert (diagram.confidence[held] <= diagram.edges[1:][held] + 1e-12).all()
 
 
+@pytest.mark.slow
 def test_calibration_by_relation_and_pooled(oracle: Any) -> None:
     p, truth = random_cells(5)
     found = calibration_metrics(p, truth)

@@ -24,6 +24,16 @@ OWL: dict[str, tuple[int, Shape]] = {
     "attention_mask": (TensorProto.INT64, ("L", 16)),
 }
 
+WORDS = ("mug", "lap", "##top", "coffee", "of", "the", "left", "dog", "cat", "hot", "tv", "stand", "-", "[", "]", "sep")
+
+
+def bert_vocabulary() -> dict[str, int]:
+    """A vocabulary with BERT's special tokens at BERT's own numbers."""
+    words = {n: f"[unused{n}]" for n in range(1100)}
+    words |= {0: "[PAD]", 100: "[UNK]", 101: "[CLS]", 102: "[SEP]", 103: "[MASK]", 1012: ".", 1029: "?"}
+    words |= {200 + k: w for k, w in enumerate(WORDS)}
+    return {w: n for n, w in words.items()}
+
 
 def write_stub(
     path: Path,

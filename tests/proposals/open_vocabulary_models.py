@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from onnx_stubs import bert_vocabulary
 from reference_code import import_reference
 
 import_reference("transformers")
@@ -29,7 +30,6 @@ from transformers.models.grounding_dino import modeling_grounding_dino as refere
 
 HEIGHT, WIDTH = 96, 128
 SIDE = 96
-WORDS = ("mug", "lap", "##top", "coffee", "of", "the", "left", "dog", "cat", "hot", "tv", "stand", "-", "[", "]", "sep")
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,6 @@ class Export:
     model: Any
     tokenizer: Any
     path: Path
-
-
-def bert_vocabulary() -> dict[str, int]:
-    """A vocabulary with BERT's special tokens at BERT's own numbers."""
-    words = {n: f"[unused{n}]" for n in range(1100)}
-    words |= {0: "[PAD]", 100: "[UNK]", 101: "[CLS]", 102: "[SEP]", 103: "[MASK]", 1012: ".", 1029: "?"}
-    words |= {200 + k: w for k, w in enumerate(WORDS)}
-    return {w: n for n, w in words.items()}
 
 
 def grounding_dino(folder: Path) -> tuple[Any, Any]:

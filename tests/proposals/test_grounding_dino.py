@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from onnx import TensorProto
-from onnx_stubs import GROUNDING, grounding_outputs, write_stub
+from onnx_stubs import GROUNDING, bert_vocabulary, grounding_outputs, write_stub
 from scenes import frame_of, upright
 
 from pipeline.evaluation.run import Referring
@@ -67,8 +67,6 @@ def exported(transformers_export: Export, original_export: Export) -> dict[str, 
 
 @pytest.fixture
 def vocabulary(tmp_path: Path) -> Path:
-    from open_vocabulary_models import bert_vocabulary
-
     path = tmp_path / "vocab.txt"
     words = sorted(bert_vocabulary().items(), key=lambda item: item[1])
     path.write_text("\n".join(w for w, _ in words) + "\n", encoding="utf-8")

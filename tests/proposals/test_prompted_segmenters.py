@@ -197,6 +197,7 @@ def export_efficientsam(folder: Path, *, half: bool = False, queries: bool = Tru
     return encoder, decoder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("half", "queries"), [(False, True), (True, False)])
 def test_efficientsam_takes_picture_pixels_and_the_best_candidate(
     tmp_path: Path, picture: Frame, half: bool, queries: bool

@@ -341,6 +341,7 @@ def test_damage_does_what_it_says(seed: int, pixels: int, angle: float, share: f
     assert (leak >= crop.mask).all()
 
 
+@pytest.mark.slow
 def test_doubted_objects_are_the_same_with_lower_scores() -> None:
     before = simulated(seed=2, **QUIET)
     after = simulated(seed=2, **QUIET, doubted=1, doubted_logit=-6.0)

@@ -73,7 +73,7 @@ def networks(demo: Labels, word_vectors: Path, tmp_path_factory: pytest.TempPath
 VARIANTS = list(product(CLI_FEATURES, ["avd", "semantic-abstraction"]))
 
 
-@pytest.mark.parametrize(("short", "vocabulary"), mostly_slow(VARIANTS, fast=(0, 3, 6), several=True))
+@pytest.mark.parametrize(("short", "vocabulary"), mostly_slow(VARIANTS, fast=(0, 6), several=True))
 def test_every_variant_answers_and_its_card_says_what_made_it(
     short: str, vocabulary: str, networks: dict[tuple, Path]
 ) -> None:
