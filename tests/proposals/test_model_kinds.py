@@ -17,6 +17,7 @@ import pytest
 from model_stubs import STUBS, change, grown, halved, loosened, poisoned, write_model
 from onnx_stubs import OWL, write_stub
 from scenes import frame_of, upright
+from slow_cases import mostly_slow
 from waiting import LONG_S
 
 from pipeline.geometry import Frame
