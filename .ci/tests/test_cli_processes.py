@@ -9,6 +9,7 @@ import subprocess
 import sys
 import sysconfig
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,9 @@ def started(
 ) -> subprocess.Popen[str]:
     """The program with its streams in pipes, as a context that waits for its end."""
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **more}
-    return subprocess.Popen([*program, *words], env=env, text=True, **streams)
+    # A job that a script starts with & ignores Ctrl-C, and so does whatever it starts.
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    return subprocess.Popen([*program, *words], env=env, text=True, preexec_fn=heard, **streams)
 
 
 def first_line(process: subprocess.Popen[str]) -> tuple[str, str]:
