@@ -92,7 +92,6 @@ def test_an_export_that_nobody_changed_brings_no_event(exported: Path, take: Tak
     assert (report.edits, report.saved, report.conflicts, report.problems, report.notes) == ((), None, (), (), ())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("format", mostly_slow(["coco", "jsonl"]))
 def test_a_corrected_export_that_nobody_changed_brings_no_event(
     demo_labels: Labels, full_corrector: Corrector, demo_dataset: Dataset, journal: Journal, take: Take, format: str,
