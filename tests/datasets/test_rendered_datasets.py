@@ -49,6 +49,7 @@ def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_pictures(rendered: Path, tmp_path: Path) -> None:
     render_dataset(tmp_path / "other", rooms=1, views=1, seed=4, **SIZE)
     image = "000001/rgb/000000.jpg"

@@ -230,6 +230,7 @@ def test_a_relation_that_is_as_probable_of_every_pair_is_the_scorers_fault(
     assert "LIFT" not in wrong
 
 
+@pytest.mark.slow
 def test_a_relation_of_a_box_that_is_off_as_no_other_is_the_boxs_fault(tmp_path: Path) -> None:
     dataset, labels = open_pipeline("demo", srm="rule").dataset, open_labels(demo_labels())
     every = (x.line for x in lines(CENTRES, dataset, labels, 4, every=10, share=0.0))

@@ -77,6 +77,7 @@ def test_where_nothing_is_right_a_refusal_is(source: Pipeline, tmp_path: Path, t
         assert outcome(source, path, refused, **nothing) == ("CORRECT", None, False), refused
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sentence", "failed"),
     [

@@ -32,7 +32,7 @@ def outcomes(source: Pipeline, modules: tuple[str, ...], every: int) -> list[Out
 DENSITIES = [(BY_DEFINITION, 255), (BY_FLIP, 63), (BY_FLIP, 21)]
 
 
-@pytest.mark.parametrize(("modules", "every"), mostly_slow(DENSITIES, fast=(0, 1), several=True))
+@pytest.mark.parametrize(("modules", "every"), mostly_slow(DENSITIES, several=True))
 def test_the_verdict_names_the_planted_module(source: Pipeline, modules: tuple[str, ...], every: int) -> None:
     by_module: dict[str, Counter[str]] = {}
     for (module, _), verdicts in confusion(outcomes(source, modules, every)).items():

@@ -332,6 +332,7 @@ def test_labels_of_other_objects_are_refused(label_sets: dict[str, Labels], tmp_
     assert measured(labels, tmp_path / "stored", geometry="stored").pairs > 0
 
 
+@pytest.mark.slow
 def test_a_vision_language_model_is_asked_about_a_sample(
     label_sets: dict[str, Labels], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

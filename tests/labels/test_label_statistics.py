@@ -271,6 +271,7 @@ FEW: list[dict[str, Any]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", mostly_slow(FEW, fast=(1, 2, 3, 4)), ids=str)
 def test_labels_without_rows_have_statistics_and_a_report(tmp_path: Path, of: dict[str, Any]) -> None:
     labels = make_labels(tmp_path / "labels", **of)
