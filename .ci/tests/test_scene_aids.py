@@ -38,7 +38,7 @@ def opened() -> tuple[Pipeline, State]:
     loaded = store.load("demo", source.dataset.frame_ids[0])
     trace = source.ask(loaded.context, DEMO_EXPRESSION)
     state = State("demo", loaded.context.frame.id, loaded=loaded, text=DEMO_EXPRESSION, trace=trace)
-    state = replace(state, shown=shown_objects(loaded, trace, trace.exact))
+    state = replace(state, found=shown_objects(loaded, trace, trace.exact))
     return source, replace(state, pair=state.at(state.ranked[0]))
 
 

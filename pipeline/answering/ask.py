@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.answering.asked_names import detections
 from pipeline.answering.evidence import SceneEvidence
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of, same_object
-from pipeline.answering.pair_table import TIE
+from pipeline.answering.pair_table import TIE, ScoredPair
 from pipeline.answering.ranking import Candidates, RankConfig, Ranking, RelationLookup, rank
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig
@@ -114,6 +114,36 @@ class Trace:
     def name(self, index: int) -> str:
         """An object as tables call it: "mug·4"."""
         return self.objects[index].name(index, self.exact)
+
+    def under(self, name: str, index: int) -> SceneObject:
+        """An object with the label and the score that it has under one name of the question.
+
+        A detector may know one and the same thing as a cup and, less surely, as a bowl.
+        """
+        found = self.candidates[name]
+        at = int(np.flatnonzero(found.index == index)[0])
+        label = found.labels[at] if found.labels else self.objects[index].label
+        return replace(self.objects[index], label=label, score=float(found.told[at]))
+
+    def names_in(self, pair: ScoredPair) -> dict[int, str]:
+        """The objects of a pair, as places in `objects`, with the names of the question that they are asked for by."""
+        found, links = {pair.target: self.root.label}, iter(pair.links)
+
+        def below(node: Node) -> None:
+            for attachment in node.attachments:
+                if attachment.of_pairs and (link := next(links, None)) is not None:
+                    for end, place in zip(attachment.nodes, (link.b, link.c), strict=False):
+                        if place is not None:
+                            found.setdefault(place, end.label)
+                    for end in attachment.nodes:
+                        below(end)
+
+        ends = () if self.asked is None else self.asked.nodes
+        for end, place in zip(ends, (pair.reference, pair.second_reference), strict=False):
+            if place is not None:
+                found.setdefault(place, end.label)
+        below(self.root)
+        return found
 
     @property
     def missing(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -195,28 +195,17 @@ def _best_record(trace: Trace) -> Record | None:
     second = best.second_reference
     names = [] if trace.asked is None else [n.label for n in trace.asked.nodes]
     return {
-        "target": _role_record(trace, trace.root.label, best.target),
-        "reference": None if best.reference is None else _role_record(trace, names[0], best.reference),
+        "target": object_record(trace.under(trace.root.label, best.target)),
+        "reference": None if best.reference is None else object_record(trace.under(names[0], best.reference)),
         "holds": best.holds,
         "relation_probability": _probability(best.relation_probability),
         "probability": _probability(best.probability),
         "p_relation": _probability(best.p_relation),
         "product": _probability(best.product),
     } | present(
-        second_reference=None if second is None else _role_record(trace, names[1], second),
+        second_reference=None if second is None else object_record(trace.under(names[1], second)),
         fails=None if best.holds else [_link_record(link) for link in failing_links(best)],
     )
-
-
-def _role_record(trace: Trace, name: str, index: int) -> Record:
-    """An object with the label and the score that it has under one name of the expression.
-
-    A detector may know one and the same thing as a cup and, less surely, as a bowl.
-    """
-    candidates = trace.candidates[name]
-    at = int(np.flatnonzero(candidates.index == index)[0])
-    raw = candidates.scores if candidates.raw_scores is None else candidates.raw_scores
-    return object_record(replace(trace.objects[index], label=candidates.labels[at], score=float(raw[at])))
 
 
 def why_no_answer(trace: Trace) -> str | None:

@@ -54,6 +54,11 @@ class Candidates:
     labels: tuple[str, ...] = ()
     raw_scores: np.ndarray | None = None
 
+    @property
+    def told(self) -> np.ndarray:
+        """(K,) float64: the detector's own scores."""
+        return self.scores if self.raw_scores is None else self.raw_scores
+
     def __repr__(self) -> str:
         return f"<Candidates {len(self.index)}: objects {' '.join(map(str, self.index.tolist()))}>"
 

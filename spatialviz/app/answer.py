@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import headline, probability, told, why_no_answer
+from pipeline.answering.json_records import headline, pair_words, probability, told, why_no_answer
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
@@ -104,8 +104,7 @@ def answer_in_words(state: State, trace: Trace) -> str:
     """The answer as a line of the log."""
     sentence = why_no_answer(trace)
     if sentence is None and state.pair is not None:
-        names = ", ".join(state.shown.names[i] for i in dict.fromkeys(state.pair))
-        sentence = told(trace, state.name_of).sentence(names)
+        sentence = told(trace, state.name_of).sentence(pair_words(trace, state.ranked[0], state.name_of))
     return f"“{state.text}”: {sentence} ({sum(trace.timings.values()) * 1000:.0f} ms)"
 
 
@@ -136,11 +135,11 @@ def _alone(state: State, trace: Trace) -> Element | None:
 
 def _names(state: State, trace: Trace, pair: ScoredPair) -> Element:
     colors = palette(state.dark)
-    target, *ends = state.at(pair)
-    parts: list[Child] = [named(colors["target"], state.shown.names[target])]
-    for k, end in enumerate(() if pair.reference is None else ends):
+    parts: list[Child] = [named(colors["target"], state.name_of(pair.target))]
+    ends = [k for k in (pair.reference, pair.second_reference) if k is not None]
+    for k, end in enumerate(ends):
         joint = h.span("and" if k else trace.phrase, cls="dim")
-        parts += [" ", joint, " ", named(colors["reference"], state.shown.names[end])]
+        parts += [" ", joint, " ", named(colors["reference"], state.name_of(end))]
     return h.h2(parts, cls="names", id="answer-names")
 
 

@@ -149,7 +149,8 @@ def _pair(state: State) -> Child:
     relation = trace.relation
     ends = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
     a, b = (state.shown.place[k] for k in ends)
-    return heading("Chosen pair", f"{state.shown.names[a]} {PHRASE[relation]} {state.shown.names[b]}"), _slider(
+    names = [state.name_of(k) for k in ends]
+    return heading("Chosen pair", f"{names[0]} {PHRASE[relation]} {names[1]}"), _slider(
         f"relation:{a}:{b}", f"P({PHRASE[relation]})", pair.p_relation,
         "the probability of the asked relation for this pair",
     )  # fmt: skip

@@ -212,7 +212,7 @@ class LabelObject(LabelPart):
         entry = objects[state.selected]
         objects[state.selected] = replace(entry, lifted=replace(entry.lifted, box=box))
         there = replace(state.shown, objects=tuple(objects))
-        self.state = replace(state, shown=there, labels=replace(view, moved=moved))
+        self.state = replace(state, found=there, labels=replace(view, moved=moved))
         self.ctx.draw(live=True)
 
     # ---- drawing ----------------------------------------------------------------------

@@ -131,7 +131,7 @@ def _looking_at(state: State, view: LabelView, pair: Sequence[int], selected: in
     return replace(
         state,
         labels=view,
-        shown=Shown(objects, tuple(f"{o.label}·{o.id}" for o in objects), {}),
+        found=Shown(objects, tuple(f"{o.label}·{o.id}" for o in objects), {}),
         pair=view.places(*pair) if len(pair) > 1 else None,
         selected=None if selected is None else view.place(selected),
     )

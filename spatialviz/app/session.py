@@ -96,7 +96,7 @@ class Session(Context):
 
     def _forget(self) -> None:
         """Let go of frames and clouds at once: sessions refer to themselves, and are collected late."""
-        self.state = replace(self.state.unasked, loaded=None, shown=NOTHING)
+        self.state = replace(self.state.unasked, loaded=None, found=NOTHING)
         self._cloud.follow()
 
     # ---- the browser ------------------------------------------------------------------
@@ -279,7 +279,7 @@ class Session(Context):
         try:
             loaded = self._load(first, scored=not correcting)
         except InputError as error:
-            self.state = replace(self.state, loaded=None, problem=str(error), shown=NOTHING)
+            self.state = replace(self.state, loaded=None, problem=str(error), found=NOTHING)
             self.note(str(error))
         else:
             if stays:
@@ -299,7 +299,7 @@ class Session(Context):
         viewer = loaded.context.viewer
         if scored and (scores := self.source.score(loaded.context, loaded.objects)) is not None:
             self._suggestions = suggest_expressions(loaded.objects, scores, viewer)
-        self.state = replace(self.state, loaded=loaded, shown=shown_objects(loaded, None, self._exact))
+        self.state = replace(self.state, loaded=loaded, found=shown_objects(loaded, None, self._exact))
         self._cloud.place_anew = first
         remarks = [f"frame {frame_id}: {counted(len(loaded.objects), 'object')}, up {viewer.up_source}"]
         remarks += dataset_notes(self.source.dataset) if first else ()
@@ -350,7 +350,7 @@ class Session(Context):
             shown = shown_objects(loaded, None, self._exact)
             # Which names a frame has is said beside the field; the detector knows many more.
             said = error.what if isinstance(error, UnknownClass) else str(error)
-            self.state = replace(self.state, error=said, unread=why_unread(error), shown=shown, selected=None)
+            self.state = replace(self.state, error=said, unread=why_unread(error), found=shown, selected=None)
             self.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)
@@ -371,7 +371,7 @@ class Session(Context):
         self.state = replace(
             self.state,
             trace=trace,
-            shown=shown_objects(loaded, trace, trace.exact),
+            found=shown_objects(loaded, trace, trace.exact),
             judged=self._judged(trace),
             other=self._judge.other(name, loaded.context, text, self.state.expression_id(text)),
         )
@@ -400,7 +400,7 @@ class Session(Context):
     @command("clear")
     def _clear(self) -> None:
         shown = shown_objects(there(self.state.loaded), None, self._exact)
-        self.state = replace(self.state.unasked, text="", shown=shown)
+        self.state = replace(self.state.unasked, text="", found=shown)
         self.page.call("question", "")
         self.draw()
 

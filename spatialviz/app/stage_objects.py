@@ -52,14 +52,12 @@ def _candidates(state: State, number: int, name: str, found: Candidates) -> Elem
     for k in np.argsort(-found.scores, kind="stable").tolist():
         i = int(found.index[k])
         place = state.shown.place[i]
-        called = found.labels[k] if found.labels and found.labels[k] != name else ""
         mark, cls = ("", "") if judged is None or not judged.gold else _mark(judged, i)
         rows.append(
             h.tr(
                 h.td(thumb(state, place)),
                 h.td(
-                    _named(state, place),
-                    h.div(f"as {called}", cls="dim") if called else None,
+                    named(palette(state.dark)[state.roles.get(place, "other")], state.name_of(i)),
                     h.div(mark, cls=f"mark {cls}".strip()) if mark else None,
                     cls="w",
                 ),

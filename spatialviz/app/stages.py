@@ -183,7 +183,7 @@ def _numbers(pair: ScoredPair, fit: bool) -> list[float]:
 
 def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
     colors = palette(state.dark)
-    target, *others = state.at(pair)
+    others = [k for k in (pair.reference, pair.second_reference) if k is not None]
     rank, before = (None, None) if state.edited is None else state.edited.pair_before(pair)
     *factors, posterior = _numbers(pair, fit)
     old = [None] * (len(factors) + 1) if before is None else _numbers(before, fit)
@@ -198,10 +198,10 @@ def _row(state: State, i: int, pair: ScoredPair, fit: bool) -> Element:
     return h.tr(
         cell(i + 1, None if rank in (None, i + 1) else f"was rank {rank}", "n dim"),
         h.td(
-            h.div(named(colors["target"], state.shown.names[target])),
+            h.div(named(colors["target"], state.name_of(pair.target))),
             None
             if pair.reference is None
-            else h.div(named(colors["reference"], ", ".join(state.shown.names[k] for k in others))),
+            else h.div(named(colors["reference"], ", ".join(state.name_of(k) for k in others))),
             cls="w",
         ),
         cells,
@@ -259,8 +259,7 @@ def _ends(state: State, pair: ScoredPair) -> Element:
 
 
 def _name(state: State, place: int | None) -> str:
-    at = None if place is None else state.shown.place.get(place)
-    return "?" if at is None else state.shown.names[at]
+    return "?" if place is None or place not in state.shown.place else state.name_of(place)
 
 
 def _matrix(state: State, trace: Trace) -> list[Child]:

@@ -18,7 +18,7 @@ from pipeline.diagnosis.whatif.changes import PairKeys, pair_keys, ranked_pairs
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.rerun import Outcome
-from pipeline.diagnosis.whatif.shown import NOTHING, Shown, shown_objects, with_confidences
+from pipeline.diagnosis.whatif.shown import NOTHING, Shown, shown_objects
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.palette import Role
 from pipeline.proposals.base import Detector
@@ -123,7 +123,8 @@ class AnswerView:
     loaded : LoadedFrame or None
         None where the frame is broken.
     trace : Trace or None
-    shown : Shown
+    found : Shown
+        What `shown` is made of.
     pair : tuple of int or None
         The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank.
     selected : int or None
@@ -140,7 +141,7 @@ class AnswerView:
 
     loaded: LoadedFrame | None = None
     trace: Trace | None = None
-    shown: Shown = NOTHING
+    found: Shown = NOTHING
     pair: tuple[int, ...] | None = None
     selected: int | None = None
     judged: Diagnosis | str | None = None
@@ -148,9 +149,17 @@ class AnswerView:
     edits: Edits = field(default_factory=Edits)
     edited: BothAnswers | None = None
 
+    @cached_property
+    def shown(self) -> Shown:
+        """All objects, each of the chosen pair under the name and with the score of its role there."""
+        chosen = self.chosen
+        return self.found if self.trace is None or chosen is None else self.found.in_roles(self.trace, chosen)
+
     def name_of(self, i: int) -> str:
-        """The name of an object of the trace."""
-        return self.shown.names[self.shown.place[i]]
+        """The name of an object of the trace, by what it was found as."""
+        assert self.trace is not None
+        number = self.found.names[self.found.place[i]].rpartition("·")[2]
+        return f"{self.trace.objects[i].label}·{number}"
 
     def key_at(self, place: int, keys: tuple[str, ...]) -> str | None:
         """The key of the object at a place, with `keys` those of the trace's objects; None where they do not have it.
@@ -181,7 +190,7 @@ class AnswerView:
         A thing alone stands twice.
         """
         ends = (pair.target, pair.target if pair.reference is None else pair.reference, pair.second_reference)
-        return tuple(self.shown.place[i] for i in ends if i is not None)
+        return tuple(self.found.place[i] for i in ends if i is not None)
 
     @property
     def chosen(self) -> ScoredPair | None:
@@ -258,7 +267,7 @@ class AnswerView:
             edits=edits,
             edited=edited if edits else None,
             judged=judged,
-            shown=with_confidences(shown_objects(self.loaded, trace, trace.exact, edited.before.trace), edits, outcome),
+            found=shown_objects(self.loaded, trace, trace.exact, edited.before.trace),
             pair=None,
             selected=None,
         )
@@ -315,7 +324,7 @@ def answer_view(context: PreparedFrame, outcome: Outcome, edits: Edits, key: str
         The answer has no object of the key.
     """
     loaded, trace = LoadedFrame(context, ()), outcome.trace
-    view = AnswerView(loaded=loaded, trace=trace, shown=shown_objects(loaded, trace, trace.exact), edits=edits)
+    view = AnswerView(loaded=loaded, trace=trace, found=shown_objects(loaded, trace, trace.exact), edits=edits)
     pair = next(map(view.at, view.ranked), None)
     known = key is None or key in outcome.keys
     require(known, "the answer has no such object", got=key, expected=", ".join(outcome.keys[:30]))

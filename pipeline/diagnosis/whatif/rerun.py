@@ -290,9 +290,10 @@ def _repainted(
 def _with_confidences(candidates: dict[str, Candidates], keys: tuple[str, ...], edits: Edits) -> dict[str, Candidates]:
     result = dict(candidates)
     for name, own in candidates.items():
-        given = [edits.confidences.get((name, keys[at])) for at in own.index.tolist()]
-        scores = np.array([s if p is None else p for s, p in zip(own.scores.tolist(), given, strict=True)], np.float64)
-        result[name] = replace(own, scores=scores)
+        given = [edits.confidences.get((name, keys[at]), np.nan) for at in own.index.tolist()]
+        told = np.isfinite(np.array(given, np.float64))
+        scores, raw = (np.where(told, given, p) for p in (own.scores, own.told))
+        result[name] = replace(own, scores=scores, raw_scores=raw)
     return result
 
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.objects import SceneObject
-from pipeline.diagnosis.whatif.edits import Edits
-from pipeline.diagnosis.whatif.rerun import Outcome
+from pipeline.answering.pair_table import ScoredPair
 
 
 @dataclass(frozen=True)
@@ -31,6 +28,16 @@ class Shown:
     names: tuple[str, ...]
     place: Mapping[int, int]
 
+    def in_roles(self, trace: Trace, pair: ScoredPair) -> Shown:
+        """The same, with each object of a pair under the name that it is asked for there, and with that name's score.
+
+        A detector may take one thing for a mug and, less surely, for a laptop; its number stays.
+        """
+        objects = list(self.objects)
+        for i, name in trace.names_in(pair).items():
+            objects[self.place[i]] = trace.under(name, i)
+        return replace(self, objects=tuple(objects), names=_named(objects, trace.exact))
+
 
 NOTHING = Shown((), (), {})
 """Of a broken frame."""
@@ -39,29 +46,34 @@ NOTHING = Shown((), (), {})
 def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before: Trace | None = None) -> Shown:
     """All objects of a frame, then those that only the question's own detector runs found.
 
-    What an edit took out of the question keeps the name that the answer `before` gave it.
+    One that was found under several names of the question goes by the one that it is most surely, until it is looked at
+    as a part of a pair (`Shown.in_roles`). What an edit took out of the question keeps the name that the answer
+    `before` gave it.
     """
     objects = list(loaded.objects)
     by_id = {o.id: i for i, o in enumerate(objects) if o.id >= 0}
-    for entry in () if before is None else before.objects:
+    for _, entry in () if before is None else _most_surely(before):
         if entry.id in by_id:
             objects[by_id[entry.id]] = entry
     place: dict[int, int] = {}
-    for i, entry in enumerate(() if trace is None else trace.objects):
+    for i, entry in () if trace is None else _most_surely(trace):
         at = place[i] = by_id.get(entry.id, len(objects))
-        # The question's name and score are those the answer was made with.
         objects[at : at + 1] = [entry]
-    return Shown(tuple(objects), tuple(o.name(i, exact) for i, o in enumerate(objects)), place)
+    return Shown(tuple(objects), _named(objects, exact), place)
 
 
-def with_confidences(shown: Shown, edits: Edits, outcome: Outcome) -> Shown:
-    """The objects with the scores that edits give them under the name they go by."""
-    objects = list(shown.objects)
-    for (name, key), p in edits.confidences.items():
-        candidates = outcome.trace.candidates.get(name)
-        if candidates is not None and key in outcome.keys:
-            at = outcome.keys.index(key)
-            place, here = shown.place[at], np.flatnonzero(candidates.index == at)
-            if len(here) and candidates.labels[here[0]] == objects[place].label:
-                objects[place] = replace(objects[place], score=p)
-    return replace(shown, objects=tuple(objects))
+def _most_surely(trace: Trace) -> Iterator[tuple[int, SceneObject]]:
+    """The places of a trace's objects, each with its object under the name that the detector is surest of."""
+    best: dict[int, tuple[float, SceneObject]] = {}
+    for name, found in trace.candidates.items():
+        for i, score in zip(found.index.tolist(), found.scores.tolist(), strict=True):
+            number = trace.objects[i].id
+            key = number if number >= 0 else -1 - i
+            if key not in best or score > best[key][0]:
+                best[key] = score, trace.under(name, i)
+    for i, entry in enumerate(trace.objects):
+        yield i, best.get(entry.id if entry.id >= 0 else -1 - i, (0.0, entry))[1]
+
+
+def _named(objects: list[SceneObject], exact: bool) -> tuple[str, ...]:
+    return tuple(o.name(i, exact) for i, o in enumerate(objects))
