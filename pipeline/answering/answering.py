@@ -82,15 +82,15 @@ class FrameAnswers:
         scores: RelationScores | None,
         unknown: dict[str, str],
     ) -> None:
-        rank = source.config.rank.of([o.id for o in objects])
+        with self.clock.stage("rank"):
+            self.same = same_object(objects, told_by_ids(source.needed_detector()))
+        rank = source.config.rank.of([o.id for o in objects], self.same)
         if rank is not source.config.rank:
             source = replace(source, config=replace(source.config, rank=rank))
         self.source, self.context, self.objects, self.candidates = source, context, objects, candidates
         self.unknown = unknown
         self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
         self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
-        with self.clock.stage("rank"):
-            self.same = same_object(objects, told_by_ids(source.needed_detector()))
         self._scores = scores
 
     @classmethod

@@ -281,7 +281,7 @@ def ranked(
         alike = same(trace.objects)
         lookup = edited(relation_lookup(trace.scores, trace.objects, alike))
         sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
-        config = config.of([o.id for o in trace.objects])
+        config = config.of([o.id for o in trace.objects], alike)
         ranking = rank(trace.query.readings, trace.candidates, lookup, alike, sizes, config, scene_evidence(trace))
     return replace(trace, ranking=ranking)
 

@@ -19,14 +19,22 @@ from pydantic import TypeAdapter
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.answering.pair_rules import Rescore, RuledConfig, RunRules, factors_of, line_rule, missing_row
+from pipeline.answering.pair_rules import (
+    Rescore,
+    RuledConfig,
+    RunRules,
+    factors_of,
+    given_names,
+    line_rule,
+    missing_row,
+)
 from pipeline.answering.placing import box_2d, box_3d
 from pipeline.answering.predictions import Prediction, Predictions, Proposal, read_predictions
 from pipeline.answering.shown_scorer import ShownScorer
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
 from pipeline.language.expression import parse
-from pipeline.language.naming import match, suggest
+from pipeline.language.naming import suggest
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.language.tree import Query
 from pipeline.proposals.base import Proposals, no_proposals
@@ -99,7 +107,8 @@ class GivenDetector:
                 raise UnknownClass((self.line.unknown or {})[label])
         if labels is not None:
             where = f"the file {self.predictions.path.name}"
-            names = tuple(dict.fromkeys(n for label in labels for n in meant_names(label, names, None, where)))
+            meant = ((label,) if label in names else meant_names(label, names, None, where) for label in labels)
+            names = tuple(dict.fromkeys(name for found in meant for name in found))
         best: dict[int, tuple[str, Proposal]] = {}
         at: dict[int, Prediction] = {}
         for line in lines:
@@ -302,7 +311,7 @@ def needed_names(line: Prediction, names: Collection[str], predictions: Predicti
     """InputError where a line with proposals has none, not even an empty list, for a name that the expression asks."""
     for name in names:
         require(
-            line.proposals is None or name in (line.unknown or {}) or match(name, tuple(line.proposals)),
+            line.proposals is None or name in (line.unknown or {}) or given_names(name, line),
             f"{predictions.where(line, 'proposals')}: nothing for {name!r}, which the expression asks for",
             got=", ".join(line.proposals or ()) or "no names",
             expected="an empty list where nothing was found",
@@ -310,10 +319,10 @@ def needed_names(line: Prediction, names: Collection[str], predictions: Predicti
         )
 
 
-def needed_rows(line: Prediction, predictions: Predictions) -> None:
+def needed_rows(line: Prediction, predictions: Predictions, gold: tuple[str, str, str] | None = None) -> None:
     """InputError where a line with relations lacks the probability of a pair that it asks for: none is made up; or
-    answers with another pair than one of these."""
-    missing = missing_row(line) if line.ranked else None
+    answers with another pair than one of these. `gold` is target, relation and reference, where they are known."""
+    missing = missing_row(line, gold) if line.ranked else None
     if missing is not None and missing[0] in PAIRWISE:
         relation, a, b = missing
         raise InputError(

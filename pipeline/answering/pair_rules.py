@@ -15,11 +15,11 @@ from functools import cached_property, lru_cache, partial
 import numpy as np
 
 from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, RankConfig, Side
-from pipeline.answering.predictions import Header, Prediction, Predictions
+from pipeline.answering.predictions import GivenAnswer, Header, Prediction, Predictions
 from pipeline.answering.shown_ranking import SCALES, Scale, ShownRanking
 from pipeline.language.expression import parse
 from pipeline.language.naming import match
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Rescore = Callable[[Prediction, np.ndarray, np.ndarray], np.ndarray]
 """(line, ids (P, 2) int64, factors (P, 3) float64) -> scores (P,): the other pipeline's own ranking, asked again. An id
@@ -39,9 +39,18 @@ def factors_of(line: Prediction) -> Factors:
     return {(r[0], r[1]): (first[r[0]], second[r[1]], r[-1]) for r in rows if r[0] in first and r[1] in second}
 
 
-def missing_row(line: Prediction) -> tuple[str, int, int] | None:
-    """The relation that a line asks, and the first pair of candidates that it has no probability for; None for none."""
-    return _lacking(line, _asked(line))
+def given_names(name: str, line: Prediction) -> tuple[str, ...]:
+    """The names of a line's proposals that a name of its expression means: the very same alone, where it is there."""
+    names = tuple(line.proposals or ())
+    return (name,) if name in names else match(name, names)
+
+
+def missing_row(line: Prediction, gold: tuple[str, str, str] | None = None) -> tuple[str, int, int] | None:
+    """The relation that a line asks, and the first pair of candidates that it has no probability for; None for none.
+
+    `gold` is what is asked (target, relation, reference), where that is known.
+    """
+    return _lacking(line, gold or _asked(line))
 
 
 def _lacking(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, int, int] | None:
@@ -52,9 +61,11 @@ def _lacking(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str,
 
 def _ends(line: Prediction, asked: tuple[str, str, str] | None) -> tuple[str, list[dict[int, float]]]:
     """The relation that is asked, and the scores by id of what is proposed for its target and its reference."""
-    proposals = line.proposals or {}
-    names = [match(name, tuple(proposals)) for name in (asked[0], asked[2])] if asked else [(), ()]
-    scores = [{p.id: p.score for name in known for p in proposals[name] if p.dropped is None} for known in names]
+    scores: list[dict[int, float]] = [{}, {}]
+    for asked_name, found in zip((asked[0], asked[2]) if asked else (), scores, strict=False):
+        for p in (p for name in given_names(asked_name, line) for p in (line.proposals or {})[name]):
+            if p.dropped is None:
+                found[p.id] = max(p.score, found.get(p.id, 0.0))
     return asked[1] if asked else "", scores
 
 
@@ -141,7 +152,7 @@ class PairRule:
     Attributes
     ----------
     given : dict of (target id, reference id) to float
-        As the line says.
+        As the line says, or by the model where it says no scores.
     factors : dict of (target id, reference id) to (P(target), P(reference), P(relation))
         What these scores were given for.
     model : callable or None
@@ -157,6 +168,10 @@ class PairRule:
     true_scores : (float, float)
     answered : str or None
         Of a line that does not tell what ranked: its answer in words, which no number of ours may stand beside.
+    scored : bool
+        `given` are scores of the file.
+    first : GivenAnswer or None
+        What was answered, where it is still to be put first among the pairs that are two things: `among`.
     ids : (N,) int64
         Of the list of objects that the table of pairs is about.
     """
@@ -169,7 +184,29 @@ class PairRule:
     told: bool = True
     true_scores: tuple[float, float] = RankConfig().true_scores
     answered: str | None = None
+    scored: bool = False
+    first: GivenAnswer | None = None
     ids: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+
+    def among(self, ids: Sequence[int], same: np.ndarray) -> PairRule | None:
+        """With the answer before all others of a list of objects; None where the header's product says so by itself.
+
+        Raises
+        ------
+        InputError
+            Target and reference of the answer are one thing by `same`, (N, N) bool, and others are not.
+        """
+        if self.first is None:
+            return self
+        if not any(a == self.first.object and self.first.reference in (None, b) for a, b in self.given):
+            return None if not self.told else replace(self, first=None)
+        known = np.array(ids, np.int64)
+        apart = {(int(known[i]), int(known[j])) for i, j in np.argwhere(~same)}
+        scores = {pair: score for pair, score in self.given.items() if pair in apart or pair[1] < 0}
+        put = _answered_first(self.first, scores, 0.0 if self.scored else 1.0)
+        if put == scores and not self.told:
+            return None
+        return replace(self, given=self.given | put, first=None)
 
     @cached_property
     def _known(self) -> tuple[dict[Pair, int], np.ndarray, np.ndarray, np.ndarray]:
@@ -239,50 +276,66 @@ class RuledConfig(RankConfig):
     def true_scores(self) -> tuple[float, float]:
         return super().true_scores if self.pairs is None else self.pairs.true_scores
 
-    def of(self, ids: Sequence[int]) -> RuledConfig:
-        """The same for a list of objects with these ids."""
-        return self if self.pairs is None else replace(self, pairs=replace(self.pairs, ids=np.array(ids, np.int64)))
+    def of(self, ids: Sequence[int], same: np.ndarray | None = None) -> RuledConfig:
+        """The same for a list of objects with these ids, of which some are one thing ((N, N) bool)."""
+        rule = self.pairs if self.pairs is None or same is None else self.pairs.among(ids, same)
+        return replace(self, pairs=None if rule is None else replace(rule, ids=np.array(ids, np.int64)))
 
 
 def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore | None) -> PairRule | None:
-    """The rule of a line; None where its ranking is the header's product, and gives the line's answer."""
+    """The rule of a line; None where its ranking is the header's product, and no answer is to stand before that."""
     if not line.ranked:
         return _unranked(header, line)
     factors = factors_of(line)
     told = _told_scores(header, line, factors)
+    first = line.answer
     if header.ranking == "product":
-        # What overlaps is no pair with "overlap", and so the best product need not be the answer.
-        if header.same == "overlap" or not factors or 1.0 not in told.values():
+        if not factors or first is None:
             return None
-        rule = PairRule(told, factors, partial(_product, header), told=False)
+        rule = PairRule({}, factors, partial(_product, header), told=False, first=first)
     elif rescore is not None:
-        rule = PairRule(told, factors, partial(_rescored, rescore, line))
+        rule = PairRule(told, factors, partial(_rescored, rescore, line), first=first)
     else:
-        model = run.shown and partial(_shown, run.shown)
-        rule = PairRule(told, factors, model, true_scores=run.true_scores)
+        # Of a sentence of more than two names no factors are known, and so nothing of what another truth would score.
+        model = partial(_shown, run.shown) if run.shown is not None and factors else None
+        rule = PairRule(told, factors, model, true_scores=run.true_scores, first=first)
         if run.shown is not None:
             rule = replace(rule, unit=run.shown.unit, scale=run.shown.scale)
     if header.ranking == "pair_scores":
-        return replace(rule, given=_answered_first(line, told, 0.0))
-    if rule.model is None or 1.0 not in told.values():
-        return rule if told else None
+        scores = _unscored_last(told, factors, first)
+        best = max(told, key=told.__getitem__, default=None)
+        if first is None and best is not None:
+            # Scores may be too small for their differences to be seen.
+            first = GivenAnswer(best[0], None if best[1] < 0 else best[1])
+        return replace(rule, given=scores, scored=True, first=first)
+    if rule.model is None or not factors:
+        return rule if told else _unranked(header, line)
     # Of the answer it is known that it stands above all others, and no more.
-    pairs = list(factors)
-    scores = dict(zip(pairs, rule.model(np.array(pairs), np.array(list(factors.values()))).tolist(), strict=True))
-    first = _answered_first(line, scores, 1.0)
-    return None if header.ranking == "product" and first == scores else replace(rule, given=first)
+    scores = rule.model(np.array(list(factors), np.int64), np.array(list(factors.values()))).tolist()
+    return replace(rule, given=dict(zip(factors, scores, strict=True)))
 
 
-def _answered_first(line: Prediction, scores: dict[Pair, float], ahead: float) -> dict[Pair, float]:
+def _unscored_last(told: dict[Pair, float], factors: Factors, answer: GivenAnswer | None) -> dict[Pair, float]:
+    """Scores with those of pairs that a line has factors of and no scores: it did not rank them, and so they stand
+    below all that it did."""
+    if not told or factors.keys() <= told.keys():
+        return told
+    least = min(told.values())
+    below = least - STEP * (abs(least) or 1.0)
+    return {**dict.fromkeys(factors, below), **told}
+
+
+def _answered_first(answer: GivenAnswer, scores: dict[Pair, float], ahead: float) -> dict[Pair, float]:
     """Scores by which the answer stands first: as they are, or that of its best pair raised over a tie, and by so much
     `ahead` where it stood below others. Which of equal pairs was answered only the system knows."""
-    answer = line.answer
-    if answer is None or answer.object is None:
-        return scores
     own = [p for p in scores if p[0] == answer.object and answer.reference in (None, p[1])]
     others = [s for p, s in scores.items() if p not in own]
-    if not own or not others:
+    if not others:
         return scores
+    require(
+        own, "target and reference of the answer are one thing by the header, and so no pair",
+        got=f"{answer.object}, {answer.reference}", expected='another answer, or "same": "ids"',
+    )  # fmt: skip
     first, best = max(own, key=scores.__getitem__), max(others)
     over = STEP * max(1.0, abs(best))
     if scores[first] > best + over:

@@ -46,8 +46,8 @@ class RankConfig:
         """What counts as the confidence of a thing of the asked class, and of any other."""
         return RIGHT_SCORE, WRONG_SCORE
 
-    def of(self, ids: Sequence[int]) -> RankConfig:
-        """The same for a list of objects with these identities."""
+    def of(self, ids: Sequence[int], same: np.ndarray | None = None) -> RankConfig:
+        """The same for a list of objects with these identities, of which some are one thing ((N, N) bool)."""
         return self
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -112,7 +112,7 @@ class Predictions:
 
     def line(self, frame: str, text: str) -> Prediction | None:
         """The line of an expression, whatever its spaces and capitals; None where there is none."""
-        return self._by_words.get((frame, " ".join(text.casefold().split())))
+        return self._by_words.get(_words_of(frame, text))
 
     def of_frame(self, frame: str) -> tuple[Prediction, ...]:
         """The lines of a frame, in order."""
@@ -129,7 +129,7 @@ class Predictions:
 
     @cached_property
     def _by_words(self) -> dict[tuple[str, str], Prediction]:
-        return {(frame, " ".join(text.casefold().split())): line for (frame, text), line in self.lines.items()}
+        return {_words_of(*key): line for key, line in self.lines.items()}
 
     @cached_property
     def _by_frame(self) -> dict[str, list[Prediction]]:
@@ -162,19 +162,26 @@ def read_predictions(path: str | Path) -> Predictions:
     seen: dict[tuple[str, int], tuple[int, Proposal]] = {}
     boxes: dict[tuple[str, int], tuple[int, GivenBox | None]] = {}
     found: dict[tuple[str, str], Prediction] = {}
-    numbers: dict[tuple[str, str], int] = {}
+    numbers, asked = dict[tuple[str, str], int](), dict[tuple[str, str], int]()
     for number, line in lines:
         assert isinstance(line, Prediction)
-        key = (line.frame, line.text)
+        before = asked.setdefault(_words_of(line.frame, line.text), number)
         words = f"line {number}, text: the expression stands in the file already"
-        require(key not in found, words, got=repr(line.text), expected=lambda k=key: f"line {numbers[k]}", path=path)
+        require(before == number, words, got=repr(line.text), expected=f"line {before}", path=path)
         for name, field_, wrong in faults(line, header):
             raise InputError(f"line {number}, {name}: {field_}", cause=wrong or None, path=path)
-        found[key] = _agreeing(line, number, seen, boxes, path)
-        numbers[key] = number
+        _agree(line, number, seen, boxes, path)
+        found[line.frame, line.text], numbers[line.frame, line.text] = line, number
     expected = f"{'whole lines' if cut else 'a line for each expression'} after the first"
     require(found, "the file holds no predictions", expected=expected, path=path)
+    # Only now: which line of a frame tells of an object does not matter.
+    found = {key: _filled(line, numbers[key], seen, path) for key, line in found.items()}
     return Predictions(path, header, found, numbers, cut_off=next(iter(cut), None))
+
+
+def _words_of(frame: str, text: str) -> tuple[str, str]:
+    """What an expression is told by, whatever its spaces and capitals."""
+    return frame, " ".join(text.casefold().split())
 
 
 def read_lines(path: Path, cut: list[int] | None = None) -> Iterator[tuple[int, Header | Prediction]]:
@@ -204,7 +211,8 @@ def read_contents(path: Path, cut: list[int] | None = None) -> Iterator[tuple[in
                 if not line.strip() and number > 1:
                     continue
                 try:
-                    content = parse_json(line.decode("utf-8-sig" if number == 1 else "utf-8"), path)
+                    text = line.decode("utf-8-sig" if number == 1 else "utf-8")
+                    content = parse_json(text, path, object_pairs_hook=partial(_each_once, number, path))
                 except InputError:
                     raise
                 except ValueError as error:
@@ -219,6 +227,14 @@ def read_contents(path: Path, cut: list[int] | None = None) -> Iterator[tuple[in
             require(number, "the file is empty", expected="a header and a line for each expression", path=path)
     except OSError as error:
         raise InputError("the predictions cannot be read", got=str(error), path=path) from error
+
+
+def _each_once(number: int, path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object of JSON; InputError where a key stands in it twice, of which only the last would count."""
+    if len(found := dict(pairs)) < len(pairs):
+        twice = next(name for k, (name, _) in enumerate(pairs) if name in dict(pairs[:k]))
+        raise InputError(f"line {number}: the key {twice!r} stands twice in one object", path=path)
+    return found
 
 
 def parse_header(content: Any, path: Path) -> Header:
@@ -253,14 +269,16 @@ def faults(line: Prediction, header: Header) -> Iterator[tuple[str, str, str]]:
     known = line.objects
     answer = line.answer
     kinds = ("object", "box", "point", "mask", "yes")
-    given = [kind for kind in kinds if answer is not None and _of(answer, kind) is not None]
+    given = [kind for kind in kinds if answer is not None and getattr(answer, kind) is not None]
     ranked = line.relations is not None and header.ranking != "none"
     if answer is None and line.problem is None and not ranked:
         yield "answer", "neither an answer nor a problem", 'where there is no answer "problem" says why'
     if answer is not None and len(given) != 1:
         yield "answer", f"one answer is asked for; got {' and '.join(given) or 'none'}", ""
     if line.proposals is None:
-        yield from ((n, "needs proposals", "") for n in ("boxes_3d", "relations", "pairs") if _of(line, n) is not None)
+        yield from (
+            (n, "needs proposals", "") for n in ("boxes_3d", "relations", "pairs") if getattr(line, n) is not None
+        )
         if answer is not None and answer.object is not None:
             yield "answer.object", "an id without proposals; expected a box, point or mask", ""
         return
@@ -310,42 +328,47 @@ def _twice(field_: str, ids: Sequence[tuple[Any, ...]]) -> Iterator[tuple[str, s
         yield f"{field_}.{k}", f"{', '.join(map(str, ids[k]))} stands in two rows", "which of the two counts?"
 
 
-def _of(thing: Any, name: str) -> Any:
-    return getattr(thing, name)
-
-
-def _agreeing(
+def _agree(
     line: Prediction,
     number: int,
     seen: dict[tuple[str, int], tuple[int, Proposal]],
     boxes: dict[tuple[str, int], tuple[int, GivenBox | None]],
     path: Path,
-) -> Prediction:
-    """A line with what earlier ones of its frame told of its objects; InputError where the two differ."""
-    proposals: dict[str, tuple[Proposal, ...]] = {}
+) -> None:
+    """Add what a line tells of its objects to what other lines of its frame do; InputError where the two differ."""
     for name, found in (line.proposals or {}).items():
-        filled = []
         for k, p in enumerate(found):
-            at = f"line {number}, proposals.{name}.{k}"
             before, known = seen.setdefault((line.frame, p.id), (number, p))
             for part in ("box", "mask"):
-                mine, theirs = _of(p, part), _of(known, part)
+                mine, theirs = getattr(p, part), getattr(known, part)
                 require(
                     mine is None or theirs is None or mine == theirs,
-                    f"{at}.{part}: the object {p.id} of frame {line.frame} has another {part} than in line {before}",
+                    f"line {number}, proposals.{name}.{k}.{part}: the object {p.id} of frame {line.frame} has another "
+                    f"{part} than in line {before}",
                     cause="an id is one object in all lines of a frame",
                     path=path,
                 )
-            p = replace(p, box=p.box or known.box, mask=p.mask or known.mask)
-            require(p.box is not None, f"{at}.box: no box, and no earlier line of the frame gave one", path=path)
-            seen[line.frame, p.id] = (before, p)
-            filled.append(p)
-        proposals[name] = tuple(filled)
+            seen[line.frame, p.id] = before, replace(known, box=known.box or p.box, mask=known.mask or p.mask)
     for i, box in (line.boxes_3d or {}).items():
         before, known = boxes.setdefault((line.frame, i), (number, box))
         words = f"line {number}, boxes_3d.{i}: another 3D box than in line {before}"
         require(box == known, words, cause="an id is one object in all lines of a frame", path=path)
-    return line if line.proposals is None else replace(line, proposals=proposals)
+
+
+def _filled(
+    line: Prediction, number: int, seen: Mapping[tuple[str, int], tuple[int, Proposal]], path: Path
+) -> Prediction:
+    """A line with the boxes and masks that any line of its frame gives of its objects; InputError where none does."""
+    if line.proposals is None:
+        return line
+    proposals = {name: list(found) for name, found in line.proposals.items()}
+    for name, found in proposals.items():
+        for k, p in enumerate(found):
+            known = seen[line.frame, p.id][1]
+            words = f"line {number}, proposals.{name}.{k}.box: no line of the frame gives the box of the object {p.id}"
+            require(known.box is not None, words, path=path)
+            found[k] = replace(p, box=known.box, mask=known.mask)
+    return replace(line, proposals={name: tuple(found) for name, found in proposals.items()})
 
 
 class PredictionWriter:
@@ -386,7 +409,7 @@ class PredictionWriter:
         self._write(content)
 
     def _write(self, content: str) -> None:
-        self._file.write(content.encode() + b"\n")
+        self._file.write(f"{content}\n".encode())
         self._file.flush()
 
     def close(self) -> None:

@@ -16,7 +16,7 @@ from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence,
 from pipeline.diagnosis.imported_answers import answered_box, answered_overlap
 from pipeline.evaluation.records import asked_columns, diagnosis_columns, record
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import HIT, Case, FrameCases, read_query
+from pipeline.labels.cases import HIT, Case, FrameCases, is_gold, read_query
 from pipeline.language.expression import parse
 from pipeline.language.naming import match
 from pipeline.language.relation_names import PHRASE
@@ -68,7 +68,8 @@ def imported_rows(
         query, problem = _read(own, line, case, class_names)
         if not (line.relation and line.target) and source.predictions.header.settings is None:
             needed_names(line, (case.target, case.reference), source.predictions)
-        needed_rows(line, source.predictions)
+        gold = query is not None and is_gold(query, case)
+        needed_rows(line, source.predictions, (case.target, case.relation, case.reference) if gold else None)
         answers = FrameAnswers(own, context, (case.target, case.reference), (case.relation,), clock)
         overlap = iou_2d(answers.boxes, truth.boxes)
         if line.ranked:

@@ -50,15 +50,19 @@ class GivenRelations:
         found = self.stand_in.score(objects, viewer, appearance, relations)
         if appearance is None or not appearance.ids:
             return found
-        at = {i: k for k, i in enumerate(appearance.ids) if i >= 0}
+        # A thing that was asked for under two names stands in the list twice.
+        places: dict[int, list[int]] = {}
+        for k, i in enumerate(appearance.ids):
+            places.setdefault(i, []).append(k)
         probabilities, scored_by = found.probabilities.copy(), dict(found.scored_by)
+        given = np.zeros(probabilities.shape, np.bool_)
         for relation in self.relations.keys() & set(found.relations):
             r = found.relations.index(relation)
             scored_by[relation] = self.name
             for a, b, *_, p in self.relations[relation]:
-                if a in at and b in at:
-                    probabilities[at[int(a)], at[int(b)], r] = p
-        return replace(found, probabilities=probabilities, scored_by=scored_by, beyond=self.beyond)
+                pairs = *np.ix_(places.get(int(a), []), places.get(int(b), [])), r
+                probabilities[pairs], given[pairs] = p, True
+        return replace(found, probabilities=probabilities, scored_by=scored_by, beyond=self.beyond, given=given)
 
     @cached_property
     def beyond(self) -> Beyond:

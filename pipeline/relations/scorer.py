@@ -37,6 +37,9 @@ class RelationScores:
     scored_by : dict
         Relation -> name of what scored it ("rule" where no network has a head for it).
     beyond : Beyond
+    given : (N, N, R) bool or None
+        Which of the probabilities are as they were given, of a file or of arrays; the others are worked out in their
+        place. None where nothing is given.
     """
 
     relations: tuple[str, ...]
@@ -44,6 +47,7 @@ class RelationScores:
     probabilities: np.ndarray
     scored_by: dict[str, str]
     beyond: Beyond = field(default_factory=dict)
+    given: np.ndarray | None = None
 
     def __repr__(self) -> str:
         return f"<RelationScores of {len(self.probabilities)} objects: {', '.join(self.relations)}>"

@@ -131,6 +131,7 @@ def decision_map(baseline: Baseline, edits: Edits, key: str, cells: int = CELLS,
     pairs = _pair_probabilities(baseline, edits, outcome, moved, shift)
     simple = _simple(trace.query.readings)
     config = replace(baseline.source.config.rank, **edits.rank)
+    config = config.of([o.id for o in trace.objects], baseline.same(trace.objects))
     found = (_vectorised if simple else _one_by_one)(baseline, edits, outcome, moved, shift, pairs, config)
     corners = np.empty((cells + 1, cells + 1, 3))
     corners[..., 2], corners[..., 0] = np.meshgrid(edge_f, edge_r, indexing="ij")
