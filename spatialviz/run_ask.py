@@ -54,7 +54,7 @@ def run_ask(command: Ask) -> int:
     source = command.source.open(command.dataset, command.frame, labels)
     for answer in ask_and_judge(source, command.frame, command.expressions, labels, warn_skipped):
         trace = answer.needed_trace()
-        answered += answer.holds
+        answered += answer.holds is True
         command.write(answer.record(), print_answer, answer, trace)
         if trace.missing and command.frame != ALL_FRAMES and not command.json:
             print_overlooked(missed_names(source, trace))

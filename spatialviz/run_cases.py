@@ -229,7 +229,7 @@ def print_change(record: dict[str, Any]) -> None:
     for when, side in zip(("before", "after"), sides, strict=True):
         if "reason" in side:
             say(f"{when}: {side['reason']}", style="yellow")
-        elif not side["holds"]:
+        elif side["holds"] is False:
             nearest = " with ".join(_object(side[role]) for role in ("target", "reference") if role in side)
             shown = probability(side["relation_probability"])
             say(f"{when}: {NO_SUCH_PAIR}{nearest}, relation {shown}", style="yellow")

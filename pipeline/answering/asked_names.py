@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from pipeline.geometry.frame import Frame
-from pipeline.language.naming import Meaning, Synonyms, is_named, match, meanings
+from pipeline.language.naming import Meaning, Synonyms, is_named, match, meanings, spelt
 from pipeline.language.tree import Attachment, Node, Query, Reading, described
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.system.errors import UnknownClass
@@ -24,11 +24,7 @@ def name_for(node: Node, detector: Detector, synonyms: Synonyms | None = None) -
     if node.anything and not match(node.name, detector.vocabulary, synonyms):
         return None
     whole = node.label == node.name or any(is_named(node.label, name, synonyms) for name in detector.vocabulary)
-    name = node.label if whole else node.name
-    if not match(name, detector.vocabulary, synonyms):
-        meant = meanings(name, detector.vocabulary, synonyms)[:1]
-        return meant[0].name if meant and meant[0].how == "spelling" else name
-    return name
+    return spelt(node.label if whole else node.name, detector.vocabulary, synonyms)
 
 
 def detections(

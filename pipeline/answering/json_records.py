@@ -13,16 +13,21 @@ from pipeline.answering.asked_names import taken_as, unused_words
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import FrameRelations
 from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
-from pipeline.answering.ranking import Ranking
+from pipeline.answering.ranking import Candidates, Ranking
+from pipeline.answering.worked_out import worked_out
 from pipeline.datasets.frame_reports import FrameReport
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.lexicon import wording
 from pipeline.language.naming import Meaning
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Node, Query
+from pipeline.language.unreadable import why_unused
 from pipeline.relations.relations import letter
 
 Record = dict[str, Any]
+
+
+NOTHING = Candidates(np.zeros(0, np.int64), np.zeros(0))
 
 
 def _numbers(values: np.ndarray, digits: int = 4) -> Any:
@@ -56,7 +61,7 @@ def object_record(entry: SceneObject) -> Record:
             "mask_source": quality.mask_source,
             "concerns": list(quality.concerns),
         },
-    }
+    } | present(box_from=entry.box_from or None)
 
 
 def present(**values: Any) -> Record:
@@ -114,7 +119,7 @@ def noun_record(node: Node) -> Record:
     )  # fmt: skip
 
 
-def pair_record(pair: ScoredPair) -> Record:
+def pair_record(trace: Trace, pair: ScoredPair) -> Record:
     """One ranked pair; target and reference are places in "proposals"."""
     return {
         "target": pair.target,
@@ -122,8 +127,8 @@ def pair_record(pair: ScoredPair) -> Record:
         "p_target": _probability(pair.p_target),
         "p_reference": _probability(pair.p_reference),
         "p_relation": _probability(pair.p_relation),
-        "relation_probability": _probability(pair.relation_probability),
-        "holds": pair.holds,
+        "relation_probability": _asked_probability(trace, pair),
+        "holds": stands(trace, pair),
         "product": _probability(pair.product),
         "probability": _probability(pair.probability),
         "log_factors": {k: round(v, 6) for k, v in pair.log_factors.items()},
@@ -134,6 +139,7 @@ def pair_record(pair: ScoredPair) -> Record:
             {"kind": f.kind, "text": f.text, "object": f.object, "probability": _probability(f.probability)}
             for f in pair.factors
         ] or None,
+        worked_out=worked_out(trace, pair),
     )  # fmt: skip
 
 
@@ -148,9 +154,11 @@ def trace_record(trace: Trace) -> Record:
     """The whole of `ask --json` for one expression on one frame.
 
     "answer" is the best pair, null without any: "holds" says whether every relation of the expression is at least as
-    probable as not, "relation_probability" is that of the weakest of them, "probability" the posterior over the
-    candidate pairs; where it does not hold, "fails" lists the relations that do not. "answered" is there only where an
-    imported answer came without what ranked it: then these numbers are ours, and no part of it.
+    probable as not, null where words of it were not used and the rest holds, "relation_probability" is that of the
+    weakest of them, "probability" the posterior over the candidate pairs; where it does not hold, "fails" lists the
+    relations that do not. "answered" is there only where an imported answer came without what ranked it: then these
+    numbers are ours, and no part of it. Of imported predictions "worked_out" names the numbers of a pair that the file
+    does not give, "relations_worked_out" the relations of each pair, and "box_from" says whose a 3D box is.
     """
     ranking, calibration = trace.ranking, trace.score_calibration
     pairs = () if ranking is None else ranking.pairs
@@ -159,7 +167,7 @@ def trace_record(trace: Trace) -> Record:
         "expression": expression_record(trace.query) | present(names=[_name_record(*name) for name in names] or None),
         "frame": trace.frame.id,
         "answer": _best_record(trace),
-        "pairs": [pair_record(p) for p in pairs],
+        "pairs": [pair_record(trace, p) for p in pairs],
         "proposals": [{"index": i, **object_record(o)} for i, o in enumerate(trace.objects)],
         "relations": _relations_of_pairs(trace, pairs),
         "timings_ms": {k: round(v * 1000, 3) for k, v in trace.timings.items()},
@@ -177,10 +185,20 @@ def trace_record(trace: Trace) -> Record:
     return record | present(
         score_calibration=None if calibration is None else {"a": calibration.a, "b": calibration.b},
         reason=why_no_answer(trace),
+        relations_worked_out=None if trace.scores.given is None else {
+            f"{p.target},{p.reference}": trace.scores.worked_out(p.target, p.reference)
+            for p in pairs if p.reference is not None
+        },
         answered=trace.answered,
         ranking=ranked,
         depth_source=trace.frame.depth_source or None,
     )
+
+
+def _asked_probability(trace: Trace, pair: ScoredPair) -> float | None:
+    """That a pair stands in what was asked; None where the only relation of the question was left out of it."""
+    lost = pair.reference is None and asked_in_part(trace)
+    return None if lost else _probability(pair.relation_probability)
 
 
 def _name_record(text: str, meant: Meaning) -> Record:
@@ -197,12 +215,13 @@ def _best_record(trace: Trace) -> Record | None:
     return {
         "target": object_record(trace.under(trace.root.label, best.target)),
         "reference": None if best.reference is None else object_record(trace.under(names[0], best.reference)),
-        "holds": best.holds,
-        "relation_probability": _probability(best.relation_probability),
+        "holds": holds(trace),
+        "relation_probability": _asked_probability(trace, best),
         "probability": _probability(best.probability),
         "p_relation": _probability(best.p_relation),
         "product": _probability(best.product),
     } | present(
+        worked_out=worked_out(trace, best),
         second_reference=None if second is None else object_record(trace.under(names[1], second)),
         fails=None if best.holds else [_link_record(link) for link in failing_links(best)],
     )
@@ -286,6 +305,7 @@ def frame_record(report: FrameReport) -> Record:
 SEVERAL = 5
 NO_SUCH_THING = "nothing is all of that; nearest is "
 NO_SUCH_PAIR = "no such pair; nearest is "
+IN_PART = "not all of it was used; by the rest it is "
 SUPERLATIVES = ("closest", "farthest")
 TIED = 5e-4
 """Posteriors that differ by less are called a tie."""
@@ -297,8 +317,9 @@ class ToldAnswer:
 
     Attributes
     ----------
-    holds : bool
-        Every relation of the answer has a probability of at least a half.
+    holds : bool or None
+        Every relation of the answer has a probability of at least a half; None where that is so of a question that was
+        asked in part.
     lead : str
         What stands before the pair: nothing, that there is no such pair, or that a pair of less confidence is one.
     numbers : str
@@ -309,7 +330,7 @@ class ToldAnswer:
         Each relation that does not hold, where the expression has several.
     """
 
-    holds: bool
+    holds: bool | None
     lead: str
     numbers: str
     below: str
@@ -327,10 +348,24 @@ def best_pair(trace: Trace) -> ScoredPair | None:
     return None if none or ranking is None else ranking.pairs[0]
 
 
-def holds(trace: Trace) -> bool:
-    """There is an answer, and it stands in every relation that was asked."""
+def holds(trace: Trace) -> bool | None:
+    """Whether there is an answer that is all that was asked; None where it is, of a question that was asked in part."""
     best = best_pair(trace)
-    return best is not None and best.holds
+    return best is not None and stands(trace, best)
+
+
+def stands(trace: Trace, pair: ScoredPair) -> bool | None:
+    """`holds` of any pair of a trace."""
+    return None if pair.holds and asked_in_part(trace) else pair.holds
+
+
+def asked_in_part(trace: Trace) -> bool:
+    """Whether words that tell things apart were left out of what was asked: nobody knows then what holds of them."""
+    if why_unused(trace.query) is not None:
+        return True
+    # A detector that was asked for the whole phrase has judged `striped` by it.
+    plain = [n for n in trace.query.nodes if n.label not in trace.candidates.get(n.label, NOTHING).labels]
+    return any(not a.judged for n in plain for a in n.attributes)
 
 
 def failing_links(pair: ScoredPair) -> tuple[Link, ...]:
@@ -358,8 +393,8 @@ def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = Non
     fails += [f"{name(f.object)} {f.text} {probability(f.probability)}" for f in pair.factors if not f.holds]
     factors = {what: probability(p) for what, p in headline(pair, trace.own_scores)}
     return ToldAnswer(
-        holds=pair.holds,
-        lead="" if trace.answered else _lead(ranking, pair),
+        holds=stands(trace, pair),
+        lead="" if trace.answered else _lead(trace, ranking, pair),
         numbers=trace.answered or ", ".join(f"{what} {p}" for what, p in factors.items()),
         below="" if trace.answered else _below(ranking, pair),
         fails=() if trace.answered else tuple(fails),
@@ -384,9 +419,9 @@ def pair_words(trace: Trace, pair: ScoredPair, name: Callable[[int], str]) -> st
     return f"{name(pair.target)} {trace.phrase} {ends}" if ends else name(pair.target)
 
 
-def _lead(ranking: Ranking, pair: ScoredPair) -> str:
+def _lead(trace: Trace, ranking: Ranking, pair: ScoredPair) -> str:
     if pair.holds:
-        return ""
+        return IN_PART if asked_in_part(trace) else ""
     weakest = pair.weakest
     if weakest is not None and weakest.relation in SUPERLATIVES:
         # There always is a closest one; the detector's scores overruled it.

@@ -11,7 +11,7 @@ from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.scene import answered_case, effective_mark, effective_truth, withdrawn_by
-from pipeline.diagnosis.asking import annotated_truth, judge_trace, labelled_case, labelled_truth
+from pipeline.diagnosis.asking import annotated_truth, judge_refused, judge_trace, labelled_case, labelled_truth
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.answer_view import OtherAnswer
 from pipeline.evaluation.run_folder import Run
@@ -104,6 +104,19 @@ class Judge:
             if corrected is not None and case is not None:
                 known["case"] = answered_case(corrected, truth, case, trace)
             return judge_trace(trace, source, context, truth, rank=rank, **known)
+        except InputError as error:
+            return str(error)
+
+    def judge_refused(
+        self, name: str, source: Pipeline, context: PreparedFrame, problem: InputError, expression: str | None
+    ) -> Diagnosis | str | None:
+        """`judge` of a labelled expression that could not be asked, and why it could not; None of any other one."""
+        try:
+            truth = self.truth(name, source, context)
+            known = self.known(name, context.frame.id, truth, expression)
+            if truth is None or known["case"] is None:
+                return None
+            return judge_refused(source, context, truth, known.pop("case"), problem, **known)
         except InputError as error:
             return str(error)
 

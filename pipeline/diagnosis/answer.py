@@ -88,8 +88,9 @@ class Answer(InNotebook):
         return None if number is None else self.objects[number]
 
     @property
-    def holds(self) -> bool:
-        """There is an answer, and it stands in every relation that was asked."""
+    def holds(self) -> bool | None:
+        """Whether there is an answer that is all that was asked; None where it is, of a question that was asked in
+        part."""
         return self.trace is not None and holds(self.trace)
 
     @property

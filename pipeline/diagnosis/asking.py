@@ -10,6 +10,8 @@ import numpy as np
 
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.ask import Trace
+from pipeline.answering.asked_names import unused_words
+from pipeline.answering.json_records import asked_in_part, best_pair, why_no_answer
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import FrameUnusable, Pipeline, Skipped, contexts, skip_or_raise
 from pipeline.answering.ranking import RankConfig
@@ -25,7 +27,7 @@ from pipeline.labels.labelling import label_objects
 from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import open_second_opinion
 from pipeline.labels.reading import Labels
-from pipeline.language.naming import match
+from pipeline.language.naming import match, spelt
 from pipeline.language.tree import Query
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.model import OnnxScorer
@@ -171,16 +173,13 @@ def answer(
     source.needed_detector()
     rank: RankConfig | None = None
     try:
-        source = source.asked(context.frame.id, text)
-        trace = source.ask(context, text)
+        trace = source.asked(context.frame.id, text).ask(context, text)
     except ServerError:
         raise  # Nothing is told about the expression.
     except InputError as error:
         found = None
         if truth is not None and case is not None:
-            query, unread = read_query(case, source.dataset.class_names, source.reader)
-            answers = FrameAnswers(source, context, (case.target, case.reference), (case.relation,))
-            found = judge_answers(answers, truth, case, query, mark=mark, problem=unread or error)
+            found = judge_refused(source, context, truth, case, error, mark=mark, confidence=confidence)
         return Answer(text, problem=str(error), diagnosis=found)
     if edits:
         trace, rank = edited_trace(source, context, text, edits)
@@ -188,6 +187,26 @@ def answer(
         return Answer(text, trace)
     found = judge_trace(trace, source, context, truth, case=case, mark=mark, confidence=confidence, rank=rank)
     return _with_verdict(text, trace, found)
+
+
+def judge_refused(
+    source: Pipeline,
+    context: PreparedFrame,
+    truth: FrameCases,
+    case: Case,
+    problem: InputError,
+    *,
+    mark: str | None = None,
+    confidence: float | None = None,
+) -> Diagnosis:
+    """The verdict on a labelled expression that could not be asked: PARSE, or OPM where the detector lacks a name.
+
+    Parameters as for `judge_trace`; `problem` says why it could not.
+    """
+    source = source.asked(context.frame.id, case.text)
+    query, unread = read_query(case, source.dataset.class_names, source.reader)
+    answers = FrameAnswers(source, context, (case.target, case.reference), (case.relation,))
+    return judge_answers(answers, truth, case, query, mark=mark, confidence=confidence, problem=unread or problem)
 
 
 def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
@@ -263,13 +282,17 @@ def case_of(truth: FrameCases, trace: Trace, source: Pipeline, context: Prepared
     else the one with the answered target, else with the answered reference, else the first in the order of the objects.
     """
     query = trace.query
+    if asked_in_part(trace):
+        words = " and ".join(f"“{words}” ({why})" for words, why in unused_words(query))
+        return f"not all of the question was used: {words}"
     e = query.expression
     plain = len(query.readings) == 1 and query.default.root.triple is not None
     if e is None or not plain or e.second_reference or e.inverse or e.relation not in truth.states:
         made = sentence_case(truth, trace, source, context)
         return made if isinstance(made, str) else (truth, made)
     known = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))
-    meant = [match(name, known, source.synonyms) for name in (e.target, e.reference)]
+    # By other letters or another word it is the same pair, and has the same verdict.
+    meant = [match(spelt(name, known, source.synonyms), known, source.synonyms) for name in (e.target, e.reference)]
     ends = [np.array([label in names for label in truth.labels], np.bool_) for names in meant]
     states = np.where(ends[0][:, None] & ends[1][None, :] & truth.judged, truth.states[e.relation], -1)
     np.fill_diagonal(states, -1)
@@ -320,6 +343,8 @@ def judge_trace(
     """
     source = source.asked(context.frame.id, trace.query.text)
     case = case or labelled_case(truth, trace.query.text)
+    if best_pair(trace) is None and not trace.missing and trace.answered is None:
+        return f"there is no answer to judge: {why_no_answer(trace)}"
     if case is None:
         made = case_of(truth, trace, source, context)
         if isinstance(made, str):

@@ -37,10 +37,20 @@ from math import prod
 import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.imported_answers import against, by_rule, decided_given, to_blame
+from pipeline.diagnosis.imported_answers import against, by_rule, decided_given, to_blame, untold
 from pipeline.diagnosis.missed import not_proposed
 from pipeline.diagnosis.needed import Needed, needed_changes
-from pipeline.diagnosis.oracles import ATTRIBUTE, CONF, LIFT, RECALL, SRM, CandidateSet, OracleScores, names_of
+from pipeline.diagnosis.oracles import (
+    ATTRIBUTE,
+    CONF,
+    LIFT,
+    ORACLES,
+    RECALL,
+    SRM,
+    CandidateSet,
+    OracleScores,
+    names_of,
+)
 from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.verdict import Diagnosis, explain
 from pipeline.labels.cases import HIT, Case, misread
@@ -108,9 +118,12 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
         needed=_needed(found, case, right) if lost and right is not None else (),
         pseudo=_pseudo(evidence, found, [p for p in (pair, index) if p is not None]),
         gold=parse_ok,
+        untold=untold(evidence, case, parse_ok),
         case=case,
         evidence=evidence,
     )
+    if len(diagnosis.untold) == len(ORACLES):
+        diagnosis = replace(diagnosis, right_with=None)
     if overlap >= HIT:
         return replace(diagnosis, verdict="CORRECT", lucky=pair is None or not found.covered[pair], repair=())
     if not parse_ok:

@@ -31,7 +31,7 @@ from pipeline.diagnosis.oracles import ALL_ORACLES, STATE_PROBABILITY
 from pipeline.diagnosis.sentence_substitution import SubstitutedTree
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, Meant
-from pipeline.language.naming import match
+from pipeline.language.naming import match, spelt
 from pipeline.language.tree import Node
 from pipeline.relations.relations import U
 
@@ -101,7 +101,8 @@ def sentence_case(
 
 def _of_class(node: Node, truth: FrameCases, names: tuple[str, ...], source: Pipeline) -> np.ndarray:
     """(N,) bool: the labelled objects that a noun phrase means by its name."""
-    meant = truth.labels if node.anything else match(node.name, names, source.synonyms)
+    name = spelt(node.name, names, source.synonyms)
+    meant = truth.labels if node.anything else match(name, names, source.synonyms)
     return np.array([label in meant for label in truth.labels], np.bool_)
 
 

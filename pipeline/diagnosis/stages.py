@@ -10,6 +10,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import taken_as, unused_words
 from pipeline.answering.json_records import best_pair, probability, why_no_answer
 from pipeline.answering.pair_table import HOLDS, ScoredPair
+from pipeline.answering.worked_out import relation_given
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
 from pipeline.language.counted import counted
 from pipeline.language.glossary import glossary
@@ -34,14 +35,17 @@ class Stage:
         return {"name": self.name, "mark": self.mark, "words": self.words}
 
 
-def failed_stages(trace: Trace | None, judged: Judged) -> tuple[str, ...]:
-    """The stages that failed: by the verdict, else where the question stopped; PARSE where there is no trace."""
+def failed_stages(trace: Trace | None, judged: Judged, refused: str = "PARSE") -> tuple[str, ...]:
+    """The stages that failed: by the verdict, else where the question stopped, `refused` where there is no trace.
+
+    None does where the label is in doubt, and not the answer.
+    """
     if isinstance(judged, Diagnosis):
         if judged.verdict != "COMPOUND":
-            return (MODULE_OF[judged.verdict],) if judged.verdict in MODULE_OF else ()
+            return (MODULE_OF[judged.verdict],) if judged.verdict in MODULE_OF and judged.verdict != "LABEL" else ()
         return tuple(dict.fromkeys("OPM" if part in ("CONF", "RECALL") else part for part in judged.repair))
     if trace is None:
-        return ("PARSE",)
+        return (refused,)
     return () if why_no_answer(trace) is None else ("OPM",) if trace.missing else ("PRM",)
 
 
@@ -132,7 +136,8 @@ def _srm(trace: Trace, pair: ScoredPair | None) -> Stage:
     cost = _ms(trace, "srm")
     if pair is None or pair.reference is None:
         return Stage("SRM", "good" if trace.objects else "idle", f"relations are scored by {trace.scorer}", cost)
-    words = f"“{trace.phrase}” has {probability(pair.p_relation)} for the chosen pair (scorer: {trace.scorer})"
+    whose = trace.scorer if relation_given(trace, pair) else "worked out, the file gives none"
+    words = f"“{trace.phrase}” has {probability(pair.p_relation)} for the chosen pair (scorer: {whose})"
     return Stage("SRM", _sound(pair.holds and abs(pair.relation_probability - HOLDS) >= 0.1), words, cost)
 
 
@@ -158,18 +163,20 @@ def _prm(trace: Trace) -> Stage:
     return Stage("PRM", _sound(ranking.margin >= 0.1), words, cost)
 
 
-def unasked_stages(judged: Judged, annotated: int, refused: bool) -> tuple[Stage, ...]:
-    """The stages of a frame with so many annotated objects of which nothing was asked, or what was is `refused`."""
+def unasked_stages(judged: Judged, annotated: int, refused: str) -> tuple[Stage, ...]:
+    """The stages of a frame with so many annotated objects of which nothing was asked, or what was is `refused`, and
+    by which stage."""
+    failed = failed_stages(None, judged, refused) if refused else ()
     found = [Stage(name, "idle", glossary()[name].short) for name in ALWAYS]
-    if refused:
-        found[0] = Stage("PARSE", "bad", "could not be asked")
+    found = [Stage(s.name, "bad", "could not be asked") if s.name in failed else s for s in found]
     return (*found, _label(judged, annotated))
 
 
 def _label(judged: Judged, annotated: int) -> Stage:
     """What is known of the truth."""
     if isinstance(judged, Diagnosis):
-        return Stage("LABEL", "good" if judged.correct else "idle", glossary()[judged.verdict].verdict)
+        mark: Mark = "good" if judged.correct else "doubt" if judged.verdict == "LABEL" else "idle"
+        return Stage("LABEL", mark, glossary()[judged.verdict].verdict)
     if isinstance(judged, str):
         return Stage("LABEL", "idle", "no verdict")
     words = f"the dataset annotates {counted(annotated, 'object')}" if annotated else "nothing is known of this frame"

@@ -89,6 +89,9 @@ class Diagnosis:
         LIFT's truth was the box of the label for an object of either pair: the dataset has no pixels of it.
     text : str
         The verdict in words.
+    untold : dict of str to str
+        Of imported predictions: the oracles that cannot be put in place by what the file gives, and why; what
+        `right_with` says of subsets with these counts nowhere.
     gold : bool
         The expression was read as meant; else the evidence is that of the gold names, not the trace's own.
     case : Case
@@ -111,6 +114,7 @@ class Diagnosis:
     mends: tuple[str, ...] = ()
     needed: tuple[Needed, ...] = ()
     text: str = ""
+    untold: dict[str, str] = field(default_factory=dict)
     gold: bool = True
     case: Case = field(kw_only=True)
     evidence: FrameEvidence = field(kw_only=True, repr=False)

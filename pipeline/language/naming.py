@@ -163,6 +163,12 @@ def meanings(
     return tuple(sorted((m for tier in found for m in tier), key=lambda m: -m.score))
 
 
+def spelt(query: str, names: Sequence[str], synonyms: Synonyms | None = None) -> str:
+    """The query itself, or where no known name is meant by it the one that it is a misspelling of: `chiar`."""
+    found = () if match(query, names, synonyms) else meanings(query, names, synonyms)[:1]
+    return found[0].name if found and found[0].how == "spelling" else query
+
+
 def _tiers(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
     """`_walk`, and where it finds nothing sure, that of the query with its misspelt words mended before it."""
     found = _walk(wanted, known)

@@ -9,6 +9,7 @@ from pipeline.answering.json_records import headline, pair_words, probability, t
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
+from pipeline.diagnosis.stages import failed_stages
 from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
 from pipeline.diagnosis.whatif.answer_view import BothAnswers, OtherAnswer
 from pipeline.diagnosis.whatif.changes import each_edit
@@ -32,10 +33,7 @@ def answer_html(state: State, can_ask: bool = True) -> Element:
     if trace is None:
         # Why a question could not be asked stands in its stage, PARSE.
         hint = "No answer." if state.error else HINT if can_ask else NOTHING_TO_ASK
-        # An expression of the run that is not read has its verdict, too.
-        known = state.error and state.expression_id(state.text) is not None
-        chip = h.div(verdict_chip("PARSE", state.unread), cls="verdict") if known else None
-        return panel(level_html(state), h.p(hint, cls="lead dim"), chip, under, cls="answer")
+        return panel(level_html(state), h.p(hint, cls="lead dim"), verdict_html(state), under, cls="answer")
     reason = why_no_answer(trace)
     told_: Child = [note(_capital(reason), BAD), _alone(state, trace)] if reason is not None else _pair(state, trace)
     before = None if state.edited is None else before_html(state, state.edited)
@@ -63,7 +61,7 @@ def before_html(state: State, edited: BothAnswers) -> Element:
     return h.div(
         h.span("before", cls="dim"),
         h.span(answer, cls="said"),
-        verdict_chip(edited.judged.verdict) if isinstance(edited.judged, Diagnosis) else None,
+        verdict_chip_of(edited.judged) if isinstance(edited.judged, Diagnosis) else None,
         cls="before",
         css={"--c": hex_color(colors["edited"])},
         title=f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back",
@@ -85,7 +83,8 @@ def verdict_html(state: State) -> Element | None:
     stage = MODULE_OF.get(judged.verdict, "" if judged.verdict in ("COMPOUND", "UNEXPLAINED") else "LABEL")
     return h.div(
         h.button(verdict_chip_of(judged), cls="plain", do=f"stage:{stage}", id="verdict", title="show why"),
-        None if state.task == "explain" and judged.verdict in MODULE_OF else h.p(judged.text, cls="sentence"),
+        # Where a stage failed, it has the sentence.
+        None if state.task == "explain" and failed_stages(state.trace, judged) else h.p(judged.text, cls="sentence"),
         None if state.other is None or state.trace is None else _second(state.other, state.other_pair),
         cls="verdict",
     )

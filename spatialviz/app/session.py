@@ -20,7 +20,6 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.shown import NOTHING, shown_objects
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
-from pipeline.language.unreadable import why_unread
 from pipeline.system.errors import InputError, UnknownClass, require
 from spatialviz.app import (
     beside,
@@ -327,7 +326,7 @@ class Session(Context):
         except InputError:
             return False
         # What names nothing of this dataset is no first question of it.
-        return holds(trace) and not unused_words(trace.query)
+        return holds(trace) is True and not unused_words(trace.query)
 
     # ---- questions ------------------------------------------------------------------
 
@@ -350,7 +349,10 @@ class Session(Context):
             shown = shown_objects(loaded, None, self._exact)
             # Which names a frame has is said beside the field; the detector knows many more.
             said = error.what if isinstance(error, UnknownClass) else str(error)
-            self.state = replace(self.state, error=said, unread=why_unread(error), found=shown, selected=None)
+            name, expression = self.state.source, self.state.expression_id(text)
+            judged = self._judge.judge_refused(name, self.source, loaded.context, error, expression)
+            stopped = "OPM" if isinstance(error, UnknownClass) else "PARSE"
+            self.state = replace(self.state, error=said, stopped=stopped, judged=judged, found=shown, selected=None)
             self.note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)

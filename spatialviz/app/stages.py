@@ -24,7 +24,7 @@ from spatialviz.app.state import State
 
 def failed(state: State) -> tuple[str, ...]:
     """The stages that failed; none where nothing was asked."""
-    return failed_stages(state.trace, state.judged) if state.trace is not None or state.error else ()
+    return failed_stages(state.trace, state.judged, state.stopped) if state.trace is not None or state.error else ()
 
 
 def opened(state: State) -> str:
@@ -80,7 +80,7 @@ def _stages(state: State) -> tuple[Stage, ...]:
     loaded = state.loaded
     if state.trace is None:
         annotated = 0 if loaded is None else len(loaded.context.frame.annotations)
-        return unasked_stages(state.judged, annotated, bool(state.error))
+        return unasked_stages(state.judged, annotated, state.stopped)
     odd = loaded is not None and bool(loaded.doubt)
     return stages_of(state.trace, state.judged, pair=state.chosen, name=state.name_of, odd_depth=odd)
 

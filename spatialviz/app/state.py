@@ -51,8 +51,8 @@ class State(AnswerView):
         The expression as typed.
     error : str
         Why the expression could not be asked.
-    unread : str
-        Of which kind that is, as the detail of the verdict PARSE says it.
+    stopped : str
+        The stage that refused it.
     listing : Listing or None
         What is searched of the source's run.
     mode : str
@@ -84,7 +84,7 @@ class State(AnswerView):
     problem: str = ""
     text: str = ""
     error: str = ""
-    unread: str = ""
+    stopped: str = ""
     colors: ColorMode = "rgb"
     camera: CameraMode = "pair"
     flags: SceneFlags = field(default_factory=SceneFlags)
@@ -116,7 +116,7 @@ class State(AnswerView):
     def unasked(self) -> State:
         """The same without any answer."""
         return replace(
-            self, trace=None, pair=None, selected=None, hovered=None, error="", unread="", judged=None, other=None,
+            self, trace=None, pair=None, selected=None, hovered=None, error="", stopped="", judged=None, other=None,
             edited=None, labels=None, second=None, stage="",
         )  # fmt: skip
 

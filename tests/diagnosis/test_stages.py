@@ -37,8 +37,8 @@ def test_what_speaks_against_the_depth_is_told_where_boxes_are_made(answered: An
 
 def test_what_was_not_asked_or_refused_says_so() -> None:
     assert failed_stages(None, None) == ("PARSE",)
-    idle = unasked_stages(None, 0, refused=False)
+    idle = unasked_stages(None, 0, refused="")
     assert {s.mark for s in idle} == {"idle"}
     assert idle[0].words == glossary()["PARSE"].short
-    refused = unasked_stages("the labels cannot be read", 3, refused=True)
+    refused = unasked_stages("the labels cannot be read", 3, refused="PARSE")
     assert (refused[0].mark, refused[-1].words) == ("bad", "no verdict")

@@ -169,9 +169,11 @@ def _compare(before: Expected, after: Expected, tolerance: float, live: bool) ->
                 changes.append(f"{role.replace('_', ' ')}: {_named(one)} -> {_named(other)}")
             elif one is not None:
                 warnings += _moved(f"score of the {role.replace('_', ' ')}", one.score, other.score, tolerance)
-        if a.holds is not None and a.holds != b.holds:
+        # A null of an older case, or of an answer to a part of the question, says nothing of the pair.
+        if None not in (a.holds, b.holds) and a.holds != b.holds:
             stands = ("there is no such pair", "the pair stands in the relation")
-            changes.append(f"{stands[a.holds]} ({a.p_relation:.2f}) -> {stands[bool(b.holds)]} ({b.p_relation:.2f})")
+            was, now = (f"{stands[bool(x.holds)]} ({x.p_relation:.2f})" for x in (a, b))
+            changes.append(f"{was} -> {now}")
         for what in ("p_relation", "product", "probability"):
             warnings += _moved(what, getattr(a, what), getattr(b, what), tolerance)
     one, other = before.judgement, after.judgement

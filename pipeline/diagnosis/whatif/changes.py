@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.json_records import present, why_no_answer
+from pipeline.answering.json_records import present, stands, why_no_answer
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.whatif.edits import CHECKS, Edits
 from pipeline.diagnosis.whatif.rerun import Outcome
@@ -110,7 +110,7 @@ def _answer(outcome: Outcome, verdict: str | None) -> Record:
         "p_target": pair.p_target,
         "p_reference": pair.p_reference,
         "p_relation": pair.p_relation,
-        "holds": pair.holds,
+        "holds": stands(outcome.trace, pair),
         "relation_probability": pair.relation_probability,
         "product": pair.product,
         "probability": pair.probability,

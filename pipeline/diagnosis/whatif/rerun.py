@@ -159,7 +159,7 @@ def rerun(baseline: Baseline, edits: Edits) -> Outcome:
     """
     rule = baseline.source.config.rank.rule
     require(
-        rule is None or rule.model is not None or not edits,
+        rule is None or (rule.model is not None and rule.answered is None) or not edits,
         "what edits do to this answer is not known: the predictions do not tell what ranked it, or their scores do not "
         "follow from what they were given for",
         expected="relations (level 3) of docs/predictions.md",
