@@ -180,6 +180,8 @@ _SHADES: dict[str, Shade] = {**dict.fromkeys(_LIGHT, "light"), **dict.fromkeys(_
 _INTENSIFIERS = frozenset(_words("very: really quite rather somewhat fairly extremely super so too kind of sort"))
 _VIVID = frozenset(_words("bright: vivid neon hot electric royal solid plain mostly all metallic jet snow off"))
 """Words before a colour that leave its name and its shade as they are."""
+SINGLE_WORDS = frozenset(_TABLE)
+"""The words that alone say how a thing looks, for the mending of misspelt ones."""
 _SUFFIX = re.compile(r"(?:colou?red|colou?r|tinted|toned|painted|shaped|sized?)$")
 _JOINED = re.compile(r"(light|dark|pale|deep|bright|sky|navy)([a-z]{3,}?)")
 _ISH = re.compile(r"([a-z]+?)(?:[dr](?=d?ish$))?(?:ish|y)")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -70,6 +70,8 @@ class Chain:
     nouns: list[Phrase] = field(default_factory=list)
     clauses: list[Clause] = field(default_factory=list)
     spans: list[Span] = field(default_factory=list)
+    mended: list[tuple[int, int, str]] = field(default_factory=list)
+    """Misspelt words: where each stands, and what it was read as."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +86,8 @@ class Opened:
 class ChainReader(NounReader):
     """A reader of noun phrases that holds the chain and what is still open in it."""
 
-    def __init__(self, text: str, tokens: Sequence[Token]) -> None:
-        super().__init__(text, tokens)
+    def __init__(self, text: str, tokens: Sequence[Token], own: Collection[str] = ()) -> None:
+        super().__init__(text, tokens, own)
         self.chain = Chain()
         self.problems: list[InputError] = []
         self.opened: list[Opened] = []

@@ -21,8 +21,9 @@ EXTREMES = _table(
     "right: rightmost, right most, most right, far right, farthest right, furthest right, extreme right, very right;"
     "high: topmost, top most, uppermost, very top, highest, higher;"
     "low: lowest, bottommost, bottom most, very bottom, lowermost, lower most, lower;"
-    "near: closest, nearest, closer, nearer, frontmost, front most, foremost, very front;"
-    "far: farthest, furthest, farther, further, backmost, back most, very back, rearmost, most distant;"
+    "near: closest, nearest, closer, nearer, frontmost, front most, foremost, very front, closest by, nearest by;"
+    "far: farthest, furthest, farther, further, backmost, back most, very back, rearmost, most distant, farthest away,"
+    "furthest away, farther away, further away, farthest back, furthest back, further back, farther back;"
     "tall: tallest, taller; short: shortest, shorter;"
     "big: biggest, bigger, largest, larger, greatest;"
     "small: smallest, smaller, tiniest, tinier, littlest, littler;"
@@ -31,8 +32,14 @@ EXTREMES = _table(
 )
 """Superlatives and comparatives before a noun, by the order of which they are the first."""
 
-COMPARATIVES = frozenset({"higher", "lower", "closer", "nearer", "farther", "further"})
-"""Of two things only: `the lower of the two`, else another word."""
+COMPARATIVES = frozenset(w for phrase in EXTREMES for w in phrase.split() if w.endswith("er") and len(w) > 4)
+"""Words that compare two things; of more they are read as the superlative, which `compares` lets be told."""
+
+
+def compares(text: str) -> bool:
+    """Whether words of a choice or of a relation compare two things: `the closer of the two`, `closer to`."""
+    return not COMPARATIVES.isdisjoint(text.split())
+
 
 SIDES = _table(
     "left: left, left hand, lefthand; right: right, right hand, righthand; top: top, upper; bottom: bottom, lower;"

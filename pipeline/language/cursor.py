@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from pipeline.language import choices, lexicon
 from pipeline.language.naming import DETERMINERS
 from pipeline.language.tokens import Token, joined_words
 
-MODALS = frozenset({"can", "could", "may"})
+MODALS = frozenset({"can", "could", "may", "should", "would", "might", "must", "will", "shall"})
 
 
 class Cursor:
@@ -20,12 +20,14 @@ class Cursor:
     text : str
     tokens : list of Token
         Words that hyphens join are one.
+    own : collection of str
+        Words of the user's own names, which are spelled as they are.
     breaks : list of bool
         Whether punctuation stands before a token.
     """
 
-    def __init__(self, text: str, tokens: Sequence[Token]) -> None:
-        self.text = text
+    def __init__(self, text: str, tokens: Sequence[Token], own: Collection[str] = ()) -> None:
+        self.text, self.own = text, own
         self.tokens = _hyphens_joined(text, tokens)
         self.breaks = [
             k > 0 and any(c in text[self.tokens[k - 1].end : t.start] for c in ",;:.!?()")
@@ -91,7 +93,7 @@ class Cursor:
 
     def is_superlative_noun(self, at: int) -> bool:
         """Whether `nearest` stands before a noun, as in `the nearest chair`."""
-        return self.tokens[at].text in lexicon.SUPERLATIVES and self._starts_noun(at + 1) and (
+        return self.tokens[at].text in lexicon.BEFORE_NOUNS and self._starts_noun(at + 1) and (
             at == 0 or self.tokens[at - 1].plain in DETERMINERS or self.tokens[at - 1].plain in choices.ORDINALS
             or self.tokens[at - 1].relation is not None
         )  # fmt: skip

@@ -10,7 +10,7 @@ from pipeline.language.chain import Chain, Clause
 from pipeline.language.grammar import read_chain
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.language.relation_names import MIRRORED, RELATIONS
-from pipeline.language.tokens import check_text, vocabulary
+from pipeline.language.tokens import Vocabulary, check_text, mended, vocabulary
 from pipeline.language.tree import Attachment, Node, Query, Reading, described
 from pipeline.system.errors import InputError, Unsupported, require
 
@@ -79,7 +79,16 @@ def parse(
             words = described(root)
             if not any(r.description == words for r in readings) and len(readings) < MOST_READINGS:
                 readings.append(Reading(root, is_default=not readings, description=words))
-    return Query(text, tuple(readings), tuple(sorted(chain.spans, key=lambda s: s.start)))
+    spans = tuple(sorted(chain.spans, key=lambda s: s.start))
+    return Query(text, tuple(readings), spans, mended=_told_mended(text, known, chain))
+
+
+def _told_mended(text: str, known: Vocabulary, chain: Chain) -> tuple[tuple[str, str], ...]:
+    """The misspelt words that were mended, in order; a name keeps its own."""
+    names = [s for s in chain.spans if s.role in ("target", "reference")]
+    inside = {m for m in mended(text, known) if any(s.start <= m[0] and m[1] <= s.end for s in names)}
+    told = sorted((set(mended(text, known)) - inside) | set(chain.mended))
+    return tuple((text[start:end], meant) for start, end, meant in told)
 
 
 def sentence_kind(text: str, class_names: Sequence[str] = ()) -> str:

@@ -13,13 +13,14 @@ nothing is left that tells the thing meant is that an error.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 from pipeline.language import choices, lexicon
 from pipeline.language.chain import Attach, Chain, Clause, Opened
+from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
-from pipeline.language.nouns import Phrase, is_name
+from pipeline.language.nouns import Phrase
 from pipeline.language.regions import RegionReader
 from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice, Span
@@ -44,20 +45,20 @@ def read_chain(text: str, known: Vocabulary) -> Chain:
         if held is None:
             continue
         try:
-            chain = _Reader(text, held).read()
+            chain = _Reader(text, held, known.words).read()
         except InputError as error:
             problem = problem or error
         else:
             if chain.clauses or held is apart or apart is None:
                 return chain
     if problem is None:
-        return _Reader(text, tokens).read()
+        return _Reader(text, tokens, known.words).read()
     raise problem
 
 
 def with_unused(text: str, known: Vocabulary, spans: Iterable[Span]) -> tuple[Span, ...]:
     """What another reader took of a sentence, in order, with the words that it left over and that say something."""
-    reader = _Reader(text, tokenize(text, known))
+    reader = _Reader(text, tokenize(text, known), known.words)
     reader.chain.spans += spans
     reader.note_dropped()
     return tuple(sorted(reader.chain.spans, key=lambda s: s.start))
@@ -72,7 +73,7 @@ _NOT_JUDGED = (
 class _Reader(RegionReader):
     """One pass over one expression, adding to its chain."""
 
-    def __init__(self, text: str, tokens: list[Token]) -> None:
+    def __init__(self, text: str, tokens: list[Token], own: Collection[str] = ()) -> None:
         tokens = closing_removed(tokens)
         tokens = without_view(tokens, text)
         tokens, self.asks_what = leading_removed(tokens)
@@ -80,7 +81,7 @@ class _Reader(RegionReader):
         if contrast and tokens[0].plain in lexicon.NEGATIONS:
             # `not the mug on the desk but the one on the shelf`: what is meant comes first.
             tokens = tokens[contrast + 1 :] + tokens[:contrast]
-        super().__init__(text, tokens)
+        super().__init__(text, tokens, own)
         self.renamed = False
 
     def read(self) -> Chain:
@@ -91,6 +92,8 @@ class _Reader(RegionReader):
             self._missing(opened)
         self.note_dropped()
         chain = self.chain
+        said = [word for noun in chain.nouns for word in noun.words]
+        chain.mended += [m for m in self.respelled.values() if m[2] in said]
         if not chain.nouns:
             raise self.problems[0] if self.problems else self._no_target()
         told = self.renamed or chain.clauses or any(n.attributes or n.choices for n in chain.nouns)
@@ -108,6 +111,16 @@ class _Reader(RegionReader):
         if word == "without" and self.chain.nouns and not self.opened:
             self.negated = True
             return self._with(at)
+        if self.opened and word in ("neither", "not") and self._starts_noun(at + 1):
+            # `near neither the bed nor the desk`
+            self.opened[-1] = replace(self.opened[-1], negated=True)
+            self._relation_span(token)
+            return at + 1
+        last = self.chain.clauses[-1] if self.chain.clauses else None
+        nor = word in ("nor", "or") and last is not None and last.negated and self._starts_noun(at + 1)
+        if nor and last is not None and last.relation:
+            self.joined = True
+            return at + 1
         if word in lexicon.NEGATIONS:
             self.negated = self.linked = True
             self.joined = self.joined or word == "nor"
@@ -206,7 +219,8 @@ class _Reader(RegionReader):
             return scene
         order = lexicon.BARE_SIDES.get(token.text)
         if order is not None and not self._starts_noun(at + 1):
-            self._choice(Choice(order, 1 if token.text == "on top" else None, token.text), at, at + 1)  # type: ignore[arg-type]
+            first = token.text == "on top" or token.text in lexicon.SUPERLATIVES
+            self._choice(Choice(order, 1 if first else None, token.text), at, at + 1)  # type: ignore[arg-type]
             return at + 1
         if token.text in lexicon.POSSESSIVE_TAILS:
             self.problems.append(unreadable(token.text, self.text))
@@ -245,7 +259,9 @@ class _Reader(RegionReader):
     # ---- nouns -----------------------------------------------------------------------------------------------------
 
     def _noun(self, at: int) -> int:
-        predicate = not self.opened and self._predicative(at) and self.tokens[at].plain not in DETERMINERS
+        excluded = self.joined and self.negated and bool(self.chain.clauses) and not self.chain.clauses[-1].relation
+        predicate = not self.opened and (excluded or self._predicative(at))
+        predicate = predicate and self.tokens[at].plain not in DETERMINERS
         phrase, end = self.noun(at, stop_at_and=bool(self.opened), predicate=predicate)
         if phrase is None:
             if end > at + 1 or self.tokens[at].plain not in DETERMINERS:
@@ -260,10 +276,14 @@ class _Reader(RegionReader):
                 self.problems.append(self._names_nothing("target", phrase))
                 phrase = replace(phrase, label="thing", head="")
             alone = phrase.where == (at, at + 1) and not phrase.named and not is_name(singular(phrase.head_word))
-            if alone and end < len(self.tokens) and self.tokens[end].plain in DETERMINERS:
+            following = self.tokens[end].plain if end < len(self.tokens) and not self.breaks[end] else None
+            if alone and not phrase.anything and following in DETERMINERS - lexicon.RELATIVE:
                 # `gran the mug`: a verb that nobody knows.
                 self._note(at, end, "this word is not known")
                 return end
+            for k in range(at + 1, phrase.where[0] if phrase.where[1] > phrase.where[0] else end):
+                if self.tokens[k].plain == "other" and self.tokens[at].plain != "a":
+                    self._note(k, k + 1, "than which other is not said")
             self._add_noun(phrase, "target", phrase.where)
             self._forget()
             return end
@@ -280,6 +300,8 @@ class _Reader(RegionReader):
             token = self.opened[-1].token
             self._choice(Choice("high", 1, f"{token.text} {self.words(at, end)}"), at, end)
             return end
+        if self.words(at, end).lower() in lexicon.RECIPROCAL:
+            phrase = replace(phrase, label=self.chain.nouns[0].label, head=self.chain.nouns[0].head)
         phrase = self._whole(at, self._resolved(phrase))
         first = self._add_noun(phrase, "reference", phrase.where)
         if self.opened[-1].token.relation == "between":

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from itertools import product
 
+from pipeline.language.openers import LEADING
 from pipeline.language.relation import DECLARED
 from pipeline.language.relation_names import RELATIONS
 
@@ -46,6 +46,10 @@ UNDER = frozenset({"under", "underneath", "beneath", "underneath of"})
 SUPERLATIVES = frozenset({"closest", "nearest", "farthest", "furthest", "most distant"})
 """Relation phrases that may also stand before the noun: `the nearest chair to the door`."""
 
+NEARER = {"closer": "closest", "nearer": "closest", "farther": "farthest", "further": "farthest"}
+"""Comparatives before a noun that may be a relation of it: `the closer chair to the door`."""
+BEFORE_NOUNS = SUPERLATIVES | NEARER.keys()
+
 ANYTHING = _words("thing things object objects item items one ones stuff something anything")
 """Heads that say no more than that it is a thing."""
 
@@ -62,6 +66,7 @@ SCENE_ORDER = {
 }
 """The side that a relation to the scene names: `on the left of the room`, `in the middle of the picture`."""
 BARE_SIDES = {"in front": "near", "behind": "far", "in back": "far", "on top": "high", "on the top": "high"}
+BARE_SIDES |= {"closest": "near", "nearest": "near", "farthest": "far", "furthest": "far", "most distant": "far"}
 """Relation phrases that name a side where no reference follows."""
 
 SURFACES = _words("table desk counter countertop shelf bookshelf bed couch sofa bench dresser nightstand rug tray")
@@ -79,69 +84,53 @@ SCENE = _words("room picture image photo photograph scene view frame screen shot
 """What holds all of the frame: its sides are those of the picture."""
 
 WITH = frozenset({"with", "has", "have", "having"})
+CONTRACTIONS = {
+    "whats": "what's", "wheres": "where's", "whos": "who's", "thats": "that's", "theres": "there's", "heres": "here's",
+    "whichs": "which's", "isnt": "isn't", "arent": "aren't", "wasnt": "wasn't", "werent": "weren't",
+    "doesnt": "doesn't", "dont": "don't", "didnt": "didn't", "cant": "can't", "couldnt": "couldn't",
+    "shouldnt": "shouldn't", "wouldnt": "wouldn't", "hasnt": "hasn't", "havent": "haven't", "im": "i'm", "ive": "i've",
+    "youre": "you're", "theyre": "they're", "lets": "let's",
+}  # fmt: skip
+"""Words that are typed without their apostrophe."""
+SHORTHAND = {
+    "plz": "please", "pls": "please", "plse": "please", "pleas": "please", "thx": "thanks", "thanx": "thanks",
+    "u": "you", "ya": "you", "ur": "your", "btwn": "between", "tha": "the", "da": "the",
+}  # fmt: skip
+"""What is typed short."""
+
 PRONOUNS = _words("it them itself themselves they he she him her me you something anything someone one what")
 PLACE_PRONOUNS = frozenset({"it", "them", "itself", "themselves"})
 
-LEADING = _phrases(
-    "please, now, ok, okay, hey, hello, robot, just, then, can you, could you, would you, will you, can you please, "
-    "could you please, i want, i want you to, i need, i need you to, i would like, i would like you to, i'd like, "
-    "i'd like you to, you should, try to, you need to, i see, i am looking for, i'm looking for, looking for, "
-    "find, find me, help me find, spot, locate, show, show me, pick, pick up, pickup, grab, get, get me, give, "
-    "give me, bring, bring me, bring over, fetch, fetch me, take, select, choose, point to, point at, point out, "
-    "go to, move to, navigate to, drive to, walk to, head to, look for, look at, search for, detect, segment, "
-    "highlight, ground, identify, mark, reach for, reach, click, click on, hand, hand me, pass, pass me, where is, "
-    "where can i find, where can i see, where are, where's, what is, what are, what's, which is, which are, "
-    "which one is, which one of, which of, which, what, is there, are there, there's, please could i have, "
-    "could i have, can i have, may i have, i'll have, could we have, would you mind, do you mind, be so kind as to, "
-    "would you be so kind as to, would you be able to, are you able to, i wonder if you could, kindly, "
-    "i was wondering if you could, passing me, passing, handing me, handing, giving me, bringing me, fetching me, "
-    "fetching, getting me, grabbing, picking up, finding, showing me, taking, pass us, give us, hand us, bring us, "
-    "show us, get us, fetch us, to bring me, to pass me, to hand me, to give me, to fetch, to get me, to find, "
-    "to show me, to pick up, to grab, is it true that, there is, there are, this is, these are, it is, it's, is, are, "
-    "does, do you see, can you see, can i see, i can see, you can see, we see, tell me where, tell me which, tell me, "
-    "tell me where is, let me see, excuse me, sorry, pardon me, hi, thanks, any idea where"
-) | {
-    " ".join(words)
-    for words in (
-        *product(
-            ("where",),
-            ("would", "could", "can", "do", "might", "should", "will"),
-            ("i", "we", "you", "one"),
-            ("find", "see", "spot", "get"),
-        ),
-        *product(
-            ("i am", "i'm", "im", "we are", "we're"), ("needing", "wanting", "after", "searching for", "trying to find")
-        ),
-        *product(("do you know", "can you tell me", "could you tell me"), ("where is", "where are", "which is")),
-    )
-}
-"""What may stand before the first noun and says nothing about it."""
+AMONG_FIRST = re.compile(
+    r"(?:(?:out )?of|amongst?|from among) (?:all )?(?=(?:the|these|those|my|all|\w+ \w+s) )"
+    r"|in (?:the|this|that|a) (?:group|row|line|set|pair|bunch|cluster|collection) of (?=\w)"
+)
+"""Words at the start that say among which things the one meant is."""
 
 LINKING = _words(
-    "that which who what is are was were be been being that's which's who's it's there also directly immediately just "
-    "right straight exactly slightly somewhere still currently located positioned placed situated standing stood "
-    "sitting seated lying laying laid resting hanging hung leaning mounted kept found put parked the a an thats whos "
-    "can could may seen visible propped stored stacked arranged displayed perched tucked nestled almost nearly very "
-    "quite closely pictured appears seems approximately about does do did hidden partially partly attached fixed "
-    "connected wedged tossed thrown stuck draped built"
+    "that which who what is are was were be been being that's which's who's it's they're there also directly "
+    "immediately just right straight exactly slightly somewhere still currently located positioned placed "
+    "situated standing stood sitting seated lying laying laid resting hanging hung leaning mounted kept found put "
+    "parked the a an can could may should would might must will shall seen visible propped stored stacked "
+    "arranged displayed perched tucked nestled almost nearly very quite closely pictured appears seems "
+    "approximately about does do did hidden partially partly attached fixed connected wedged tossed thrown stuck "
+    "draped built hanged nailed pinned suspended supposed lieing siting sited"
 )
 """Words between a noun and its relation that say nothing: `the mug that is standing on`."""
 
 HOW_EXACTLY = _words("directly immediately just right straight exactly slightly almost nearly closely")
 """Words before a relation that say more than it, which no relation judges."""
 
-COPULAS = _words(
-    "does do did that which who is are was were be been being that's which's who's it's there thats whos also"
-)
+COPULAS = _words("does do did that which who is are was were be been being that's which's who's it's there also")
 
 SEEMS = re.compile(r"what (?:appears|seems|looks|look|appear|seem) (?:to be|like)(?= |$)")
 """Words before a noun that say only that its name is a guess."""
-BE = _words("is are was were be being been isn't aren't wasn't isnt arent it's that's which's thats")
+BE = _words("is are was were be being been isn't aren't wasn't weren't it's that's which's who's they're")
 DEGREES = _words("also very quite just rather or nor really both mostly all")
 """What may stand between `is` and an adjective."""
 
 RELATIVE = frozenset({"that", "which", "who"})
-RELATIVE_COPULAS = RELATIVE | {"that's", "which's", "who's", "thats"}
+RELATIVE_COPULAS = RELATIVE | {"that's", "which's", "who's"}
 POSTURES = _words(
     "resides stays stands sits lies rests hangs leans stand sit lie rest hang lean sat goes belongs appears"
 )
@@ -161,23 +150,26 @@ DOING = re.compile(
 )
 """What somebody does with a thing."""
 
-CLOSING = _words("please thanks is are there")
+CLOSING = _words("please thanks is are there now asap")
 CLOSING_PHRASES = _phrases(
     "for me, for us, would you, will you, could you, can you, if you can, if you could, if you please, thank you, "
-    "do you see it, can you see it, if possible"
+    "do you see it, can you see it, if possible, if you don't mind, right now, right away, thank you so much, "
+    "thank you very much"
 )
 """What may stand after the last noun and says nothing about it."""
 AND = frozenset({"and", "but", "&"})
 EVERY = _words("any all every each everything anything")
 """Before a noun they make `but` mean `except`."""
 NEGATIONS = _words(
-    "not no isn't aren't isnt arent wasn't doesn't doesnt don't without except excluding neither nor never cannot"
+    "not no isn't aren't wasn't weren't doesn't don't didn't hasn't haven't can't without except excluding neither nor "
+    "never cannot"
 )
 
 FILLER = re.compile(
     r"(?:(?:a |one |two |three |several |some )?(?:few |couple of |couple |little |bit )?"
     r"(?:feet|foot|inch|inches|meters|metres|centimeters|steps|bit|little|ways?)(?: away| off| over| back| up| down)?"
-    r"|(?:up|down|over|out|off|all the way|in place|by itself|here|located)|(?:you|i|we) (?:can |could )?see) ?(?= |$)"
+    r"|(?:up|down|over|out|off|all the way|in place|by itself|here|located)|(?:you|i|we) (?:can |could )?see"
+    r"|in (?:colou?r|size|shape)) ?(?= |$)"
 )
 """A distance or a direction before a relation, which no relation judges: `a few feet to the left of`."""
 
@@ -192,6 +184,14 @@ ACTIONS = _words(
     "switch press cut eat drink read write sit stand walk go"
 )
 """Commands that ask for more than to point at a thing."""
+
+PARTITIVE = re.compile(
+    r"(?:(?:which|whichever|the|any|some|each|every|just|only) )?"
+    r"(?:ones?|any|some|all|both|each|either|whichever|which|several|many|most|none) of "
+    r"(?=(?:the|these|those|my|your|our|their|his|her|its|them|all|both|two|three|four|five|six|\d+) )"
+)
+"""What stands before things of which one is meant: `one of the mugs`."""
+RECIPROCAL = ("each other", "one another")
 
 OTHER = frozenset({"another", "other"})
 """Before a noun they tell two things of one name apart, `the mug left of the other mug`, and say nothing more."""

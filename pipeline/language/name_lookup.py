@@ -265,7 +265,7 @@ def _mended(word: str, words: frozenset[str], table: Synonyms) -> str:
     if len(word) < 4 or not word.isalpha() or word in words or word in table.words or singular(word) in table.words:
         return word
     short = len(word) == 4
-    near = _two_swapped(word) if short else _one_letter_away(word)
+    near = two_swapped(word) if short else one_letter_away(word)
     for among in (words,) if short else (words, table.words):
         candidates = [n for n in near if n in among]
         kept = [c for c in candidates if c[0] == word[0]] or candidates
@@ -275,13 +275,15 @@ def _mended(word: str, words: frozenset[str], table: Synonyms) -> str:
 
 
 @lru_cache(maxsize=1024)
-def _one_letter_away(word: str) -> frozenset[str]:
+def one_letter_away(word: str) -> frozenset[str]:
+    """What a word becomes by one letter more, less or other, or by two that change places."""
     splits = [(word[:i], word[i:]) for i in range(len(word) + 1)]
     lost = {a + b[1:] for a, b in splits if b}
     changed = {a + c + b[1:] for a, b in splits if b for c in ascii_lowercase}
     added = {a + c + b for a, b in splits for c in ascii_lowercase}
-    return frozenset((lost | _two_swapped(word) | changed | added) - {word})
+    return frozenset((lost | two_swapped(word) | changed | added) - {word})
 
 
-def _two_swapped(word: str) -> frozenset[str]:
+def two_swapped(word: str) -> frozenset[str]:
+    """What a word becomes where two letters beside each other change places."""
     return frozenset(word[:k] + word[k + 1] + word[k] + word[k + 2 :] for k in range(len(word) - 1))

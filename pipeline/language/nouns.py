@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pipeline.language import choices, lexicon
-from pipeline.language.attributes import BASIC_COLORS, FURTHER_COLORS, Attribute, attribute
-from pipeline.language.cursor import MODALS, Cursor
-from pipeline.language.name_lookup import is_packed
-from pipeline.language.naming import DETERMINERS, default_synonyms, is_compound, key_of, known_words, singular
-from pipeline.language.normal import normal_form
+from pipeline.language.attributes import Attribute, attribute
+from pipeline.language.cursor import MODALS
+from pipeline.language.looks import Draft, LooksReader
+from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token, label_of
 from pipeline.language.tree import Choice, Role
@@ -74,28 +73,7 @@ class Phrase:
         return self.name in lexicon.ANYTHING and not self.named
 
 
-@dataclass
-class _Draft:
-    """A noun phrase in the making."""
-
-    attributes: list[Attribute]
-    words: list[str]
-    choices: list[Choice]
-    modifiers: list[tuple[int, int, Role]]
-    count: int | None = None
-    ordinal: tuple[int, str] | None = None
-    superlative: Token | None = None
-    predicate: bool = False
-
-    def choose(self, order: str, text: str, rank: int | None = 1) -> None:
-        if self.ordinal is not None and rank == 1:
-            rank, self.ordinal = self.ordinal[0], None
-            if rank < 0:
-                order, rank = choices.OPPOSITE.get(order, order), 1
-        self.choices.append(Choice(order, rank, text))  # type: ignore[arg-type]
-
-
-class NounReader(Cursor):
+class NounReader(LooksReader):
     """A cursor that reads noun phrases."""
 
     # ---- one noun phrase -------------------------------------------------------------------------------------------
@@ -111,13 +89,14 @@ class NounReader(Cursor):
         predicate : bool
             It is said of a thing, so that adjectives may stand alone: `is red`.
         """
-        draft = _Draft([], [], [], [], predicate=predicate)
+        draft = Draft([], [], [], [], predicate=predicate)
         at = self._before(self._determiners(at), draft)
-        if draft.choices or draft.ordinal or any(w.endswith("est") for w in draft.words):
+        if draft.choices or draft.ordinal or draft.words:
             at = self._of_several(at, draft)
         end = self._head_end(at, draft, stop_at_and=stop_at_and)
-        head = self._of_a_stack(self.tokens[at:end])
         after = self._ordinal_end(end, draft)
+        end = self._looks_after(at, end, draft)
+        head = self._of_a_stack(self.tokens[at:end])
         if not head and not (draft.attributes or draft.choices or draft.count):
             return None, after
         start = _first_word(draft, self.tokens, at if not head else end - len(head))
@@ -148,7 +127,7 @@ class NounReader(Cursor):
 
     def _determiners(self, at: int) -> int:
         while at < len(self.tokens):
-            if found := self.match(lexicon.SEEMS, at):
+            if found := self.match(lexicon.SEEMS, at) or self.match(lexicon.PARTITIVE, at):
                 at = found[1]
             elif self.tokens[at].plain in DETERMINERS or self.tokens[at].plain in QUANTIFIERS:
                 at += 1
@@ -156,7 +135,7 @@ class NounReader(Cursor):
                 break
         return at
 
-    def _before(self, at: int, draft: _Draft) -> int:
+    def _before(self, at: int, draft: Draft) -> int:
         """Read choices, numbers and attributes before the head."""
         while at < len(self.tokens):
             token = self.tokens[at]
@@ -172,27 +151,7 @@ class NounReader(Cursor):
             at = end
         return at
 
-    def _text(self, at: int) -> str:
-        """A word as the tables of choices and attributes have it; empty for names and phrases."""
-        if at >= len(self.tokens):
-            return ""
-        token = self.tokens[at]
-        if token.name is not None or (token.relation is not None and token.text not in lexicon.SUPERLATIVES):
-            return ""
-        return token.text.replace("-", " ")
-
-    def _compound(self, at: int) -> bool:
-        """Whether a known name of several words begins at a token: `white board`, `front door`."""
-        words: list[str] = []
-        for k in range(at, min(at + 4, len(self.tokens))):
-            if self.tokens[k].plain is None:
-                return False
-            words.append(self.tokens[k].text)
-            if len(words) > 1 and is_compound(words):
-                return True
-        return False
-
-    def _choice_before(self, at: int, draft: _Draft) -> int | None:
+    def _choice_before(self, at: int, draft: Draft) -> int | None:
         if self.breaks[at] and at and draft.choices:
             return None
         for size in range(_LONGEST_CHOICE, 0, -1):
@@ -216,8 +175,11 @@ class NounReader(Cursor):
                 draft.ordinal = rank, text
             elif order is not None:
                 draft.choose(order, text)
-                if self.tokens[at].text in lexicon.SUPERLATIVES:
-                    draft.superlative = self.tokens[at]
+                word = self.tokens[at].text
+                if word in lexicon.SUPERLATIVES or text in lexicon.NEARER:
+                    draft.superlative = replace(
+                        self.tokens[at], relation=lexicon.NEARER.get(word, self.tokens[at].relation)
+                    )
             else:
                 for side in sides:
                     draft.choose(side, text, None)
@@ -225,10 +187,10 @@ class NounReader(Cursor):
             return last
         return None
 
-    def _may_choose(self, text: str, after: int, draft: _Draft, side: bool) -> bool:
+    def _may_choose(self, text: str, after: int, draft: Draft, side: bool) -> bool:
         """Whether a word that could be part of a name chooses: something follows it, or it stands for the thing."""
-        if text in choices.COMPARATIVES and after < len(self.tokens) and self.tokens[after].plain != "of":
-            return side
+        if text in choices.COMPARATIVES and after < len(self.tokens) and self.tokens[after].plain == "than":
+            return False
         following = self.tokens[after] if after < len(self.tokens) else None
         if following is not None and following.plain == "of":
             return True
@@ -236,52 +198,15 @@ class NounReader(Cursor):
             return bool(draft.choices) or bool(draft.attributes)
         return True
 
-    def _attribute(self, at: int, draft: _Draft) -> int | None:
-        for size in (2, 1):
-            if at + size > len(self.tokens) or (size == 2 and self.breaks[at + 1]):
-                continue
-            text = " ".join(self._text(k) for k in range(at, at + size)).strip()
-            if (size == 2 and " " not in text) or not text:
-                continue
-            found = attribute(text) or (_superlative_of(text) if size == 1 else None)
-            if found is None or (size == 1 and (self._compound(at) or self._is_the_thing(at, draft, found))):
-                continue
-            if self._is_content(at + size - 1, found) or (size == 2 and self._compound(at + 1)):
-                continue
-            draft.attributes.append(found)
-            draft.words.append(text)
-            draft.modifiers.append((self.tokens[at].start, self.tokens[at + size - 1].end, "attribute"))
-            return at + size
-        return None
-
-    def _is_the_thing(self, at: int, draft: _Draft, found: Attribute) -> bool:
-        """`orange`, `glass` and `light` name things too, where nothing follows that could be one."""
-        same_kind = any(a.kind == found.kind for a in draft.attributes)
-        word = self.tokens[at].text
-        if draft.predicate or same_kind or not (is_name(word) or (found.kind == "material" and word in known_words())):
-            return False
-        after = at + 1
-        if after >= len(self.tokens) or self.tokens[after].plain == "of":
-            return True
-        # `orange, white and blue flags`
-        listed = after + (self.tokens[after].plain in lexicon.AND)
-        return self._ends(after) and attribute(self._text(listed)) is None
-
-    def _is_content(self, at: int, found: Attribute) -> bool:
-        """`peach` in `peach jar`: a word for a colour that first names a thing, before what such things are sold in."""
-        word, following = self._text(at), singular(self._text(at + 1))
-        named = (
-            found.kind == "color" and word not in (*BASIC_COLORS, *FURTHER_COLORS, "grey", "light") and is_name(word)
-        )
-        return named and (is_packed(following) or is_name(f"{word} {following}"))
-
-    def _of_several(self, at: int, draft: _Draft) -> int:
-        """`the taller of the two boxes`: past `of the two`."""
+    def _of_several(self, at: int, draft: Draft) -> int:
+        """`the taller (one) of the two boxes`: past `of the two`."""
+        if found := self.match(lexicon.PARTITIVE, at):
+            return self._before(self._determiners(found[1]), draft)
         if at >= len(self.tokens) or self.tokens[at].plain != "of":
             return at
         return self._before(self._determiners(at + 1), draft)
 
-    def _head_end(self, at: int, draft: _Draft, *, stop_at_and: bool) -> int:
+    def _head_end(self, at: int, draft: Draft, *, stop_at_and: bool) -> int:
         end = at
         while end < len(self.tokens):
             token, word = self.tokens[end], self.tokens[end].plain
@@ -330,7 +255,7 @@ class NounReader(Cursor):
             return True
         if word in ("left", "right"):
             return not self._compound(end - 1)
-        if self.match(choices.AT_SIDE, end) is not None:
+        if self.match(choices.AT_SIDE, end) is not None or self.match(choices.FROM_SIDE, end) is not None:
             return True
         return (
             word in lexicon.LINKING or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
@@ -358,7 +283,7 @@ class NounReader(Cursor):
             return at + 2
         return at + 1 if token.text in lexicon.BARE_TAILS and not self._starts_noun(at + 1) else None
 
-    def _ordinal_end(self, end: int, draft: _Draft) -> int:
+    def _ordinal_end(self, end: int, draft: Draft) -> int:
         """`from the left` after an ordinal says where it begins to count."""
         if draft.ordinal is None:
             return end
@@ -384,18 +309,7 @@ class NounReader(Cursor):
         return head
 
 
-def _superlative_of(word: str) -> Attribute | None:
-    """`darkest` as dark: how a thing looks is judged by degrees."""
-    stems = (word[:-3], word[:-2], word[:-4]) if word.endswith("est") and len(word) > 5 else ()
-    return next((found for stem in stems if (found := attribute(stem)) is not None), None)
-
-
-def is_name(word: str) -> bool:
-    """Whether one word in lower case is a name of the project's table: `glass`, and not `red`."""
-    return key_of(normal_form(word)) in default_synonyms().keys
-
-
-def _first_word(draft: _Draft, tokens: Sequence[Token], head: int) -> int:
+def _first_word(draft: Draft, tokens: Sequence[Token], head: int) -> int:
     """The token with which the thing and the attributes right before it begin."""
     starts = {start for start, _, role in draft.modifiers if role == "attribute"}
     first = head

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from pipeline.language.lexicon import AND, GRAMMAR_WORDS, LINKING, WITH, phrase_table
-from pipeline.language.naming import DETERMINERS, Synonyms, known_words
+from pipeline.language.lexicon import AND, LINKING, WITH, phrase_table
+from pipeline.language.naming import DETERMINERS, Synonyms
+from pipeline.language.spelling import mended_spans, spelled
 from pipeline.system.errors import InputError, require
 
 MAX_LENGTH = 300
@@ -64,6 +65,8 @@ class Vocabulary:
     """Known names by their first word, longest first, as (words, spelling, guards)."""
 
     names: dict[str, tuple[tuple[tuple[str, ...], str, bool], ...]]
+    words: frozenset[str] = frozenset()
+    """The words of the user's own names, which are spelled as they are."""
 
 
 def _phrases_by_first_word() -> dict[str, tuple[tuple[tuple[str, ...], str, bool], ...]]:
@@ -79,72 +82,12 @@ def _phrases_by_first_word() -> dict[str, tuple[tuple[tuple[str, ...], str, bool
 
 
 _PHRASES = _phrases_by_first_word()
-_MISSPELT = [
-    "left",
-    "right",
-    "behind",
-    "front",
-    "between",
-    "beside",
-    "besides",
-    "under",
-    "above",
-    "below",
-    "next",
-    "near",
-    "bottom",
-    "middle",
-    "closest",
-    "nearest",
-    "farthest",
-    "furthest",
-    "leftmost",
-    "rightmost",
-    "inside",
-    "beneath",
-    "underneath",
-    "infront",
-    "against",
-    "across",
-]
-"""Words of the grammar that are taken for what a misspelt word should be."""
-_SLIPS = {"th": "the"} | {
-    word[:k] + word[k + 1] + word[k] + word[k + 2 :]: word
-    for word in ("the", "that", "this", "and", "with", "which", "from")
-    for k in range(len(word) - 1)
-    if word != "from" or k != 1
-}
-"""Two letters of a small word that changed places: `teh`; `form` is a word of its own."""
 
 
-@lru_cache(maxsize=4096)
-def spelled(word: str) -> str:
-    """A word of the grammar where one is misspelt by a letter too many, too few or two that changed places.
-
-    A word that is known is left alone; in long ones one letter may be another.
-    """
-    if word in _SLIPS:
-        return _SLIPS[word]
-    if len(word) < 3 or word in _PHRASES or word in _MISSPELT or word in GRAMMAR_WORDS or word in known_words():
-        return word
-    for meant in _MISSPELT:
-        if abs(len(word) - len(meant)) <= 1 and word[0] == meant[0] and _one_slip(word, meant):
-            return meant
-    return word
-
-
-def mended(text: str) -> tuple[tuple[int, int, str], ...]:
+def mended(text: str, known: Vocabulary) -> tuple[tuple[int, int, str], ...]:
     """The words of the grammar that were misspelt: where each stands, and what it was read as."""
     words = ((m.start(), m.end(), m[0].lower().replace("’", "'")) for m in _WORD.finditer(text))
-    return tuple((start, end, spelled(word)) for start, end, word in words if spelled(word) != word)
-
-
-def _one_slip(word: str, meant: str) -> bool:
-    start = next((k for k, (a, b) in enumerate(zip(word, meant, strict=False)) if a != b), min(len(word), len(meant)))
-    a, b = word[start:], meant[start:]
-    swapped = a[:2] == b[1::-1] and a[2:] == b[2:] and len(a) > 1
-    other = len(word) > 6 and a[1:] == b[1:]
-    return swapped or a[1:] == b or a == b[1:] or other
+    return mended_spans(words, known.words)
 
 
 def words_of(name: str) -> tuple[str, ...]:
@@ -169,7 +112,8 @@ def vocabulary(class_names: tuple[str, ...], synonyms: Synonyms) -> Vocabulary:
     for words, name in found.items():
         if words:
             by_first.setdefault(words[0], []).append((words, name, _speaks_grammar(words)))
-    return Vocabulary({first: tuple(sorted(e, key=lambda x: -len(x[0]))) for first, e in by_first.items()})
+    own = frozenset(word for name in class_names for word in words_of(name))
+    return Vocabulary({first: tuple(sorted(e, key=lambda x: -len(x[0]))) for first, e in by_first.items()}, own)
 
 
 def _speaks_grammar(words: tuple[str, ...]) -> bool:
@@ -222,7 +166,8 @@ def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[T
     `built-in oven` is none.
     """
     found = list(_WORD.finditer(text))
-    words = [spelled(m[0].lower().replace("’", "'")) for m in found]
+    words = [m[0].lower().replace("’", "'") for m in found]
+    words = [w if w in known.words else spelled(w) for w in words]
     words = [
         "with" if w == "w" and text[m.end() : m.end() + 1] == "/" else w for w, m in zip(words, found, strict=True)
     ]

@@ -9,7 +9,6 @@ from typing import Literal
 from pipeline.language.attributes import Attribute
 from pipeline.language.lexicon import ANYTHING, wording
 from pipeline.language.relation_names import RELATIONS
-from pipeline.language.tokens import mended
 from pipeline.system.errors import InputError, require
 
 Role = Literal["target", "relation", "reference", "attribute", "choice", "unused"]
@@ -261,12 +260,15 @@ class Query:
         What each stretch of the text says, in order, without overlap.
     reader : str
         What read it: "grammar", or "llm" and the model's name.
+    mended : tuple of (str, str)
+        The misspelt words of the grammar and of those for looks, and what each was read as.
     """
 
     text: str
     readings: tuple[Reading, ...]
     spans: tuple[Span, ...]
     reader: str = "grammar"
+    mended: tuple[tuple[str, str], ...] = ()
 
     @property
     def default(self) -> Reading:
@@ -320,16 +322,6 @@ class Query:
 
         there = set(names(self.default.root))
         return tuple(label for label in self.labels if label in there)
-
-    @property
-    def mended(self) -> tuple[tuple[str, str], ...]:
-        """The misspelt words of the grammar, and what each was read as."""
-        names = [s for s in self.spans if s.role in ("target", "reference")]
-        return tuple(
-            (self.text[start:end], meant)
-            for start, end, meant in mended(self.text)
-            if not any(s.start <= start and end <= s.end for s in names)
-        )
 
     @property
     def kind(self) -> str:

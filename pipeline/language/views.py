@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pipeline.language import lexicon
+from pipeline.language.naming import is_compound
 from pipeline.language.tokens import Token, joined_words
 from pipeline.language.unreadable import FORM, check_judged, other_view
 from pipeline.system.errors import Unsupported
@@ -66,10 +67,11 @@ def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
     """Without `please find me` and the like, as long as something is left; whether they ask `what` or `which`."""
     asks = False
     while tokens:
+        tokens = _among_removed(tokens)
         for n in range(7, 0, -1):
             run = tokens[:n]
             if len(run) == n and " ".join(t.text for t in run) in lexicon.LEADING:
-                if any(t.bound or t.name is not None for t in run):
+                if any(t.bound or t.name is not None for t in run) or _names_a_thing(tokens[:3]):
                     continue
                 asked = any(t.text.startswith(("what", "which")) for t in run)
                 if len(tokens) > n and (tokens[n].relation is None or tokens[n].text in lexicon.SUPERLATIVES or asked):
@@ -78,3 +80,17 @@ def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
         else:
             return tokens, asks
     return tokens, asks
+
+
+def _names_a_thing(tokens: list[Token]) -> bool:
+    """Whether a name begins with what else asks: `hand sanitizer`."""
+    words = [t.text for t in tokens if t.plain is not None]
+    return any(is_compound(words[:n]) for n in (2, 3))
+
+
+def _among_removed(tokens: list[Token]) -> list[Token]:
+    """`the two chairs, the one by the door` of `of the two chairs, the one by the door`."""
+    joined, _, ends = joined_words(tokens)
+    found = lexicon.AMONG_FIRST.match(joined)
+    end = None if found is None else len(found[0].rstrip())
+    return tokens[ends.index(end) + 1 :] if end in ends else tokens

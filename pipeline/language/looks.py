@@ -1,0 +1,148 @@
+"""Words for how a thing looks in an expression: before the thing, after it, misspelt, or naming a thing themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from pipeline.language import choices, lexicon
+from pipeline.language.attributes import BASIC_COLORS, FURTHER_COLORS, Attribute, attribute
+from pipeline.language.cursor import Cursor
+from pipeline.language.name_lookup import is_packed
+from pipeline.language.naming import default_synonyms, is_compound, key_of, known_words, singular
+from pipeline.language.normal import normal_form
+from pipeline.language.spelling import look_meant
+from pipeline.language.tokens import Token
+from pipeline.language.tree import Choice, Role
+
+
+@dataclass
+class Draft:
+    """A noun phrase in the making."""
+
+    attributes: list[Attribute]
+    words: list[str]
+    choices: list[Choice]
+    modifiers: list[tuple[int, int, Role]]
+    count: int | None = None
+    ordinal: tuple[int, str] | None = None
+    superlative: Token | None = None
+    predicate: bool = False
+
+    def choose(self, order: str, text: str, rank: int | None = 1) -> None:
+        if self.ordinal is not None and rank == 1:
+            rank, self.ordinal = self.ordinal[0], None
+            if rank < 0:
+                order, rank = choices.OPPOSITE.get(order, order), 1
+        self.choices.append(Choice(order, rank, text))  # type: ignore[arg-type]
+
+
+class LooksReader(Cursor):
+    """A cursor that reads attributes."""
+
+    def __init__(self, text: str, tokens: Sequence[Token], own: Collection[str] = ()) -> None:
+        super().__init__(text, tokens, own)
+        self.respelled: dict[int, tuple[int, int, str]] = {}
+
+    def _text(self, at: int) -> str:
+        """A word as the tables of choices and attributes have it; empty for names and phrases."""
+        if at >= len(self.tokens):
+            return ""
+        token = self.tokens[at]
+        if token.name is not None or (token.relation is not None and token.text not in lexicon.SUPERLATIVES):
+            return ""
+        return token.text.replace("-", " ")
+
+    def _compound(self, at: int) -> bool:
+        """Whether a known name of several words begins at a token: `white board`, `front door`."""
+        words: list[str] = []
+        for k in range(at, min(at + 4, len(self.tokens))):
+            if self.tokens[k].plain is None:
+                return False
+            words.append(self.tokens[k].text)
+            if len(words) > 1 and is_compound(words):
+                return True
+        return False
+
+    def _attribute(self, at: int, draft: Draft) -> int | None:
+        for size in (2, 1):
+            if at + size > len(self.tokens) or (size == 2 and self.breaks[at + 1]):
+                continue
+            text = " ".join(self._text(k) for k in range(at, at + size)).strip()
+            if (size == 2 and " " not in text) or not text:
+                continue
+            found = attribute(text) or (_superlative_of(text) if size == 1 else None)
+            if found is None and size == 1 and (meant := self._meant(at, draft)):
+                found, text = attribute(meant), meant
+                self.respelled[at] = self.tokens[at].start, self.tokens[at].end, meant
+            if found is None or (size == 1 and (self._compound(at) or self._is_the_thing(at, draft, found))):
+                continue
+            if self._is_content(at + size - 1, found) or (size == 2 and self._compound(at + 1)):
+                continue
+            draft.attributes.append(found)
+            draft.words.append(text)
+            draft.modifiers.append((self.tokens[at].start, self.tokens[at + size - 1].end, "attribute"))
+            return at + size
+        return None
+
+    def _meant(self, at: int, draft: Draft) -> str | None:
+        """The word for a look that a misspelt one is, where a thing follows or it is said of one: `pruple chair`."""
+        token = self.tokens[at]
+        if token.plain is None or token.text in self.own or (self._ends(at + 1) and not draft.predicate):
+            return None
+        meant = look_meant(token.text)
+        following = self.tokens[at + 1].text if at + 1 < len(self.tokens) else ""
+        return None if meant is None or is_compound([meant, following]) else meant
+
+    def _looks_after(self, at: int, end: int, draft: Draft) -> int:
+        """The end of the thing before attributes that follow it: `something yellow`, `mug small and red`."""
+        start = end
+        while start > at + 1:
+            word, before = self.tokens[start - 1], self.tokens[start - 2]
+            found = attribute(word.plain or "")
+            if found is None or is_name(word.text) or self._compound(start - 2):
+                break
+            start -= 1
+            if before.plain in lexicon.AND and start > at + 2 and attribute(self.tokens[start - 2].plain or ""):
+                start -= 1
+        head = self.tokens[start - 1].plain
+        if start == end or head is None or not (head in lexicon.ANYTHING or is_name(singular(head))):
+            return end
+        for k in range(start, end):
+            if found := attribute(self.tokens[k].plain or ""):
+                draft.attributes.append(found)
+                draft.words.append(self.tokens[k].text)
+                draft.modifiers.append((self.tokens[k].start, self.tokens[k].end, "attribute"))
+        return start
+
+    def _is_the_thing(self, at: int, draft: Draft, found: Attribute) -> bool:
+        """`orange`, `glass` and `light` name things too, where nothing follows that could be one."""
+        same_kind = any(a.kind == found.kind for a in draft.attributes)
+        word = self.tokens[at].text
+        if draft.predicate or same_kind or not (is_name(word) or (found.kind == "material" and word in known_words())):
+            return False
+        after = at + 1
+        if after >= len(self.tokens) or self.tokens[after].plain == "of":
+            return True
+        # `orange, white and blue flags`
+        listed = after + (self.tokens[after].plain in lexicon.AND)
+        return self._ends(after) and attribute(self._text(listed)) is None
+
+    def _is_content(self, at: int, found: Attribute) -> bool:
+        """`peach` in `peach jar`: a word for a colour that first names a thing, before what such things are sold in."""
+        word, following = self._text(at), singular(self._text(at + 1))
+        named = (
+            found.kind == "color" and word not in (*BASIC_COLORS, *FURTHER_COLORS, "grey", "light") and is_name(word)
+        )
+        return named and (is_packed(following) or is_name(f"{word} {following}"))
+
+
+def _superlative_of(word: str) -> Attribute | None:
+    """`darkest` as dark: how a thing looks is judged by degrees."""
+    stems = (word[:-3], word[:-2], word[:-4]) if word.endswith("est") and len(word) > 5 else ()
+    return next((found for stem in stems if (found := attribute(stem)) is not None), None)
+
+
+def is_name(word: str) -> bool:
+    """Whether one word in lower case is a name of the project's table: `glass`, and not `red`."""
+    return key_of(normal_form(word)) in default_synonyms().keys

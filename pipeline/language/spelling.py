@@ -1,0 +1,104 @@
+"""Misspelt words: what a word that nothing knows was meant to be, of the grammar's words and of those for looks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from functools import lru_cache
+
+from pipeline.language import choices
+from pipeline.language.attributes import SINGLE_WORDS, attribute
+from pipeline.language.lexicon import CONTRACTIONS, GRAMMAR_WORDS, SHORTHAND, phrase_table
+from pipeline.language.name_lookup import one_letter_away, two_swapped
+from pipeline.language.naming import known_words, singular
+
+_PHRASE_WORDS = frozenset(w for phrase in phrase_table() for w in phrase.split())
+_CHOICE_WORDS = {
+    w for phrase in (*choices.EXTREMES, *choices.SIDES, *choices.ORDINALS) for w in phrase.split() if len(w) > 4
+} - {"background", "foreground", "distance"}
+_OFTEN = (
+    "left right behind front between beside besides under above below next near bottom middle closest nearest farthest "
+    "furthest leftmost rightmost inside beneath underneath infront against across corner standing sitting hanging "
+    "lying neither without something anything"
+)
+_MISSPELT = tuple(dict.fromkeys([*_OFTEN.split(), *sorted(_CHOICE_WORDS)]))
+"""Words of the grammar that are taken for what a misspelt word should be."""
+_SLIPS = {"th": "the"} | {
+    word[:k] + word[k + 1] + word[k] + word[k + 2 :]: word
+    for word in ("the", "that", "this", "and", "with", "which", "from")
+    for k in range(len(word) - 1)
+    if word != "from" or k != 1
+}
+"""Two letters of a small word that changed places: `teh`; `form` is a word of its own."""
+
+
+@lru_cache(maxsize=4096)
+def spelled(word: str) -> str:
+    """A word of the grammar where one is misspelt by a letter too many, too few or two that changed places, or where
+    it lacks its apostrophe or is short for it (`whats`, `plz`).
+
+    A word that is known is left alone; in long ones one letter may be another.
+    """
+    found = _SLIPS.get(word) or CONTRACTIONS.get(word) or SHORTHAND.get(word)
+    if found is not None:
+        return found
+    if len(word) < 3 or is_known(word):
+        return word
+    for meant in _MISSPELT:
+        if abs(len(word) - len(meant)) <= 1 and word[0] == meant[0] and _one_slip(word, meant):
+            return meant
+    return word
+
+
+def was_misspelt(word: str) -> bool:
+    """Whether `spelled` takes a word for another that is more than its usual short form."""
+    return spelled(word) != word and word not in CONTRACTIONS and word not in SHORTHAND
+
+
+@lru_cache(maxsize=4096)
+def is_known(word: str) -> bool:
+    """Whether a word in lower case stands in the grammar, among the words for looks or in a name of the table."""
+    grammar = word in _PHRASE_WORDS or word in _MISSPELT or word in GRAMMAR_WORDS or word in choices.NUMBERS
+    return grammar or word in known_words() or singular(word) in known_words() or attribute(word) is not None
+
+
+@lru_cache(maxsize=4096)
+def look_meant(word: str) -> str | None:
+    """The word for a look that an unknown word misspells: `purple` for `pruple`; None where there is none or several.
+
+    Two letters that changed places and a letter too few come before a letter too many, and that before another
+    letter; of words of four letters only the first, of three only a letter too few.
+    """
+    if len(word) < 3 or not word.isalpha() or is_known(word):
+        return None
+    swapped = two_swapped(word) if len(word) > 3 else frozenset[str]()
+    away = one_letter_away(word)
+    longer = {w for w in away if len(w) > len(word)}
+    shorter = {w for w in away if len(w) < len(word)}
+    ranks = (swapped | longer, shorter, away) if len(word) > 4 else (swapped | longer,)
+    for near in ranks:
+        candidates = [w for w in sorted(near) if w in SINGLE_WORDS]
+        kept = [w for w in candidates if w[0] == word[0]] or (candidates if len(word) > 4 else [])
+        if kept:
+            return kept[0] if len({attribute(w) for w in kept}) == 1 else None
+    return None
+
+
+def mended_spans(words: Iterable[tuple[int, int, str]], names: Collection[str]) -> tuple[tuple[int, int, str], ...]:
+    """The misspelt words of the grammar among words with their places: where each stands, and what it was read as.
+
+    Parameters
+    ----------
+    words : iterable of (int, int, str)
+    names : collection of str
+        Words of the user's own names, which are spelled as they are.
+    """
+    told = ((start, end, word) for start, end, word in words if word not in names and was_misspelt(word))
+    return tuple((start, end, spelled(word)) for start, end, word in told)
+
+
+def _one_slip(word: str, meant: str) -> bool:
+    start = next((k for k, (a, b) in enumerate(zip(word, meant, strict=False)) if a != b), min(len(word), len(meant)))
+    a, b = word[start:], meant[start:]
+    swapped = a[:2] == b[1::-1] and a[2:] == b[2:] and len(a) > 1
+    other = len(word) > 6 and a[1:] == b[1:]
+    return swapped or a[1:] == b or a == b[1:] or other
