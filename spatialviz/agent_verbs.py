@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from threading import Timer
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -21,7 +20,8 @@ from pipeline.diagnosis.asking import answer, known_truth, pathless_edits
 from pipeline.diagnosis.cases.replay import find_cases, replay_all
 from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.whatif import Baseline
-from pipeline.evaluation.run_folder import Run, RunDatabase, open_database
+from pipeline.evaluation.querying import RunDatabase, open_database
+from pipeline.evaluation.run_folder import Run
 from pipeline.system.errors import InputError, needed, require
 from spatialviz import cli_ask
 from spatialviz.options import JournalOptions, SourceOptions
@@ -71,11 +71,12 @@ class OpenRun:
 
     def why(self, id: str) -> Answer:
         """An expression of the run answered and judged again as the run did; InputError where it has none such."""
-        opened = self.opened
-        rows = self.database.select("SELECT frame, text FROM records WHERE id = ?", [id]).rows
-        frame, text = needed(
+        opened, records = self.opened, self.run.records
+        rows = (row for row in records.select(["id", "frame", "text"]).to_pylist() if row["id"] == id)
+        found = needed(
             next(rows, None), "the run has no such expression", got=id, expected="an id of failures or query"
         )
+        frame, text = found["frame"], found["text"]
         context = opened.pipeline.prepare(frame)
         truth = known_truth(opened.pipeline, context, opened.labels)
         return answer(
@@ -316,16 +317,8 @@ class Query(Verb):
     def reply(self, session: Session) -> Reply:
         database = chosen(session.runs, self.run, "run").database
         # An agent may ask for the product of two long tables, and would wait for ever.
-        stop = Timer(LONGEST_QUERY, database.interrupt)
-        stop.start()
-        try:
-            found = database.select(self.sql)
-            rows = list(islice(row_records(found), self.offset, self.offset + self.limit + 1))
-        except InputError:
-            require(stop.is_alive(), "the query takes too long", got=f"{LONGEST_QUERY} s", expected="a narrower one")
-            raise
-        finally:
-            stop.cancel()
+        found = database.select(self.sql, seconds=LONGEST_QUERY)
+        rows = list(islice(row_records(found), self.offset, self.offset + self.limit + 1))
         record: dict[str, Any] = {"columns": list(found.columns), "rows": rows[: self.limit]}
         if len(rows) > self.limit:
             record["left_out"] = f"more rows: offset={self.offset + self.limit} gives the next, in order by ORDER BY"

@@ -20,10 +20,11 @@ from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.comparing import CHANGES, Comparison, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
+from pipeline.evaluation.querying import QueryRows, open_database
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run import EvalSpec, VlmOptions
-from pipeline.evaluation.run_folder import QueryRows, labels_of, manifest_of, open_database
+from pipeline.evaluation.run_folder import labels_of, manifest_of
 from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats

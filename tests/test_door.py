@@ -47,6 +47,7 @@ OWN = {
     "diagnosis/whatif/changes.py": "keys that were made here",
     "evaluation/from_records.py .open": "written to",
     "evaluation/importing.py json.loads": "settings that were made here",
+    "evaluation/querying.py": "what the process says that it started",
     "evaluation/job.py json.loads": "options that were made here",
     "labels/merge.py open": "a table that was just written",
     "labels/reading.py open": "a table that was just written",
@@ -58,6 +59,7 @@ OWN = {
     "system/model_files.py": "the cache, and a table that comes with the program",
     "system/peak_memory.py": "/proc",
     "system/remote.py": "the cache",
+    "system/sql.py": "what its parent says, /dev/null and /proc",
     "system/whole_files.py": "writes",
 }
 """What opens what was written here."""

@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from pipeline.evaluation.importing import export_run, import_run
     from pipeline.evaluation.job import RunReport, evaluate_dataset
     from pipeline.evaluation.paper_tables import tables_of_run
+    from pipeline.evaluation.querying import open_database
     from pipeline.evaluation.records import read_records
     from pipeline.evaluation.relation_cases import RelationSpec
     from pipeline.evaluation.robospatial import Question, published_right, read_question_answers, read_questions
     from pipeline.evaluation.run import EvalSpec, VlmOptions, evaluate_labels
-    from pipeline.evaluation.run_folder import Run, open_database, open_run, spec_record
+    from pipeline.evaluation.run_folder import Run, open_run, spec_record
     from pipeline.evaluation.search import complete, find_failures, find_rows
     from pipeline.evaluation.search_words import quote
     from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences

@@ -15,6 +15,7 @@ from pipeline.metrics.tables import Row, Table
 from pipeline.relations.relations import F, T, U
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
+from pipeline.system.sql import bounded_database
 
 UNDECIDED, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
 OTHERS = (UNDECIDED, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
@@ -181,7 +182,7 @@ def _pairs_of_answers(
 
     rows = records.select(["frame_index", "matched_target", "matched_reference"])
     rows = rows.append_column("row", [np.arange(records.num_rows)])
-    with duckdb.connect(":memory:") as connection:
+    with bounded_database() as connection:
         add_views(connection, labels, ("objects", "relations"))
         connection.register("run", rows)
         told = ", ".join(

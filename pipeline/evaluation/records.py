@@ -26,7 +26,7 @@ DIAGNOSIS_COLUMNS: dict[str, str] = {
     "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",
     "mends": "strings", "right_with": "int32",
     "margin": "float32", "margin_lift": "float32", "margin_srm": "float32", "margin_conf": "float32",
-    "false_target": "bool", "false_reference": "bool",
+    "false_target": "bool", "false_reference": "bool", "untold": "strings",
     "missed_name": "string", "missed_overlap": "float32", "missed_score": "float32", "missed_rank": "int32",
     "object_size": "float32", "object_distance": "float32", "object_occluded": "float32", "object_pixels": "int32",
 }  # fmt: skip
@@ -34,7 +34,8 @@ DIAGNOSIS_COLUMNS: dict[str, str] = {
 that alone would do. `right_with` has bit s set where the target is right with subset s of the oracles (RECALL 1, LIFT
 2, SRM 4, CONF 8). `margin…` is S of the best acceptable pair less S of the best other one, as it is and with one
 oracle. `object_…` is the labelled target: longest edge of its box and distance in metres, occluded share of its border,
-pixels of its mask."""
+pixels of its mask. `untold` is of imported predictions: each oracle that cannot be put in place, and why, as "LIFT: the
+file gives no 3D boxes"; what `right_with` says of it is no part of what a module costs."""
 
 
 RAW = (
@@ -64,7 +65,7 @@ COLUMNS: dict[str, str] = {
     "p_target": "float32", "p_reference": "float32", "p_relation": "float32", "log_score": "float32",
     "log_margin": "float32",
     "right_p_target": "float32", "right_p_reference": "float32", "right_p_relation": "float32",
-    "right_log_score": "float32",
+    "right_log_score": "float32", "worked_out": "strings",
     "target_points": "int32", "target_depth_missing": "float32", "target_distance": "float32",
     **DIAGNOSIS_COLUMNS,
 }  # fmt: skip
@@ -72,6 +73,7 @@ COLUMNS |= {f"raw_{name}": COLUMNS[name] for name in RAW}
 COLUMNS |= {f"{end}_{what}": kind for end in ("target", "reference") for what, kind in DETECTIONS.items()}
 """The columns of `records.parquet`. Indices of objects are those of the labels, ranks count from 1 and are null where
 nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer.
+`worked_out` names, of imported predictions, which of p_relation, log_score and those of the right pair no file gives.
 `degenerate` is set where all pairs are one thing, so that the detector's best target answers alone, as in `ask`.
 `raw_…`, `target_scores` and so on are null where scores are not calibrated: see `raw_columns`; the
 columns of the diagnosis for systems that are not the pipeline."""
@@ -249,6 +251,7 @@ def diagnosis_columns(d: Diagnosis) -> dict[str, Any]:
         "margin": _finite(d.margins[0]), "margin_lift": _finite(d.margins[LIFT]), "margin_srm": _finite(d.margins[SRM]),
         "margin_conf": _finite(d.margins[CONF]),
         "false_target": d.false_target, "false_reference": d.false_reference,
+        "untold": [f"{name}: {why}" for name, why in d.untold.items()] or None,
         "missed_name": d.missed_name,
         "missed_overlap": None if missed is None else missed.overlap,
         "missed_score": None if missed is None else missed.score,
@@ -358,8 +361,8 @@ def detector_scores(records: pa.Table) -> DetectorScores:
     return DetectorScores(raw, calibrated, hits, frames, np.repeat(np.array([p[3] for p in parts.values()]), lengths))
 
 
-def read_records(run: Path) -> pa.Table:
-    """The records of a run folder.
+def read_records(run: Path, columns: list[str] | None = None) -> pa.Table:
+    """The records of a run folder, or some columns of them; with none the file's head alone is read.
 
     Raises
     ------
@@ -368,7 +371,7 @@ def read_records(run: Path) -> pa.Table:
     """
     path = Path(run) / "records.parquet"
     try:
-        return read_parquet(path)
+        return read_parquet(path, columns)
     except FileNotFoundError as error:
         if (Path(run) / "relation_records.parquet").is_file():
             raise InputError("this run has no expressions", cause="made with --tables relations", path=run) from error

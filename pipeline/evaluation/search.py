@@ -32,6 +32,7 @@ from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError, require
+from pipeline.system.limits import current_limits
 
 if TYPE_CHECKING:
     import duckdb
@@ -216,7 +217,7 @@ def _database() -> duckdb.DuckDBPyConnection:
 
     # One that outlives the interpreter makes DuckDB print what it leaks.
     atexit.register(_database.cache_clear)
-    return duckdb.connect(":memory:", config={"threads": 1})
+    return duckdb.connect(":memory:", config={"threads": 1, "memory_limit": f"{current_limits().query}B"})
 
 
 def _defined(name: str, schema: pa.Schema) -> str:

@@ -6,7 +6,6 @@ SQL by DuckDB straight over the Parquet files, in memory that does not grow with
 from __future__ import annotations
 
 import glob
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ import numpy as np
 from pipeline.labels.reading import Labels, read_table
 from pipeline.labels.schema import TABLES
 from pipeline.system.errors import InputError
+from pipeline.system.sql import bounded_database
 
 if TYPE_CHECKING:
     import duckdb
@@ -349,16 +349,9 @@ def open_database(labels: Labels) -> Iterator[Database]:
     InputError
         A table is missing, damaged, of another schema, or lacks a column.
     """
-    import duckdb
-
-    # What does not fit into memory goes to disk: beside nothing of the user's, and away at the end.
-    with tempfile.TemporaryDirectory(prefix="spatialviz-") as spill:
-        connection = duckdb.connect(":memory:", config={"temp_directory": spill})
-        try:
-            add_views(connection, labels, TABLES)
-            yield Database(connection, labels)
-        finally:
-            connection.close()
+    with bounded_database() as connection:
+        add_views(connection, labels, TABLES)
+        yield Database(connection, labels)
 
 
 def add_views(connection: duckdb.DuckDBPyConnection, labels: Labels, tables: Iterable[str]) -> None:

@@ -41,7 +41,9 @@ class Limits:
     model: int = _limit(8 * 10**9, "bytes of a network's file, of a file of its weights, or of text vectors")
     tensor: int = _limit(2 * 10**9, "bytes of one tensor that a network's file declares")
     memory: int = _limit(8 * 10**9, "bytes that the networks of a process hold while they compute on the CPU")
+    query: int = _limit(10**9, "bytes in memory of a database that counts or answers in SQL; 4 times as many on disk")
     seconds: int = _limit(300, "seconds of loading a network, and of one inference")
+    query_seconds: int = _limit(60, "seconds of one query in SQL")
     links: int = _limit(0, "1 follows links that lead out of the folder that was opened")
 
     def changed(self, values: Mapping[str, Any], own: bool = False) -> Limits:
@@ -122,4 +124,4 @@ def shown_above(number: float) -> str:
     return f"{-(-scaled // step) * step}{unit}"
 
 
-_OF_BYTES = ("bytes", "text", "unpacked", "model", "tensor", "memory")
+_OF_BYTES = ("bytes", "text", "unpacked", "model", "tensor", "memory", "query")
