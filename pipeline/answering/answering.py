@@ -105,6 +105,10 @@ class FrameAnswers:
         """(D, D) float64: P("a RELATION b") of all detections; None where nothing was detected."""
         return None if self._scores is None else self._scores.of(relation)
 
+    def worked_out(self, relation: str, a: int, b: int) -> bool:
+        """Whether P("a RELATION b") is not given by the file that the answers are of."""
+        return self._scores is not None and relation in self._scores.worked_out(a, b)
+
     def score(self, target: str, relation: str, reference: str) -> PairTable | None:
         """All candidate pairs of an expression; None where a class was not found."""
         targets, references = self.candidates[target], self.candidates[reference]

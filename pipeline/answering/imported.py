@@ -154,7 +154,7 @@ class GivenDetector:
         moved = entry.lifted
         if box is not None and not (moved.box is not None and alike(moved.box, box)):
             moved = moved.moved_to(box, context.viewer)
-        return replace(entry, lifted=moved, told=told)
+        return replace(entry, lifted=moved, told=told, box_from="worked out" if box is None else "given")
 
 
 def alike(a: Box3D, b: Box3D) -> bool:

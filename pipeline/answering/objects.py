@@ -43,6 +43,8 @@ class SceneObject:
     lifted : LiftedObject
     told : mapping of str to float
         P(attribute | object) where an imported file gives it, by attribute.
+    box_from : str
+        Of imported predictions: "given", or "worked out" where the file gives no 3D box of it.
     """
 
     id: int
@@ -52,6 +54,7 @@ class SceneObject:
     mask: np.ndarray
     lifted: LiftedObject
     told: Mapping[str, float] = field(default_factory=dict)
+    box_from: str = ""
 
     def __repr__(self) -> str:
         return f"<SceneObject {self.label!r}, score {self.score:.2f}, {self.box or 'no 3D box'}>"

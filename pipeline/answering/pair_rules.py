@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
+from typing import Any
 
 import numpy as np
 
@@ -196,17 +197,17 @@ class PairRule:
         InputError
             Target and reference of the answer are one thing by `same`, (N, N) bool, and others are not.
         """
-        if self.first is None:
-            return self
-        if not any(a == self.first.object and self.first.reference in (None, b) for a, b in self.given):
-            return None if not self.told else replace(self, first=None)
         known = np.array(ids, np.int64)
         apart = {(int(known[i]), int(known[j])) for i, j in np.argwhere(~same)}
         scores = {pair: score for pair, score in self.given.items() if pair in apart or pair[1] < 0}
-        put = _answered_first(self.first, scores, 0.0 if self.scored else 1.0)
-        if put == scores and not self.told:
-            return None
-        return replace(self, given=self.given | put, first=None)
+        first = self.first
+        if first is None and self.scored and scores:
+            # Scores may be so small that their differences are not seen.
+            first = GivenAnswer(*max(scores, key=scores.__getitem__))
+        if first is None or not any(_answers(first, pair) for pair in self.given):
+            return self
+        put = _answered_first(first, scores, 0.0 if self.scored else 1.0)
+        return None if put == scores and not self.told else replace(self, given=self.given | put, first=None)
 
     @cached_property
     def _known(self) -> tuple[dict[Pair, int], np.ndarray, np.ndarray, np.ndarray]:
@@ -245,7 +246,8 @@ class PairRule:
         missing = np.full((1, 3), np.nan)
         same = np.abs(factors - np.concatenate([known, missing])[at]).max(axis=-1) < 1e-6
         apart = np.concatenate([scores - before, rest])[at]
-        found = SCALES[self.scale][1](np.where(same, np.concatenate([scores, rest])[at], sums + apart))
+        as_given = np.array([*(self.given[pair] for pair in places), 0.0])[at]
+        found = np.where(same, as_given, SCALES[self.scale][1](sums + apart))
         for pair, score in self.given.items():
             if pair not in places:
                 found[..., (ids == pair).all(axis=-1)] = score
@@ -283,52 +285,54 @@ class RuledConfig(RankConfig):
 
 
 def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore | None) -> PairRule | None:
-    """The rule of a line; None where its ranking is the header's product, and no answer is to stand before that."""
-    if not line.ranked:
-        return _unranked(header, line)
-    factors = factors_of(line)
-    told = _told_scores(header, line, factors)
-    first = line.answer
+    """The rule of a line; None where its ranking is the header's product, and says the answer."""
+    known, model = PairRule({}), run.shown and partial(_shown, run.shown)
     if header.ranking == "product":
-        if not factors or first is None:
-            return None
-        rule = PairRule({}, factors, partial(_product, header), told=False, first=first)
+        known, model = replace(known, told=False), partial(_product, header)
     elif rescore is not None:
-        rule = PairRule(told, factors, partial(_rescored, rescore, line), first=first)
-    else:
-        # Of a sentence of more than two names no factors are known, and so nothing of what another truth would score.
-        model = partial(_shown, run.shown) if run.shown is not None and factors else None
-        rule = PairRule(told, factors, model, true_scores=run.true_scores, first=first)
-        if run.shown is not None:
-            rule = replace(rule, unit=run.shown.unit, scale=run.shown.scale)
+        model = partial(_rescored, rescore, line)
+    elif run.shown is not None:
+        known = replace(known, unit=run.shown.unit, scale=run.shown.scale)
+    if header.ranking != "product" and rescore is None:
+        known = replace(known, true_scores=run.true_scores)
+    if not line.ranked:
+        # Of one that had nothing to rank it is known how it would have been.
+        return replace(known, **_unranked(header, line), model=model if line.relations is not None else None)
+    factors, first = factors_of(line), line.answer
+    told = _told_scores(header, line, factors)
+    # Of a sentence of more than two names no factors are known, and so nothing of what another truth would score.
+    rule = replace(known, factors=factors, model=model if factors else None, first=first)
     if header.ranking == "pair_scores":
-        scores = _unscored_last(told, factors, first)
-        best = max(told, key=told.__getitem__, default=None)
-        if first is None and best is not None:
-            # Scores may be too small for their differences to be seen.
-            first = GivenAnswer(best[0], None if best[1] < 0 else best[1])
-        return replace(rule, given=scores, scored=True, first=first)
-    if rule.model is None or not factors:
-        return rule if told else _unranked(header, line)
+        return replace(rule, given=_unscored_last(told, factors), scored=True)
+    if first is None:
+        return None
+    if 1.0 not in told.values():
+        return replace(rule, **_unranked(header, line), model=None, told=True, first=None)
+    if rule.model is None:
+        return replace(rule, given=told, first=None)
     # Of the answer it is known that it stands above all others, and no more.
     scores = rule.model(np.array(list(factors), np.int64), np.array(list(factors.values()))).tolist()
     return replace(rule, given=dict(zip(factors, scores, strict=True)))
 
 
-def _unscored_last(told: dict[Pair, float], factors: Factors, answer: GivenAnswer | None) -> dict[Pair, float]:
+def _unscored_last(told: dict[Pair, float], factors: Factors) -> dict[Pair, float]:
     """Scores with those of pairs that a line has factors of and no scores: it did not rank them, and so they stand
     below all that it did."""
     if not told or factors.keys() <= told.keys():
         return told
     least = min(told.values())
-    below = least - STEP * (abs(least) or 1.0)
-    return {**dict.fromkeys(factors, below), **told}
+    return {**dict.fromkeys(factors, least - STEP * (abs(least) or 1.0)), **told}
+
+
+def _answers(answer: GivenAnswer, pair: Pair) -> bool:
+    """Whether an answer is a pair."""
+    return pair[0] == answer.object and (answer.reference is None or pair[1] in (-1, answer.reference))
 
 
 def _answered_first(answer: GivenAnswer, scores: dict[Pair, float], ahead: float) -> dict[Pair, float]:
     """Scores by which the answer stands first: as they are, or that of its best pair raised over a tie, and by so much
     `ahead` where it stood below others. Which of equal pairs was answered only the system knows."""
-    own = [p for p in scores if p[0] == answer.object and answer.reference in (None, p[1])]
+    own = [pair for pair in scores if _answers(answer, pair)]
     others = [s for p, s in scores.items() if p not in own]
     if not others:
         return scores
@@ -366,8 +370,8 @@ def _scenes(factors: np.ndarray, pairs: int) -> np.ndarray:
     return factors.reshape(-1, pairs, 3) if pairs else np.zeros((0, 0, 3))
 
 
-def _unranked(header: Header, line: Prediction) -> PairRule:
-    """The rule of a line that does not tell what ranked: its answer stands above all else, and no more is known."""
+def _unranked(header: Header, line: Prediction) -> dict[str, Any]:
+    """What is known of a line that does not tell what ranked: its answer, which stands above all else."""
     answer, found, words = line.answer, {}, f"{header.system} gave no answer"
     if answer is None and line.problem:
         words += f": {line.problem}"
@@ -380,4 +384,4 @@ def _unranked(header: Header, line: Prediction) -> PairRule:
         numbers = ", ".join(f"{v:g}" for v in answer.point or answer.box or ())
         kind = "point" if answer.point else "box" if answer.box else "mask"
         words = f"{header.system} answered a {kind}{numbers and f' at {numbers}'}"
-    return PairRule(found, answered=words)
+    return {"given": found, "answered": words}

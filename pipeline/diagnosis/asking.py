@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 
@@ -11,7 +12,7 @@ import numpy as np
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import unused_words
-from pipeline.answering.json_records import asked_in_part, best_pair, why_no_answer
+from pipeline.answering.json_records import asked_in_part, best_pair
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import FrameUnusable, Pipeline, Skipped, contexts, skip_or_raise
 from pipeline.answering.ranking import RankConfig
@@ -203,7 +204,8 @@ def judge_refused(
 
     Parameters as for `judge_trace`; `problem` says why it could not.
     """
-    source = source.asked(context.frame.id, case.text)
+    with suppress(InputError):  # A file without a line for it.
+        source = source.asked(context.frame.id, case.text)
     query, unread = read_query(case, source.dataset.class_names, source.reader)
     answers = FrameAnswers(source, context, (case.target, case.reference), (case.relation,))
     return judge_answers(answers, truth, case, query, mark=mark, confidence=confidence, problem=unread or problem)
@@ -344,7 +346,7 @@ def judge_trace(
     source = source.asked(context.frame.id, trace.query.text)
     case = case or labelled_case(truth, trace.query.text)
     if best_pair(trace) is None and not trace.missing and trace.answered is None:
-        return f"there is no answer to judge: {why_no_answer(trace)}"
+        return "there is no answer to judge"
     if case is None:
         made = case_of(truth, trace, source, context)
         if isinstance(made, str):

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.answering.pair_rules import missing_row
 from pipeline.answering.placing import box_2d, pixel_scale
 from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.missed import NEAR_MISS, not_proposed
-from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, SUBSETS, OracleScores, margins_of, names_of
+from pipeline.diagnosis.oracles import CONF, LIFT, ORACLES, RECALL, SRM, SUBSETS, OracleScores, margins_of, names_of
 from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.verdict import Diagnosis, Missed
 from pipeline.geometry.boxes import iou_2d
@@ -24,6 +25,37 @@ LIKELY = float(np.log(19))
 
 FEWEST_ALIKE, ALIKE = 3, 0.05
 """A relation says nothing whose probabilities of all pairs, so many or more, lie within this."""
+
+
+def untold(evidence: FrameEvidence, case: Case, gold: bool) -> dict[str, str]:
+    """The oracles that cannot be put in place by what a line gives, and why; none of an answer of ours."""
+    source = evidence.answers.source
+    line: Prediction | None = getattr(source, "line", None)
+    if line is None:
+        return {}
+    nothing = answers_nothing(line)
+    rule = source.config.rank.rule
+    why = ""
+    if line.relations is None:
+        why = "no relation probabilities are given"
+    elif not line.ranked and not nothing:
+        why = "the answer does not follow from what is given"
+    elif not gold and missing_row(line, (case.target, case.relation, case.reference)) is not None:
+        why = "no probabilities are given of what was meant"
+    elif rule is not None and rule.model is None:
+        why = "what the ranking goes by is not given, and does not show"
+    if why:
+        return dict.fromkeys(ORACLES, why)
+    predictions: Predictions = source.predictions  # type: ignore[attr-defined]
+    boxed = [predictions.box_of(line.frame, i) is not None for i in line.objects]
+    if line.boxes_3d is None if not boxed else not any(boxed):
+        return dict.fromkeys(("RECALL", "LIFT"), "no 3D boxes are given")
+    return {}
+
+
+def answers_nothing(line: Prediction) -> bool:
+    """Whether a line has no answer because it has no pair: with more things it would have been ranked."""
+    return line.relations is not None and line.answer is None and not any(line.relations.values())
 
 
 def answered_box(line: Prediction, predictions: Predictions, frame: Frame, end: str = "object") -> np.ndarray | None:
@@ -72,7 +104,7 @@ def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str
     fits = bool((pairs & hits[:, None] & ends[None]).any())
     diagnosis = Diagnosis(
         verdict="", detail=None, lucky=False, repair=(), right_with=None, margins=np.full(SUBSETS, np.nan),
-        winner=None, right=None, gold=parse_ok, case=case, evidence=evidence,
+        winner=None, right=None, gold=parse_ok, untold=untold(evidence, case, parse_ok), case=case, evidence=evidence,
     )  # fmt: skip
     if hits[case.target_object] or (line.answer is not None and line.answer.yes):
         return replace(diagnosis, verdict="CORRECT", lucky=reference is not None and not fits)
@@ -87,6 +119,10 @@ def decided_given(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str
     if line.level == 0:
         return replace(diagnosis, verdict="UNEXPLAINED", detail="ANSWER")
     found = substitute(evidence, case)
+    if len(diagnosis.untold) < len(ORACLES):
+        # Without an answer the best target alone is none either.
+        right_with = found.right_target & (found.winners >= 0)
+        diagnosis = replace(diagnosis, right_with=int((right_with << np.arange(SUBSETS)).sum()))
     unproposed = not_proposed(evidence, case, found, diagnosis)
     if unproposed is None and line.answer is None:
         unproposed = _one_for_both(evidence, case, found, diagnosis)

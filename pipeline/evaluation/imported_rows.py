@@ -14,6 +14,7 @@ from pipeline.answering.predictions import Prediction
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence, matched
 from pipeline.diagnosis.imported_answers import answered_box, answered_overlap
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.records import asked_columns, diagnosis_columns, record
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold, read_query
@@ -82,8 +83,24 @@ def imported_rows(
             evidence = FrameEvidence(truth, answers, given, (case,))
             mark = (marks or {}).get((truth.frame, case.id))
             found = diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=problem)
-            row |= diagnosis_columns(found)
+            row |= diagnosis_columns(found) | {"worked_out": _worked_out(source, found, case, line)}
     return rows
+
+
+def _worked_out(source: ImportedPipeline, found: Diagnosis, case: Case, line: Prediction) -> list[str] | None:
+    """The numbers of the answer and of the right pair that the file does not give; None for none."""
+    names, answers = list[str](), found.evidence.answers
+    scored = line.pairs if source.predictions.header.ranking == "pair_scores" else ()
+    own = {(a, b): score for a, b, score in scored or ()}
+    for prefix, pair in (("", found.winner), ("right_", found.right)):
+        if pair is None or pair.reference is None:
+            continue
+        score = own.get((answers.objects[pair.target].id, answers.objects[pair.reference].id))
+        if score is None or not np.isclose(score, pair.log_score, rtol=1e-9, atol=0):
+            names.append(f"{prefix}log_score")
+        if answers.worked_out(case.relation, pair.target, pair.reference):
+            names.append(f"{prefix}p_relation")
+    return names or None
 
 
 def _read(

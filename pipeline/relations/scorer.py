@@ -56,6 +56,12 @@ class RelationScores:
         """(N, N) probabilities of one relation."""
         return self.probabilities[..., self.relations.index(relation)]
 
+    def worked_out(self, a: int, b: int) -> tuple[str, ...]:
+        """The relations of which P("a RELATION b") is not given; none where nothing is given at all."""
+        if self.given is None:
+            return ()
+        return tuple(r for r, told in zip(self.relations, self.given[a, b], strict=True) if not told)
+
 
 class RelationScorer(Protocol):
     """Gives each relation of each ordered pair a probability."""

@@ -158,7 +158,8 @@ def test_the_pair_that_was_answered_stands_first(
         relations={"left": tuple((a, b, p) for (a, b), p in zip(pairs, scores, strict=True))},
         pairs=tuple((a, b, s) for (a, b), s in zip(pairs, scores, strict=True)) if ranking == "pair_scores" else None,
     )  # fmt: skip
-    rule = line_rule(RunRules(None, (0.9, 0.1)), Header(1, ranking=ranking), line, None)
+    found = line_rule(RunRules(None, (0.9, 0.1)), Header(1, ranking=ranking), line, None)
+    rule = None if found is None else found.among(range(5), np.eye(5, dtype=np.bool_))
     own = [p for p in pairs if p[0] == answer and end in (None, p[1])]
     given = dict(zip(pairs, scores, strict=True)) if rule is None else rule.given
     first = max(given, key=given.__getitem__)
