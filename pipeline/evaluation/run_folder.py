@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import TypeAdapter
 
@@ -35,9 +35,6 @@ from pipeline.system.in_notebook import InNotebook
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.reading import checked
 from pipeline.system.remote import is_url, local_path, named_before
-
-if TYPE_CHECKING:
-    pass
 
 RUN_FILE = "run.json"
 """The manifest of a run; a folder that holds it may be overwritten by another run."""

@@ -17,6 +17,7 @@ from threading import Lock
 from typing import Any, Generic, TypeVar
 
 from pipeline.system.errors import InputError
+from pipeline.system.worker_pool import without_ctrl_c
 
 PATIENCE_S = 20.0
 """How long a job that is cancelled may take to tidy up."""
@@ -86,7 +87,8 @@ def start_background(
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(function, args, sender), daemon=True)
-    process.start()
+    with without_ctrl_c():
+        process.start()
     sender.close()
     job = Background(process, receiver)
     threading.Thread(target=job._listen, args=(on_progress, on_end), daemon=True).start()
