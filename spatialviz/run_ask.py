@@ -14,7 +14,7 @@ from pipeline.answering.json_records import frame_record, probability, relation_
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import FrameRelations, open_pipeline, open_sources, relate_frames
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.answering.suggestions import MissedNames, completions, missed_names, suggest_expressions
+from pipeline.answering.suggestions import SURE, MissedNames, completions, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.camera_plan import CameraPlan, camera_plan
 from pipeline.datasets.importing import import_recording
@@ -23,7 +23,8 @@ from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.synthetic import render_dataset
 from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
-from pipeline.diagnosis.asking import ask_and_judge
+from pipeline.diagnosis.asking import ask_and_judge, labelled_truth
+from pipeline.diagnosis.offers import offers_of
 from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.reading import open_labels
@@ -68,8 +69,10 @@ def _complete(command: Ask) -> int:
     source = command.source.open(command.dataset, command.frame)
     context = source.prepare(one_frame(source.dataset.frame_ids, command.frame, source.dataset.root))
     objects = all_objects(context, source.needed_detector())
-    examples = suggest_expressions(objects, source.score(context, objects), context.viewer)
-    found = completions(" ".join(command.expressions), [o.label for o in objects], examples)
+    labels = None if command.labels is None else open_labels(command.labels)
+    truth = None if labels is None else labelled_truth(context.frame.id, source, labels)
+    offered = offers_of(source, context, objects, truth)
+    found = completions(" ".join(command.expressions), offered.names, offered.questions)
     command.write(iter(found), print_rows, ("text", "kind", "detail"), [tuple(offer.values()) for offer in found])
     return FINE if found else NO
 
@@ -300,7 +303,10 @@ def print_overlooked(found: MissedNames) -> None:
         if least:
             say(f"the best {name!r} has {score:.3f}: --min-score {least:.2f} keeps it", style="yellow")
     if found.seen:
-        say("the detector finds " + ", ".join(f"{name} {n}" for name, n in found.seen.items()), style="dim")
+        say(
+            f"detections of at least {SURE:.2f}: " + ", ".join(f"{name} {n}" for name, n in found.seen.items()),
+            style="dim",
+        )
 
 
 def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:

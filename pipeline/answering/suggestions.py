@@ -85,6 +85,8 @@ def _worded(target: str, relation: str, reference: str, class_names: tuple[str, 
 
 
 OFFERED = 8
+SURE = 0.5
+"""A detection of a lower score may be of nothing, and is not offered."""
 
 
 def completions(
@@ -135,8 +137,8 @@ class MissedNames:
     below : dict of str to float
         Names that were not found, with the best score below the detector's minimum.
     seen : dict of str to int
-        What the detector finds in the frame where it is asked for all that it knows, the commonest first; empty for
-        one that knows any name.
+        What the detector finds in the frame, with a score of at least SURE, where it is asked for all that it knows,
+        the commonest first; empty for one that knows any name.
     """
 
     below: dict[str, float]
@@ -168,5 +170,5 @@ def missed_names(source: Pipeline, trace: Trace) -> MissedNames:
     except InputError:
         # Not every detector of a vocabulary can be asked for all of it.
         found = None
-    labels = [] if found is None else [found.label(i) for i in range(len(found))]
+    labels = [] if found is None else [found.label(i) for i in np.flatnonzero(found.scores >= SURE).tolist()]
     return MissedNames(below, dict(Counter(labels).most_common()))

@@ -68,6 +68,13 @@ class Judge:
             self._kept = key, corrected, annotated_truth(context, source) if found is None else found
         return self._kept[2]
 
+    def labelled(self, name: str, source: Pipeline, context: PreparedFrame) -> FrameCases | None:
+        """What labels say of a frame; None where there are none, or none that can be read."""
+        try:
+            return self.truth(name, source, context) if self.labels(name) is not None else None
+        except InputError:
+            return None
+
     def judge(
         self,
         name: str,

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pipeline.diagnosis.decision import diagnose
     from pipeline.diagnosis.frame_evidence import FrameEvidence
     from pipeline.diagnosis.marks import MARKS, read_marks
+    from pipeline.diagnosis.offers import Offers, first_question, offers_of
     from pipeline.diagnosis.oracles import ALL_ORACLES, CONF, LIFT, ORACLES, SRM, SUBSETS, names_of
     from pipeline.diagnosis.sentence_truth import sentence_case
     from pipeline.diagnosis.stages import failed_stages, stages_of, unasked_stages

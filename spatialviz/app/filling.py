@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from pipeline.datasets import has_moves, moves
 from spatialviz.app import answer, beside, picture, sentences, stage_objects, stages, toolbar
 from spatialviz.app.context import Context
 
 
-def fill_page(ctx: Context, suggestions: Sequence[str]) -> None:
+def fill_page(ctx: Context) -> None:
     """Fill all regions at once. What would not change sends nothing."""
     page, state, shared, dataset = ctx.page, ctx.state, ctx.shared, ctx.source.dataset
     page.call("theme", "dark" if state.dark else "light")
@@ -19,7 +17,7 @@ def fill_page(ctx: Context, suggestions: Sequence[str]) -> None:
     regions = {
         "where": toolbar.where_html(state, tuple(shared.store.sources), dataset.frame_ids),
         "moves": toolbar.moves_html(moves(dataset, state.frame_id)) if has_moves(dataset) else None,
-        "suggestions": None if asked else toolbar.suggestions_html(state, suggestions),
+        "suggestions": None if asked else toolbar.suggestions_html(state, state.offers.questions),
         "tasks": toolbar.tasks_html(state, bool(shared.runs), bool(shared.journals)),
         "problem": toolbar.problem_html(state),
         "ask-problem": toolbar.refusal_html(state),

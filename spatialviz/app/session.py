@@ -11,11 +11,12 @@ from pipeline.answering.asked_names import unused_words
 from pipeline.answering.frame_store import LoadedFrame
 from pipeline.answering.json_records import holds
 from pipeline.answering.ranking import RankConfig
-from pipeline.answering.suggestions import completions, suggest_expressions
+from pipeline.answering.suggestions import completions
 from pipeline.corrections.judging import Judge
 from pipeline.corrections.label_view import ANYTHING, Target
 from pipeline.datasets.base import dataset_notes, named_frame
 from pipeline.datasets.demo import DEMO_EXPRESSION
+from pipeline.diagnosis.offers import Offers, first_question, offers_of
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.shown import NOTHING, shown_objects
 from pipeline.language.counted import counted
@@ -55,7 +56,7 @@ class Session(Context):
     def __init__(self, page_id: str, shared: Shared) -> None:
         super().__init__(page_id, shared)
         self._scene = Scene(f"/scene/{page_id}/")
-        self._suggestions = self._asked = tuple[str, ...]()
+        self._asked = tuple[str, ...]()
         self._begun = self._correcting = False
         self._pushed: Place | None = None
         self._turning: asyncio.TimerHandle | None = None
@@ -254,8 +255,9 @@ class Session(Context):
     @command("ask-typed")
     def _complete(self, typed: str) -> None:
         """Offer what could be asked of this frame: its names, relations, and what was asked lately."""
-        names = [o.label for o in self.state.shown.objects]
-        self.page.call("asking", {"typed": typed, "offers": completions(typed, names, self._suggestions, self._asked)})
+        offered = self.state.offers
+        found = completions(typed, offered.names, offered.questions, self._asked)
+        self.page.call("asking", {"typed": typed, "offers": found})
 
     # ---- frames ---------------------------------------------------------------------
 
@@ -269,12 +271,12 @@ class Session(Context):
         frame_id = named_frame(self.source.dataset.frame_ids, frame_id, self.source.dataset.root)
         if frame_id == self.state.frame_id and not first:
             return
-        self._begun, self._suggestions = True, ()
+        self._begun = True
         self.page.call("working", "finding the objects")
         stays = asking is None and (self.state.labels is not None or self.editors.wanted is not None)
         # A frame that the labels lack is shown with its answer, and why is said.
         correcting = stays and (editor := self.editors.of(self.state.source)) is not None and frame_id in editor
-        self.state = replace(self.state.unasked, frame_id=frame_id, problem="", marks=())
+        self.state = replace(self.state.unasked, frame_id=frame_id, problem="", marks=(), offers=Offers())
         try:
             loaded = self._load(first, scored=not correcting)
         except InputError as error:
@@ -296,8 +298,10 @@ class Session(Context):
         frame_id = self.state.frame_id
         loaded = self.shared.store.load(self.state.source, frame_id)
         viewer = loaded.context.viewer
-        if scored and (scores := self.source.score(loaded.context, loaded.objects)) is not None:
-            self._suggestions = suggest_expressions(loaded.objects, scores, viewer)
+        if scored:
+            truth = self._judge.labelled(self.state.source, self.source, loaded.context)
+            offers = offers_of(self.source, loaded.context, loaded.objects, truth)
+            self.state = replace(self.state, offers=offers)
         self.state = replace(self.state, loaded=loaded, found=shown_objects(loaded, None, self._exact))
         self._cloud.place_anew = first
         remarks = [f"frame {frame_id}: {counted(len(loaded.objects), 'object')}, up {viewer.up_source}"]
@@ -313,7 +317,7 @@ class Session(Context):
         if self.source.detector is None:
             text = ""
         elif first and asking is None and not self._can_ask(loaded, text):
-            text = self._suggestions[0] if self._suggestions else ""
+            text = first_question(self.source, loaded.context, self.state.offers.questions)
         self.state = replace(self.state, text=text)
         if text:
             self.ask(text, draw=False)
@@ -396,8 +400,8 @@ class Session(Context):
 
     @command("try")
     def _try(self, number: int) -> None:
-        if 0 <= number < len(self._suggestions):
-            self.ask(self._suggestions[number])
+        if 0 <= number < len(self.state.offers.questions):
+            self.ask(self.state.offers.questions[number])
 
     @command("clear")
     def _clear(self) -> None:
@@ -424,7 +428,7 @@ class Session(Context):
             self._correcting, self.state = correcting, replace(self.state, mode="off")
             # What is asked is asked of the answers.
             self.page.call("question", "" if correcting else self.state.text)
-        filling.fill_page(self, self._suggestions)
+        filling.fill_page(self)
         self._runs.follow()
         self._labels.follow()
         self._browse.follow()

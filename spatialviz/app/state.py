@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.answering.agreement.frames import SecondDetections
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.label_view import LabelView
+from pipeline.diagnosis.offers import Offers
 from pipeline.diagnosis.whatif.answer_view import AnswerView
 from pipeline.evaluation.figures import Listing
 from pipeline.geometry.measure import Measurement, measure
@@ -53,6 +54,8 @@ class State(AnswerView):
         Why the expression could not be asked.
     stopped : str
         The stage that refused it.
+    offers : Offers
+        What can be asked of the frame.
     listing : Listing or None
         What is searched of the source's run.
     mode : str
@@ -89,6 +92,7 @@ class State(AnswerView):
     camera: CameraMode = "pair"
     flags: SceneFlags = field(default_factory=SceneFlags)
     dark: bool = True
+    offers: Offers = field(default_factory=Offers)
     listing: Listing | None = None
     mode: EditMode = "off"
     labels: LabelView | None = None

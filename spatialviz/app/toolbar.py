@@ -166,11 +166,10 @@ def refusal_html(state: State) -> Element | None:
     """Beside the field: why the question could not be asked, and what is in this frame."""
     if not state.error:
         return None
-    names = sorted({o.label for o in state.shown.objects})
     return h.div(
         note(state.error, BAD),
         h.button("×", cls="close", local="dismiss", aria_label="close", title="close"),
-        h.p("In this frame: ", ", ".join(names)) if names else None,
+        h.p(state.offers.words) if state.offers.names else None,
         cls="refusal",
         role="alert",
     )

@@ -1,0 +1,106 @@
+"""What a frame offers to be asked: names of things that are there, and questions that have an answer."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.answering.imported import ImportedPipeline
+from pipeline.answering.json_records import best_pair
+from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
+from pipeline.answering.opening import Pipeline
+from pipeline.answering.suggestions import SURE, suggest_expressions
+from pipeline.labels.cases import Case, FrameCases
+from pipeline.language.naming import match
+from pipeline.proposals.annotations import AnnotationDetector
+from pipeline.system.errors import InputError
+
+
+@dataclass(frozen=True)
+class Offers:
+    """What can be asked of a frame.
+
+    Attributes
+    ----------
+    names : tuple of str
+    questions : tuple of str
+        At most so many as were wanted; none where up is only assumed, unless they are labelled.
+    by : str
+        Who says that they are there: "the labels", "the annotations", "the file of predictions", "detections of at
+        least 0.50".
+    """
+
+    names: tuple[str, ...] = ()
+    questions: tuple[str, ...] = ()
+    by: str = ""
+
+    @property
+    def words(self) -> str:
+        """The names, and by whom they are known."""
+        return f"In this frame by {self.by}: {', '.join(self.names)}" if self.names else ""
+
+
+def offers_of(
+    source: Pipeline,
+    context: PreparedFrame,
+    objects: Sequence[SceneObject],
+    truth: FrameCases | None = None,
+    count: int = 3,
+) -> Offers:
+    """What can be asked of a frame, by its labels, its annotations, an imported file, or sure detections.
+
+    Parameters
+    ----------
+    source : Pipeline
+        What will answer.
+    context : PreparedFrame
+    objects : sequence of SceneObject
+        All that its detector finds in the frame.
+    truth : FrameCases, optional
+        The labels of the frame.
+    count : int
+        Questions, at most.
+    """
+    if isinstance(source, ImportedPipeline):
+        lines = source.predictions.of_frame(context.frame.id)
+        names = {name for line in lines for name in line.proposals or {}}
+        return Offers(tuple(sorted(names)), tuple(line.text for line in lines[:count]), "the file of predictions")
+    if truth is not None and truth.cases:
+        return Offers(tuple(sorted(set(truth.labels))), _labelled(source, truth.cases, count), "the labels")
+    by = "the annotations"
+    if context.frame.annotations:
+        objects = all_objects(context, AnnotationDetector())
+    else:
+        objects, by = [o for o in objects if o.score >= SURE], f"detections of at least {SURE:.2f}"
+    scores = source.score(context, objects) if objects else None
+    questions = () if scores is None else suggest_expressions(objects, scores, context.viewer, count)
+    return Offers(tuple(sorted({o.label for o in objects})), questions, by)
+
+
+def _labelled(source: Pipeline, cases: Sequence[Case], count: int) -> tuple[str, ...]:
+    """Clear-cut expressions of the labels about different things, of names that the detector knows."""
+    known = None if source.detector is None else source.detector.vocabulary
+    fit = [c for c in cases if known is None or all(match(n, known, source.synonyms) for n in (c.target, c.reference))]
+    chosen: list[Case] = []
+    used: Counter[str] = Counter()
+    while fit and len(chosen) < count:
+        worn = [used[c.target] + used[c.reference] + used[c.relation] + c.ambiguous for c in fit]
+        best = fit.pop(int(np.argmin(worn)))
+        used.update((best.target, best.reference, best.relation))
+        chosen.append(best)
+    return tuple(c.text for c in chosen)
+
+
+def first_question(source: Pipeline, context: PreparedFrame, questions: Sequence[str]) -> str:
+    """The first of some questions that has an answer; empty where none has."""
+    for text in questions:
+        try:
+            trace = source.asked(context.frame.id, text).ask(context, text)
+        except InputError:
+            continue
+        if best_pair(trace) is not None or trace.answered is not None:
+            return text
+    return ""
