@@ -42,10 +42,12 @@ from pipeline.training.training_data import (
     ASSEMBLED_A_ROOM,
     SCALES,
     SCATTERED_A_ROOM,
+    WRONG_NAMES,
     FrameSamples,
     make_split,
     room_seeds,
     with_other_sizes,
+    with_wrong_names,
 )
 
 Progress = Callable[[str, int, int], None]
@@ -113,22 +115,21 @@ def train_on_rooms(
         workers=workers,
         progress=lambda done, of: tell("rooms", done, of),
     )
-    learnt = with_other_sizes(train, rooms.seed)
+    learnt = with_other_sizes(with_wrong_names(train, rooms.seed), rooms.seed)
     model = train_srm(learnt, config, lambda done, loss: tell("epochs", done, config.epochs))
     out.parent.mkdir(parents=True, exist_ok=True)
-    name = config.features
     with tempfile.TemporaryDirectory() as folder:
         uncalibrated = Path(folder) / "uncalibrated.onnx"
         save_onnx(uncalibrated, model)
         plain = OnnxScorer(uncalibrated)
     calibration = fit_calibration(
-        [plain.logits(frame.rows[name]) for frame in held_back],
+        [plain.logits(frame.rows[config.features]) for frame in held_back],
         [frame.truth for frame in held_back],
         DIRECTIONAL,
     )
     save_onnx(out, model, calibration)
     card = {
-        "name": name,
+        "name": config.features,
         "command": _command(out, rooms, config),
         "made_with": versions(),
         "file": {"bytes": out.stat().st_size, "xxh3_128": file_hash(out)},
@@ -140,7 +141,7 @@ def train_on_rooms(
             "loss_by_epoch": [round(loss, 6) for loss in model.losses],
             "data_xxh3_128": model.data,
         },
-        "rooms": {**asdict(rooms), **_room_ranges(rooms), "scales": list(SCALES)},
+        "rooms": {**asdict(rooms), **_room_ranges(rooms), "scales": list(SCALES), "wrong_names": WRONG_NAMES},
         "calibration": {relation: [round(v, 6) for v in ab] for relation, ab in calibration.items()},
         "held_out": held_out_figures(OnnxScorer(out), plain, test),
     }

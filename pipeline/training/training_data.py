@@ -64,6 +64,9 @@ ASSEMBLED_A_ROOM = 20
 SOLIDS_A_VIEW = 2
 """Rooms of solids, each seen once, for each view that a room to calibrate on would have."""
 
+WRONG_NAMES = 0.25
+"""So many of the things that are learnt from go by the name of another one: detectors and labels are wrong, too."""
+
 SCALES = (0.2, 2.0)
 """Each training view is used a second time as a scene of another size: table tops are small rooms."""
 
@@ -115,6 +118,21 @@ def _scaled(contract: FeatureSet, rows: np.ndarray, factor: float) -> np.ndarray
     column = np.arange(rows.shape[1])
     by = np.where(np.isin(column, contract.lengths), factor, 1.0)
     return rows * np.where(np.isin(column, contract.named), 0.0, by)
+
+
+def with_wrong_names(samples: Sequence[FrameSamples], seed: int) -> tuple[FrameSamples, ...]:
+    """The views, with WRONG_NAMES of their things under the name of some thing of any of them."""
+    rng = np.random.default_rng([seed, 31])
+    ends = np.cumsum([len(frame.seen_lo) for frame in samples])
+    wrong = np.flatnonzero(rng.random(ends[-1]) < WRONG_NAMES)
+    other = rng.integers(ends[-1], size=len(wrong))
+    found = list(samples)
+    for name, contract in ((name, contract) for name, contract in FEATURES.items() if contract.named):
+        rows = np.concatenate([frame.rows[name] for frame in samples])
+        rows[np.ix_(wrong, contract.named)] = rows[np.ix_(other, contract.named)]
+        parts = np.split(rows, ends[:-1])
+        found = [replace(frame, rows={**frame.rows, name: part}) for frame, part in zip(found, parts, strict=True)]
+    return tuple(found)
 
 
 def with_other_sizes(samples: Sequence[FrameSamples], seed: int) -> tuple[FrameSamples, ...]:

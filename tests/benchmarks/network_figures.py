@@ -2,14 +2,15 @@
 
     cd tests && python -m benchmarks.network_figures [WORLDS] [NETWORK.onnx ...]
 
-prints the table of `assets/srm/README.md`: for each maker and each kind of camera so many worlds, with 95 % bootstrap
-intervals over them.
+prints the tables of `assets/srm/README.md`: for each maker and each kind of camera so many worlds, with 95 % bootstrap
+intervals over them; things of houses go by their own names, by each other's, by none.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +23,14 @@ from pipeline.labels.plan import LabelConfig
 from pipeline.labels.profiles import doubted
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.intervals import bootstrap
-from pipeline.relations import shipped_network
+from pipeline.relations import Appearance, shipped_network
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import directional_states
 from pipeline.relations.scorer import RuleScorer, rule_probabilities
 
 FEWEST_OBJECTS = 5
 WORLDS = 60
+NAMES = ("true", "exchanged", "unknown")
 
 
 def worlds(maker: str, regime: str, count: int) -> Iterator[Seen]:
@@ -41,6 +43,16 @@ def worlds(maker: str, regime: str, count: int) -> Iterator[Seen]:
             found = house_world(seed, REGIMES[regime])
         if found is not None and len(found.objects) >= FEWEST_OBJECTS:
             yield found
+
+
+def renamed(looks: Appearance, names: str, seed: int) -> Appearance:
+    """The same things by the names of NAMES: exchanged, each goes by that of another thing of the view."""
+    labels = looks.labels
+    if names == "exchanged":
+        order = np.random.default_rng([seed, 5]).permutation(len(labels))
+        given = dict(zip(order.tolist(), np.roll(order, 1).tolist(), strict=True))
+        labels = tuple(labels[given[k]] for k in range(len(labels)))
+    return replace(looks, labels=("",) * len(labels) if names == "unknown" else labels)
 
 
 def tallies(networks: Sequence[OnnxScorer], seen: Seen) -> list[np.ndarray]:
@@ -61,18 +73,21 @@ def tallies(networks: Sequence[OnnxScorer], seen: Seen) -> list[np.ndarray]:
 def main(count: int, paths: Sequence[Path]) -> None:
     """Print the table."""
     networks = [OnnxScorer(path) for path in paths]
-    print(f"| rooms | cameras | pairs | scorer | {' | '.join(FIGURES)} |")
-    print("|---" * (4 + len(FIGURES)) + "|")
+    print(f"| rooms | cameras | names | pairs | scorer | {' | '.join(FIGURES)} |")
+    print("|---" * (5 + len(FIGURES)) + "|")
     for maker in ("boxes", "houses"):
         for regime in REGIMES:
             if maker == "boxes" and REGIMES[regime].close:
                 continue
-            rows = np.array([tallies(networks, seen) for seen in worlds(maker, regime, count)])
-            for k, name in enumerate([*(path.stem for path in paths), "rule"]):
-                found = bootstrap(rows[:, k], np.arange(len(rows)), figures)
-                cells = [e.formatted(1, 2 if what == FLIPS else 4) for what, e in zip(FIGURES, found, strict=True)]
-                pairs = f"{int(rows[:, k, 13].sum()):,}"
-                print("|", " | ".join([maker, regime, pairs, name, *cells]), "|", flush=True)
+            seen = list(worlds(maker, regime, count))
+            for names in NAMES if maker == "houses" else NAMES[-1:]:
+                shown = [replace(one, looks=renamed(one.looks, names, k)) for k, one in enumerate(seen)]
+                rows = np.array([tallies(networks, one) for one in shown])
+                for k, name in enumerate([*(path.stem for path in paths), "rule"]):
+                    found = bootstrap(rows[:, k], np.arange(len(rows)), figures)
+                    cells = [e.formatted(1, 2 if what == FLIPS else 4) for what, e in zip(FIGURES, found, strict=True)]
+                    pairs = f"{int(rows[:, k, 13].sum()):,}"
+                    print("|", " | ".join([maker, regime, names, pairs, name, *cells]), "|", flush=True)
 
 
 if __name__ == "__main__":

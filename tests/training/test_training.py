@@ -32,11 +32,13 @@ from pipeline.training.train import train_srm
 from pipeline.training.training_data import (
     SCATTERED_A_ROOM,
     SOLIDS_A_VIEW,
+    WRONG_NAMES,
     iterate_pairs,
     make_split,
     room_seeds,
     varied_camera,
     with_other_sizes,
+    with_wrong_names,
 )
 
 pytestmark = needs("embreex", "torch", "onnx")
@@ -131,6 +133,21 @@ def test_a_scene_of_another_size_is_judged_anew(samples: tuple[FrameSamples, ...
     assert len(both) == 2 * len(samples)
     assert both[: len(samples)] == samples
     assert all(same(a, b) for a, b in zip(both, with_other_sizes(samples, 3), strict=True))
+
+
+def test_some_things_go_by_the_name_of_another(samples: tuple[FrameSamples, ...]) -> None:
+    again = with_wrong_names(samples * 20, 3)
+    named = list(FEATURES["rel32"].named)
+    before, after = (np.concatenate([f.rows["rel32"] for f in frames]) for frames in (samples * 20, again))
+    rest = np.setdiff1d(np.arange(before.shape[1]), named)
+    np.testing.assert_array_equal(after[:, rest], before[:, rest])
+    changed = (after[:, named] != before[:, named]).any(axis=1)
+    assert 0.5 * WRONG_NAMES < changed.mean() <= 1.3 * WRONG_NAMES, "so many, less those of the same class"
+    known = {tuple(row) for row in before[:, named]}
+    assert {tuple(row) for row in after[changed][:, named]} <= known
+    for old, new in zip(samples * 20, again, strict=True):
+        np.testing.assert_array_equal(new.truth, old.truth)
+        assert all(new.rows[name] is old.rows[name] for name in old.rows if name != "rel32")
 
 
 def test_rooms_are_split_from_rooms() -> None:
