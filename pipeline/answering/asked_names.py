@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from pipeline.geometry.frame import Frame
-from pipeline.language.naming import Meaning, Synonyms, is_named, match, meanings, spelt
-from pipeline.language.tree import Attachment, Node, Query, Reading, described
+from pipeline.language.naming import (
+    DETERMINERS,
+    Meaning,
+    Synonyms,
+    is_named,
+    match,
+    meanings,
+    normal_form,
+    singular,
+    spelt,
+)
+from pipeline.language.tree import Attachment, Node, Query, Reading, Span, described
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.system.errors import UnknownClass
 
@@ -41,18 +52,17 @@ def detections(
         A name that the detector cannot know, and without it the thing meant is not told.
     """
     query = whole_names(query, detector, synonyms)
+    query = replace(query, asked=tuple((n.label, name_for(n, detector, synonyms)) for n in query.nodes))
+    query = without_strangers(query, detector, synonyms)
     found: dict[str, Proposals] = {}
     unknown: dict[str, UnknownClass] = {}
-    for node in query.nodes:
-        if node.label in found or node.label in unknown:
-            continue
-        name = name_for(node, detector, synonyms)
+    for label, name in dict(query.asked).items():
         try:
-            found[node.label] = detector.detect(frame, None if name is None else [name])
+            found[label] = detector.detect(frame, None if name is None else [name])
         except UnknownClass as error:
-            if node.label == query.target:
+            if label == query.target:
                 raise
-            unknown[node.label] = error
+            unknown[label] = error
     if not unknown:
         return found, query
     told = without(query, {label: str(error.what) for label, error in unknown.items()})
@@ -81,6 +91,49 @@ def whole_names(query: Query, detector: Detector, synonyms: Synonyms | None = No
     return replace(query, readings=tuple(replace(r, root=read(r.root)) for r in query.readings))
 
 
+SMALL = frozenset({"of", "with", "and", "for", "in", "on", "without", "from"})
+"""Words of a name that say nothing alone."""
+STRANGER = "no name that the detector knows has it"
+
+
+def without_strangers(query: Query, detector: Detector, synonyms: Synonyms | None = None) -> Query:
+    """The question with those words marked as unused that its names have and no name of the detector's: `zorb` of
+    `zorb mug`, `with a lid` of `jar with a lid`. A detector of open vocabulary is asked for all of them."""
+    if detector.vocabulary is None:
+        return query
+    spans = query.spans
+    for node in query.nodes:
+        asked = name_for(node, detector, synonyms)
+        tail = node.label.partition(node.name)[2].split() if asked != node.label else []
+        best = meanings(node.name, detector.vocabulary, synonyms)[:1]
+        words = normal_form(node.name).split()
+        strangers = [words[k] for k in best[0].left] if best and asked is not None else []
+        spans = _marked(query.text, spans, node.mention, [*strangers, *tail])
+    return replace(query, spans=spans)
+
+
+def _marked(text: str, spans: Sequence[Span], mention: int, words: Sequence[str]) -> tuple[Span, ...]:
+    """The spans, those of one noun cut where the words stand, which are not used."""
+    found: list[Span] = []
+    wanted = [w for w in words if w not in SMALL and w not in DETERMINERS]
+    for span in spans:
+        if span.role not in ("target", "reference") or span.index != mention or not wanted:
+            found.append(span)
+            continue
+        at = span.start
+        for word in re.finditer(r"[^\s,;]+", text[span.start : span.end]):
+            start, end = span.start + word.start(), span.start + word.end()
+            plain = normal_form(word[0])
+            hit = next((w for w in wanted if w in (plain, word[0].lower()) or singular(w) == plain), None)
+            if hit is not None:
+                wanted.remove(hit)
+                found += [replace(span, start=at, end=start)] if text[at:start].strip() else []
+                found.append(Span(start, end, "unused", 0, STRANGER, unknown=True))
+                at = end
+        found += [replace(span, start=at)] if text[at : span.end].strip() else []
+    return tuple(found)
+
+
 def without(query: Query, reasons: dict[str, str]) -> Query:
     """The question without the relations to the things of some labels, whose words are then not used, and why."""
     readings: list[Reading] = []
@@ -96,7 +149,8 @@ def without(query: Query, reasons: dict[str, str]) -> Query:
         else s
         for s in query.spans
     )
-    return Query(query.text, tuple(readings), spans)
+    asked = tuple((label, name) for label, name in query.asked if label not in reasons)
+    return replace(query, readings=tuple(readings), spans=spans, asked=asked)
 
 
 def _pruned(node: Node, gone: Collection[str]) -> Node:

@@ -79,7 +79,8 @@ def expression_record(query: Query) -> Record:
 
     With "inverse" the relation holds from the reference to the target: "table holding a lamp" is lamp on table.
     "unused" lists the words that say something and could not be used, each with the reason; "mended" the misspelt words
-    of the grammar with what each was read as; "reader" what read it, where it was not the grammar.
+    with what each was read as; "asked" of each thing the phrase that the detector was asked for, null where that was
+    everything; "reader" what read it, where it was not the grammar.
     """
     e = query.expression
     record: Record = {
@@ -97,6 +98,7 @@ def expression_record(query: Query) -> Record:
         tree=noun_record(query.default.root),
         unused=[{"text": text, "why": why} for text, why in unused_words(query)] or None,
         mended=[{"said": said, "read_as": meant} for said, meant in query.mended] or None,
+        asked=[{"name": name, "phrase": phrase} for name, phrase in query.asked] or None,
     )
 
 

@@ -185,12 +185,21 @@ ACTIONS = _words(
 )
 """Commands that ask for more than to point at a thing."""
 
+LOOK_AFTER = re.compile(
+    r"(?:(?:in|of|with|has|have|having) (?:a |the )?(?P<says>colou?r )?|colou?red |painted )"
+    r"(?P<look>(?:(?:light|dark|bright|pale|deep) )?\w+)(?P<color> colou?r)?(?= |$)"
+)
+"""A colour after the thing: `the mug in red`, `of a red colour`."""
 PARTITIVE = re.compile(
     r"(?:(?:which|whichever|the|any|some|each|every|just|only) )?"
     r"(?:ones?|any|some|all|both|each|either|whichever|which|several|many|most|none) of "
     r"(?=(?:the|these|those|my|your|our|their|his|her|its|them|all|both|two|three|four|five|six|\d+) )"
 )
 """What stands before things of which one is meant: `one of the mugs`."""
+OF_SEVERAL = re.compile(
+    r"(?P<side>left|right|top|front) of (?=(?:the |these |those )?(?:two|three|four|five|\d+|both) )"
+)
+"""`the left of the two lamps`, which is one of them."""
 RECIPROCAL = ("each other", "one another")
 
 OTHER = frozenset({"another", "other"})
@@ -208,6 +217,11 @@ UNKNOWN_RELATIONS = _words(
 """Words that relate two nouns in English and that no relation here stands for. Never guessed."""
 
 VERBS = _words("that which who whose is are was were has have should where")
+
+STRUCTURAL = (
+    AND | WITH | NEGATIONS | LINKING | RELATIVE | UNKNOWN_RELATIONS | VERBS | POSTURES | PLACE_PRONOUNS | {"of", "or"}
+)
+"""Words that no name begins with."""
 
 SIDE_OF_OWNER = re.compile(r"\S+'s? (?:own )?(?:left|right|front|back|rear)(?: (?:hand )?side)?(?= |$)")
 """An object's own side, where no noun follows: `the couch's left`, and not `the dog's left paw`."""

@@ -45,6 +45,8 @@ class Look:
         As in `Meaning`.
     sharing : tuple of frozenset of str
         Of each of these sets of words, the name must have one.
+    left : tuple of int
+        Places among the query's words of those that it leaves out and that are no part of a name of the table.
     """
 
     tier: int
@@ -54,6 +56,7 @@ class Look:
     how: How
     via: str
     sharing: tuple[frozenset[str], ...] = ()
+    left: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,23 +214,38 @@ def _looks(query: str, table: Synonyms) -> Iterator[Look]:
                 yield Look(4, "held", key_of(alias), 0.7, "kind", alias)
         for general in sorted(table.general(" ".join(first))):
             yield Look(4, "form", key_of(f"{general} {end}"), 0.7, "kind", f"{general} {end}")
+    left = {end: _left_out(query, end, table) for end in ends}
     for dropped, end in enumerate(ends):
         for alias in sorted(table.of(end)):
-            yield Look(6 + dropped, "form", key_of(alias), 0.65, "kind", alias)
-        yield Look(6 + dropped, "held", key_of(end), 0.65, "kind", end)
+            yield Look(6 + dropped, "form", key_of(alias), 0.65, "kind", alias, left=left[end])
+        yield Look(6 + dropped, "held", key_of(end), 0.65, "kind", end, left=left[end])
     known = key_of(query) in table.keys
     for start in (query, *aliases, *ends):
+        out = left.get(start, ())
         for general in sorted(table.general(start)):
             for alias in sorted(table.of(general)):
-                yield Look(20, "form", key_of(alias), 0.6, "kind", alias)
-            yield Look(20, "held", key_of(general), 0.6, "kind", general)
+                yield Look(20, "form", key_of(alias), 0.6, "kind", alias, left=out)
+            yield Look(20, "held", key_of(general), 0.6, "kind", general, left=out)
     for end in [] if known else ends:
         first = query[: -len(end)].split()
         if not any(_is_a(part, PACKED, table) for part in (" ".join(first), *first)):
-            yield Look(21, "kind", key_of(end), 0.55, "kind", end)
+            yield Look(21, "kind", key_of(end), 0.55, "kind", end, left=left[end])
     for start in (query, *aliases, *([] if known else ends)):
         for other in sorted(table.taken_for(start)):
-            yield Look(22, "form", key_of(other), 0.5, "kind", other)
+            yield Look(22, "form", key_of(other), 0.5, "kind", other, left=left.get(start, ()))
+
+
+def _left_out(query: str, end: str, table: Synonyms) -> tuple[int, ...]:
+    """Places of the words of a query that are neither in its end nor, with it, in a name of the table: `zorb` of
+    `zorb coffee mug` for `mug`."""
+    words, head = query.split(), HEAD_ENDS.split(base_of(query), maxsplit=1)[0].split()
+    first, after = len(head) - len(end.split()), range(len(head), len(words))
+    for start in range(first + 1):
+        if key_of(" ".join(words[start:])) in table.keys:
+            return tuple(range(start))
+        if key_of(" ".join(head[start:])) in table.keys:
+            return (*range(start), *after)
+    return (*range(first), *after)
 
 
 def _ends(query: str, table: Synonyms) -> Iterator[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import groupby
 from typing import Any, Protocol
@@ -69,12 +69,16 @@ class Meaning:
         The word, of the query or of the table, at which the name was found: `mug` where `coffee mug` is taken for
         `mug`, `cup` where a `cup` is taken for a `mug`; for a misspelt query, as it is spelled right; "" for exact and
         vectors.
+    left : tuple of int
+        Places among the query's words in normal form of those that the name says nothing of: 0 where `zorb mug` is
+        taken for `mug`. None of a name that the table knows (`coffee mug`).
     """
 
     name: str
     score: float
     how: How
     via: str
+    left: tuple[int, ...] = ()
 
 
 def same_class(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
@@ -178,7 +182,7 @@ def _tiers(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
     again = _walk(mended, known)[:1] if mended else ()
     if not again or again[0][0].score < _SURE:
         return found
-    better = tuple(Meaning(m.name, round(m.score * _MENDED, 3), "spelling", mended or "") for m in again[0])
+    better = tuple(replace(m, score=round(m.score * _MENDED, 3), how="spelling", via=mended or "") for m in again[0])
     taken = {m.name for m in better}
     rest = (tuple(m for m in tier if m.name not in taken) for tier in found)
     return (better, *(tier for tier in rest if tier))
@@ -202,7 +206,7 @@ def _walk(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
                 score = max(round(look.score - 0.05 * max(steps - 1, 0), 3), min(look.score, 0.71))
                 shares = all(not words.isdisjoint(known.shares[i]) for words in look.sharing)
                 if i not in taken and shares and (i not in best or best[i].score < score):
-                    best[i] = Meaning(known.names[i], score, look.how, look.via)
+                    best[i] = Meaning(known.names[i], score, look.how, look.via, look.left)
         if best:
             taken |= set(best)
             tiers.append(tuple(best[i] for i in sorted(best)))

@@ -14,7 +14,7 @@ from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token, label_of
 from pipeline.language.tree import Choice, Role
 
-QUANTIFIERS = frozenset({"all", "both", "each", "every", "same"})
+QUANTIFIERS = frozenset({"all", "both", "each", "every", "same", "whichever", "whatever", "either"})
 _JUST = frozenset({"just", "directly", "right", "immediately", "slightly", "exactly", "straight", "almost", "very"})
 _LONGEST_CHOICE = 3
 
@@ -76,6 +76,8 @@ class Phrase:
 class NounReader(LooksReader):
     """A cursor that reads noun phrases."""
 
+    asks_what = False
+
     # ---- one noun phrase -------------------------------------------------------------------------------------------
 
     def noun(self, at: int, *, stop_at_and: bool = False, predicate: bool = False) -> tuple[Phrase | None, int]:
@@ -120,7 +122,7 @@ class NounReader(LooksReader):
                 for m in draft.modifiers
                 if not head
                 or (m[2] == "choice" and m[0] != self.tokens[start].start)
-                or m[0] < self.tokens[start].start
+                or not self.tokens[start].start <= m[0] < self.tokens[end - 1].end
             ),
             superlative=draft.superlative,
         ), after
@@ -139,6 +141,16 @@ class NounReader(LooksReader):
         """Read choices, numbers and attributes before the head."""
         while at < len(self.tokens):
             token = self.tokens[at]
+            if found := self.match(lexicon.OF_SEVERAL, at):
+                draft.choose(choices.SIDES[found[0]["side"]], found[0]["side"])
+                draft.modifiers.append((token.start, token.end, "choice"))
+                at = self._determiners(found[1])
+                continue
+            if (number := self._numbered(at)) is not None:
+                draft.ordinal = number, self.words(at, at + 2).lower()
+                draft.modifiers.append((token.start, self.tokens[at + 1].end, "choice"))
+                at += 2
+                continue
             end = self._choice_before(at, draft) or self._attribute(at, draft)
             if end is None and token.plain in lexicon.OTHER and not self._ends(at + 1):
                 end = at + 1
@@ -150,6 +162,13 @@ class NounReader(LooksReader):
                 break
             at = end
         return at
+
+    def _numbered(self, at: int) -> int | None:
+        """2 of `number 2` or `no. two`; None elsewhere."""
+        if at + 1 >= len(self.tokens) or self.tokens[at].plain not in ("number", "no", "nr", "num"):
+            return None
+        word = self.tokens[at + 1].plain or ""
+        return choices.NUMBERS.get(word, 1 if word in ("1", "one") else None)
 
     def _choice_before(self, at: int, draft: Draft) -> int | None:
         if self.breaks[at] and at and draft.choices:
@@ -239,6 +258,8 @@ class NounReader(LooksReader):
             return word in lexicon.COPULAS or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
         if word in lexicon.SOMEBODY:
             return True
+        if self._numbered(end) is not None:
+            return True
         if word in _JUST:
             return self._ends(end + 1)
         if word in MODALS:
@@ -246,6 +267,7 @@ class NounReader(LooksReader):
         if word in lexicon.POSTURES:
             # `tv stands` are things; `the tv stands` is one that does.
             verb = any(self.tokens[k].plain in DETERMINERS for k in range(max(at - 3, 0), at))
+            verb = verb or (self.asks_what and at < 3)
             return verb and self._ends(end + 1) and not is_compound([self.tokens[end - 1].text, singular(word)])
         if word in ("it", "this") or self.match(choices.EXTREME_AT_SIDE, end) or self._filler(end):
             return True
@@ -285,6 +307,10 @@ class NounReader(LooksReader):
 
     def _ordinal_end(self, end: int, draft: Draft) -> int:
         """`from the left` after an ordinal says where it begins to count."""
+        if draft.ordinal is None and (number := self._numbered(end)) is not None:
+            draft.ordinal = number, self.words(end, end + 2).lower()
+            draft.modifiers.append((self.tokens[end].start, self.tokens[end + 1].end, "choice"))
+            end += 2
         if draft.ordinal is None:
             return end
         found = self.match(choices.FROM_SIDE, end)

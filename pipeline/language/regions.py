@@ -6,7 +6,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pipeline.language import choices, lexicon
+from pipeline.language.attributes import attribute
 from pipeline.language.chain import Attach, ChainReader, Clause, Opened
+from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import Phrase
 from pipeline.language.relation_names import MIRRORED
@@ -16,8 +18,6 @@ from pipeline.language.tree import Choice, Span
 
 class RegionReader(ChainReader):
     """Reads sides, as choices, and parts of things."""
-
-    asks_what = False
 
     def _side(self, at: int) -> int | None:
         """A side that chooses: `on the left`, `furthest to the right`; None where there is none here."""
@@ -39,6 +39,23 @@ class RegionReader(ChainReader):
         rank = 1 if found[0]["far"] or found[0]["most"] else None
         for order in choices.orders_of(found[0]["side"]):
             self._choice(Choice(order, rank, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
+        return found[1]
+
+    def _look(self, at: int) -> int | None:
+        """A colour that follows the thing by a phrase: `in red`, `of a red colour`, `painted green`."""
+        found = self.match(lexicon.LOOK_AFTER, at)
+        if found is None or not self._ends(found[1]) or self.opened:
+            return None
+        look = attribute(found[0]["look"])
+        if (
+            look is None
+            or (look.kind != "color" and not found[0]["says"])
+            or (not found[0]["says"] and is_name(found[0]["look"]))
+        ):
+            return None
+        where = self.tokens[at].start, self.tokens[found[1] - 1].end
+        phrase = Phrase("", attributes=(look,), words=(found[0]["look"],), modifiers=((*where, "attribute"),))
+        self._merge(phrase, len(self.chain.nouns) - 1)
         return found[1]
 
     def _region(self, at: int) -> int | None:

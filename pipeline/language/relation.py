@@ -72,7 +72,8 @@ class Relation:
 def _side(side: str) -> tuple[str, ...]:
     ways = (side, f"{side} side", f"{side} hand side")
     led = [f"{p} {the}{s} of" for p in ("to", "on", "at", "in") for the in ("the ", "") for s in ways]
-    return (*(f"{s} of" for s in ways), *led, f"{side} to")
+    compared = [f"{more} {to}{side} than" for more in ("further", "farther", "more") for to in ("", "to the ")]
+    return (*(f"{s} of" for s in ways), *led, f"{side} to", *compared)
 
 
 DECLARED: tuple[Relation, ...] = (
@@ -100,7 +101,8 @@ DECLARED: tuple[Relation, ...] = (
         "front", "in front of",
         (
             "in front of", "in the front of", "at the front of", "on the front of", "to the front of", "front of",
-            "infront of", "in front", "ahead of",
+            "infront of", "in front", "ahead of", "closer than", "nearer than", "closer to me than",
+            "nearer to me than", "closer to the camera than", "nearer to the camera than", "further forward than",
         ),
         inverse="behind", axis=(2, -1), viewer_dependent=True, vocabularies=("avd",), color=(136, 34, 85),
     ),
@@ -108,7 +110,9 @@ DECLARED: tuple[Relation, ...] = (
         "behind", "behind",
         (
             "behind", "in the back of", "at the back of", "on the back of", "to the back of", "in back of",
-            "behind of",
+            "behind of", "farther than", "further than", "farther away than", "further away than", "further back than",
+            "farther back than", "farther from me than", "further from me than", "farther from the camera than",
+            "further from the camera than",
         ),
         inverse="front", axis=(2, 1), viewer_dependent=True, vocabularies=("avd",), color=(204, 102, 119),
     ),

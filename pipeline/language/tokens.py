@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from pipeline.language.lexicon import AND, LINKING, WITH, phrase_table
+from pipeline.language.lexicon import AND, LINKING, STRUCTURAL, WITH, phrase_table
 from pipeline.language.naming import DETERMINERS, Synonyms
 from pipeline.language.spelling import mended_spans, spelled
 from pipeline.system.errors import InputError, require
@@ -194,6 +194,7 @@ def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[T
         if phrase is not None and len(phrase[0]) > 1:
             phrase = _before_a_name(phrase, known, words, opens, i)
             later = _longest(_PHRASES.get(words[i + 1]), words[:free], opens, i + 1)
+            phrase = _before_a_side(phrase, words, text, ends, starts, i)
             if words[i] in LINKING and later is not None and len(later[0]) >= len(phrase[0]):
                 phrase = None  # `sitting` says nothing in `sitting on top of`.
         best = name if phrase is None or (name is not None and len(name[0]) > len(phrase[0])) else phrase
@@ -236,6 +237,20 @@ def _before_a_name(
         if name is not None and begin + len(name[0]) > at + len(phrase[0]):
             return entry
     return phrase
+
+
+def _before_a_side(
+    phrase: tuple[tuple[str, ...], str, bool], words: list[str], text: str, ends: list[int], starts: list[int], at: int
+) -> tuple[tuple[str, ...], str, bool]:
+    """The phrase, or `on` where `on (the) top` stands before a thing that is at the top: `on the top shelf`."""
+    last = at + len(phrase[0])
+    if phrase[0] not in (("on", "top"), ("on", "the", "top")) or last >= len(words):
+        return phrase
+    apart = text[ends[last - 1] : starts[last]].strip()
+    following = words[last]
+    if apart or following in DETERMINERS or following in STRUCTURAL or following in _PHRASES:
+        return phrase
+    return next(entry for entry in _PHRASES["on"] if entry[0] == ("on",))
 
 
 def _next_quote(quotes: dict[int, re.Match[str]], starts: list[int], at: int) -> int:

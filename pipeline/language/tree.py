@@ -262,6 +262,8 @@ class Query:
         What read it: "grammar", or "llm" and the model's name.
     mended : tuple of (str, str)
         The misspelt words of the grammar and of those for looks, and what each was read as.
+    asked : tuple of (str, str or None)
+        Once a detector was asked: each thing, and the phrase that the detector was asked for; None for everything.
     """
 
     text: str
@@ -269,6 +271,7 @@ class Query:
     spans: tuple[Span, ...]
     reader: str = "grammar"
     mended: tuple[tuple[str, str], ...] = ()
+    asked: tuple[tuple[str, str | None], ...] = ()
 
     @property
     def default(self) -> Reading:
