@@ -122,6 +122,8 @@ def _scaled(contract: FeatureSet, rows: np.ndarray, factor: float) -> np.ndarray
 
 def with_wrong_names(samples: Sequence[FrameSamples], seed: int) -> tuple[FrameSamples, ...]:
     """The views, with WRONG_NAMES of their things under the name of some thing of any of them."""
+    if not samples:
+        return ()
     rng = np.random.default_rng([seed, 31])
     ends = np.cumsum([len(frame.seen_lo) for frame in samples])
     wrong = np.flatnonzero(rng.random(ends[-1]) < WRONG_NAMES)
@@ -129,7 +131,8 @@ def with_wrong_names(samples: Sequence[FrameSamples], seed: int) -> tuple[FrameS
     found = list(samples)
     for name, contract in ((name, contract) for name, contract in FEATURES.items() if contract.named):
         rows = np.concatenate([frame.rows[name] for frame in samples])
-        rows[np.ix_(wrong, contract.named)] = rows[np.ix_(other, contract.named)]
+        columns = list(contract.named)
+        rows[wrong[:, None], columns] = rows[other[:, None], columns]
         parts = np.split(rows, ends[:-1])
         found = [replace(frame, rows={**frame.rows, name: part}) for frame, part in zip(found, parts, strict=True)]
     return tuple(found)
