@@ -49,7 +49,7 @@ def test_an_answer_has_the_documented_keys(row: Frame) -> None:
     record = strict(trace_record(ask(row, "mug left of the laptop", TRUTH)))
     assert set(record) == DOCUMENTED | {"detector", "scorer", "viewer", "ranking"}
     assert record["frame"] == "scene/0"
-    assert set(record["expression"]) == {"text", "target", "relation", "reference", "tree"}
+    assert set(record["expression"]) == {"text", "target", "relation", "reference", "tree", "asked"}
     assert (record["expression"]["target"], record["expression"]["relation"]) == ("mug", "left")
     answer = {"target", "reference", "probability", "p_relation", "product", "holds", "relation_probability"}
     assert set(record["answer"]) == answer
