@@ -43,6 +43,16 @@ def standard_poses(T: np.ndarray, convention: str) -> np.ndarray:
     return out
 
 
+def composed(first: str, then: str) -> str | None:
+    """The one convention that both in turn come to; None where that is none of `CONVENTIONS`."""
+    q = np.random.default_rng(0).normal(size=(3, 3))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.linalg.qr(q)[0], q[0]
+    T[:3, 0] *= np.linalg.det(T[:3, :3])
+    both = standard_poses(standard_poses(T, first), then)
+    return next((name for name in CONVENTIONS if np.allclose(standard_poses(T, name), both)), None)
+
+
 def as_convention(T: np.ndarray, convention: str) -> np.ndarray:
     """The matrices (..., 4, 4) that a file of this convention has, read as of the standard one, for such poses."""
     way, axes, *order = convention.split()

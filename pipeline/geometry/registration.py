@@ -1,12 +1,7 @@
-"""Where a depth camera's pixels lie in the colour picture: the warp between the two, how it shows, and depth warped.
-
-A depth edge is the outline of a thing, and most outlines are edges of colour too. Where both cameras are taken for one
-and are not, the outlines of one picture miss those of the other.
-"""
+"""Where a depth camera's pixels lie in the colour picture: the warp between the two, and depth warped."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -14,15 +9,6 @@ import numpy as np
 
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.system.errors import require
-
-NEAR_PX = 2.0
-"""An outline of depth counts half so far from an edge of colour, at a width of 640 pixels."""
-OUTLINES = 1500
-"""So many pixels of outlines are looked at in a frame."""
-STEP_M, STEP_SHARE = 0.08, 0.05
-FOCALS = (0.86, 0.9, 0.94, 0.97, 1.0, 1.03, 1.06, 1.1, 1.15)
-SHIFTS_M = (-0.05, -0.025, 0.0, 0.025, 0.05)
-"""Where the search for a warp begins."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +43,14 @@ class Registration:
     def t(self) -> np.ndarray:
         """(3,) float64."""
         return np.array([self.tx, self.ty, self.tz])
+
+    def moved(self, across: float, down: float) -> Registration:
+        """The same with the principal point so many pixels on."""
+        return replace(self, cx=self.cx + across, cy=self.cy + down)
+
+    def after(self, first: Registration) -> Registration:
+        """Both in one: the first, of the depth camera, and this one, of the camera that the first leads to."""
+        return replace(self, tx=self.tx + first.tx, ty=self.ty + first.ty, tz=self.tz + first.tz)
 
     def pixels(self, u: np.ndarray, v: np.ndarray, z: np.ndarray, camera: Camera) -> tuple[np.ndarray, ...]:
         """Column, row and depth in the colour camera of the depth camera's pixels and depths, (N,) each."""
@@ -104,76 +98,3 @@ def _without_pinholes(depth: np.ndarray) -> np.ndarray:
     known = cv2.boxFilter((~missing).astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     nearest = cv2.erode(np.where(missing, np.float32(np.inf), depth), np.ones((3, 3), np.uint8))
     return np.where(missing & (known >= 6), nearest, depth).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class Outlines:
-    """The outlines of things in the depth of a frame, and how far each pixel of its colour is from an edge.
-
-    Attributes
-    ----------
-    u, v, z : (N,) float64
-        Pixels on the nearer side of depth steps, metres.
-    away : (H, W) float32
-        Pixels to the nearest edge of colour, at a width of 640.
-    camera : Camera
-    """
-
-    u: np.ndarray
-    v: np.ndarray
-    z: np.ndarray
-    away: np.ndarray
-    camera: Camera
-
-    @classmethod
-    def of(cls, rgb: np.ndarray, depth: np.ndarray, camera: Camera) -> Outlines:
-        """Those of a frame: colour (H, W, 3) uint8, depth (H, W) float32 metres."""
-        behind = cv2.dilate(depth, np.ones((3, 3), np.uint8)) - depth
-        v, u = np.nonzero((depth > 0) & (behind > np.maximum(STEP_M, STEP_SHARE * depth)))
-        even = np.linspace(0, len(v) - 1, min(OUTLINES, len(v))).astype(int)
-        v, u = v[even], u[even]
-        grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), (0, 0), 1.2)
-        away = cv2.distanceTransform((cv2.Canny(grey, 30, 80) == 0).astype(np.uint8), cv2.DIST_L2, 3)
-        return cls(u.astype(float), v.astype(float), depth[v, u].astype(float), away * 640 / depth.shape[1], camera)
-
-    def near(self, warp: Registration) -> np.ndarray:
-        """(N,) 0..1: how near each outline is to an edge of colour under a warp; 0 outside the picture."""
-        columns, rows, far = warp.pixels(self.u, self.v, self.z, self.camera)
-        height, width = self.away.shape
-        inside = (far > 0) & (columns > -0.5) & (columns < width - 0.5) & (rows > -0.5) & (rows < height - 0.5)
-        u, v = (np.where(inside, np.rint(c), 0).astype(int) for c in (columns, rows))
-        return np.where(inside, 1 / (1 + (self.away[v, u] / NEAR_PX) ** 2), 0.0)
-
-
-def agreement(frames: Sequence[Outlines], warp: Registration) -> float:
-    """0..1: the share of the outlines of depth that lie on edges of colour."""
-    return float(np.mean(np.concatenate([frame.near(warp) for frame in frames])))
-
-
-def estimated(frames: Sequence[Outlines]) -> Registration:
-    """The warp under which most outlines of depth lie on edges of colour, one for all frames."""
-    told = Registration.none(frames[0].camera)
-    starts = [
-        replace(told, fx=told.fx * f, fy=told.fy * f, tx=tx, ty=ty)
-        for f in FOCALS
-        for tx in SHIFTS_M
-        for ty in SHIFTS_M[1:-1]
-    ]
-    best = max(starts, key=lambda warp: agreement(frames, warp))
-    value = agreement(frames, best)
-    for step in (1.0, 0.5, 0.25, 0.12):
-        for _ in range(8):
-            share, metres, pixels = 0.01 * step, 0.01 * step, 4.0 * step
-            near = [
-                *(replace(best, fx=best.fx * (1 + way * share), fy=best.fy * (1 + way * share)) for way in (-1, 1)),
-                *(replace(best, tx=best.tx + way * metres) for way in (-1, 1)),
-                *(replace(best, ty=best.ty + way * metres) for way in (-1, 1)),
-                *(replace(best, cx=best.cx + way * pixels, tx=best.tx - way * metres) for way in (-1, 1)),
-                *(replace(best, cy=best.cy + way * pixels, ty=best.ty - way * metres) for way in (-1, 1)),
-            ]
-            scored = [(agreement(frames, warp), k) for k, warp in enumerate(near)]
-            found, k = max(scored)
-            if found <= value + 1e-4:
-                break
-            value, best = found, near[k]
-    return best

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import random_rotation
@@ -131,24 +133,24 @@ def test_a_focal_length_of_zero_is_one_clear_error() -> None:
 @pytest.mark.parametrize("warp", [(1.09, 0.025, 0.005), (0.94, -0.03, 0.0)])
 def test_a_planted_warp_is_estimated(warp: tuple[float, float, float]) -> None:
     dataset = open_dataset(demo_path())
-    outlines, plain = [], []
-    for frame_id in dataset.frame_ids[:6]:
-        frame = dataset.load(frame_id)
-        other = Registration(
-            frame.camera.fx * warp[0], frame.camera.fy * warp[0], frame.camera.cx, frame.camera.cy, *warp[1:]
+    frames = [dataset.load(frame_id) for frame_id in dataset.frame_ids[:6]]
+    moved = []
+    for frame in frames:
+        own = frame.camera
+        depth, camera = registered(
+            frame.depth, own, Registration(own.fx * warp[0], own.fy * warp[0], own.cx, own.cy, *warp[1:])
         )
-        depth, camera = registered(frame.depth, frame.camera, other)
-        outlines.append(Outlines.of(frame.rgb, depth, camera))
-        plain.append(Outlines.of(frame.rgb, frame.depth, frame.camera))
-    told = Registration.none(outlines[0].camera)
-    found = estimated(outlines)
-    best = agreement(plain, Registration.none(plain[0].camera))
+        moved.append(replace(frame, depth=depth, camera=camera))
+    outlines, plain = Outlines.of(moved), Outlines.of(frames)
+    told = Registration.none(outlines.camera)
+    found = estimated(outlines).warp
+    best = agreement(plain, Registration.none(plain.camera))
     assert agreement(outlines, told) < 0.75 * best
     assert agreement(outlines, found) > 0.9 * best
     # The warp back, where things are: at two and three metres, within two pixels.
     u, v = (c.ravel().astype(float) for c in np.meshgrid(np.arange(80, 640, 160), np.arange(60, 480, 120)))
-    own = plain[0].camera
+    own = plain.camera
     truth = Registration(own.fx, own.fy, own.cx, own.cy, -warp[1], -warp[2])
     for z in (2.0, 3.0):
-        there, right = (w.pixels(u, v, np.full(len(u), z), outlines[0].camera) for w in (found, truth))
+        there, right = (w.pixels(u, v, np.full(len(u), z), outlines.camera) for w in (found, truth))
         assert np.median(np.hypot(there[0] - right[0], there[1] - right[1])) < 2.0

@@ -4,35 +4,56 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.datasets.base import Dataset, load_picture, readable_frames, scene_of
-from pipeline.datasets.doctor.opinions import SUBJECTS, Opinion, Ranked, landing_opinions, ranked, scale_by_sizes
-from pipeline.datasets.doctor.registering import registration_opinion
+from pipeline.datasets.doctor.landing import OfLanding
+from pipeline.datasets.doctor.registering import OfOutlines
 from pipeline.datasets.doctor.search import Search
-from pipeline.datasets.doctor.timing import time_opinion
-from pipeline.datasets.doctor.upright import up_opinion
+from pipeline.datasets.doctor.seen import Seen
+from pipeline.datasets.doctor.trying import Opinion, Suspicion, diagnosed
+from pipeline.datasets.doctor.units import OfSizes
+from pipeline.datasets.doctor.upright import OfLevel
 from pipeline.datasets.opening import open_dataset
-from pipeline.datasets.plausible import annotated_sizes
-from pipeline.datasets.settings import GivenUp, Settings, read_settings, write_settings
-from pipeline.geometry.camera import intrinsics
+from pipeline.datasets.settings import FILE_NAME, GivenUp, Settings, read_settings, write_settings
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.landing import Views, detail_of
-from pipeline.geometry.pose_convention import STANDARD, standard_poses
+from pipeline.geometry.pose_convention import composed
+from pipeline.geometry.registration import Registration
 from pipeline.system.errors import InputError, require
 
 MOST_FRAMES, MOST_SCENES = 12, 4
 LONGEST_GAP = 300
 """Frames of one scene that are compared are at most about so many apart."""
-ANNOTATED_FRAMES = 4
-COARSE_GRID, FINE_GRID = (8, 10), (20, 26)
 TRIED_UNITS = (1000.0, 5000.0, 1.0, 10000.0, 39.3701, 100.0)
 """Where the depth as read is refused, these units are tried, so that there is something to compare."""
+
+
+SUSPICIONS: tuple[Suspicion, ...] = (OfSizes(), OfOutlines(), OfLevel())
+"""What is looked for after landing, in an order in which none explains another: what landing leaves of the unit, the
+registration of what is mended so far, and up, which mended poses carry."""
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A hypothesis that was tried.
+
+    Attributes
+    ----------
+    words : str
+        What it says is wrong.
+    score : float
+        Share of the points that land.
+    as_good : bool
+        Whether the best is not surely better.
+    """
+
+    words: str
+    score: float
+    as_good: bool
 
 
 @dataclass(frozen=True)
@@ -50,6 +71,8 @@ class Examination:
         One of each subject that was judged.
     hypotheses : tuple of Ranked
         What was tried for unit, camera and poses, the best first; empty where no two posed frames overlap.
+    as_read, mended : tuple of Frame
+        The frames as they were read, and with what mends them.
     """
 
     root: Path
@@ -57,6 +80,8 @@ class Examination:
     pairs: int
     opinions: tuple[Opinion, ...]
     hypotheses: tuple[Ranked, ...] = ()
+    as_read: tuple[Frame, ...] = field(default=(), repr=False)
+    mended: tuple[Frame, ...] = field(default=(), repr=False)
 
     @property
     def mends(self) -> dict[str, Any]:
@@ -109,7 +134,7 @@ def examine(path: str | Path, **camera: Any) -> Examination:
     if not frames:
         open_dataset(path, **camera).load(dataset.frame_ids[0])  # Says what is wrong with it.
     require(frames, "none of the frames that were looked at can be read", path=dataset.root)
-    settings = read_settings(dataset.root).overridden(registration=camera.get("registration"))
+    settings = read_settings(dataset.root).overridden(**{k: camera.get(k) for k in ("registration", "poses")})
     found = examine_frames(dataset, frames, _units(path, told, frames[0]), settings)
     if told.get("depth_scale") != camera.get("depth_scale") and found.of("depth scale").state != "wrong":
         unit = told["depth_scale"]
@@ -170,63 +195,45 @@ def examine_frames(
     units : float or None
         Depth units in a metre as read, None where unknown.
     """
+    settings = settings or Settings()
     size = Counter(frame.depth.shape for frame in frames).most_common(1)[0][0]
-    frames = [frame for frame in frames if frame.depth.shape == size]
-    cameras = [frame.camera for frame in frames]
-    scenes = [scene_of(dataset, frame.id) for frame in frames]
-    posed = [camera.T_world_camera is not None for camera in cameras]
-    pairs = [
-        (a, b)
-        for a in range(len(frames))
-        for b in range(len(frames))
-        if a != b and scenes[a] == scenes[b] and posed[a] and posed[b]
-    ]
-    views = [
-        Views.of([f.depth for f in frames], cameras, np.array(pairs, np.int64).reshape(-1, 2), grid)
-        for grid in (COARSE_GRID, FINE_GRID)
-    ]
-    search = Search(views[0], replace(views[1], detail=np.stack([detail_of(f.rgb) for f in frames])))
-    # With a declared registration the cameras are those of the colour; the setting is of the depth.
-    alike = all(np.allclose(c.K, cameras[0].K) for c in cameras) and not (settings and settings.registration)
-    K = cameras[0].K if alike else None
-    opinions = landing_opinions(search, K, units)
-    opinions = [_by_sizes(dataset, frames, units) or o if _undecided_scale(o) else o for o in opinions]
-    mends = {key: value for o in opinions for key, value in o.mend.items()}
-    mended = _mended(frames, mends, units)
-    opinions += [registration_opinion(mended, settings), up_opinion(dataset, mended)]
-    shifted = (settings and settings.pose_shift) or 0
-    opinions.append(time_opinion(dataset, mended, mends.get("poses", STANDARD), shifted))
-    opinions.sort(key=lambda opinion: SUBJECTS.index(opinion.about))
-    return Examination(
-        dataset.root, tuple(f.id for f in frames), len(search.fine.pairs), tuple(opinions), ranked(search)
-    )
+    seen = Seen(dataset, tuple(frame for frame in frames if frame.depth.shape == size), units, settings)
+    landing = OfLanding()
+    opinions, mended = diagnosed(seen, (landing, *SUSPICIONS))
+    search = landing.search(seen)
+    kept = tuple(_as_kept(opinion, settings) for opinion in opinions)
+    ids = tuple(frame.id for frame in seen.frames)
+    return Examination(dataset.root, ids, len(search.fine.pairs), kept, _ranked(search), seen.frames, mended.frames)
 
 
-def _undecided_scale(opinion: Opinion) -> bool:
-    return opinion.about == "depth scale" and opinion.state == "unknown"
+def _ranked(search: Search) -> tuple[Ranked, ...]:
+    """What was tried, the best first: the best, what was read, and the best of each cause."""
+    if not len(search.fine.pairs):
+        return ()
+    best = search.best
+    tried = [h for h in search.explanations if h != best]
+    rows = [Ranked(h.words, search.at(h), h == best or not search.beats(best, h)) for h in (best, *tried)]
+    return (rows[0], *sorted(rows[1:], key=lambda one: -one.score))
 
 
-def _by_sizes(dataset: Dataset, frames: Sequence[Frame], units: float | None) -> Opinion | None:
-    """What annotated things of known classes say of the scale, where they say the same in most frames."""
-    if not dataset.class_names:
-        return None
-    seen = list(readable_frames(dataset.load, [frame.id for frame in frames[:ANNOTATED_FRAMES]]))
-    found = [factor for frame in seen if (factor := annotated_sizes(frame)) is not None]
-    return scale_by_sizes(found, units) if 2 * len(found) > len(seen) else None
-
-
-def _mended(frames: Sequence[Frame], mends: dict[str, Any], units: float | None) -> list[Frame]:
-    """The frames as they are read with what mends them; as they are where that gives no depth of a room."""
-    scale = units / mends["depth_scale"] if units is not None and "depth_scale" in mends else 1.0
-    found = []
-    for frame in frames:
-        camera, T = frame.camera, frame.camera.T_world_camera
-        K = intrinsics(*mends["intrinsics"]) if "intrinsics" in mends else camera.K
-        pose = None if T is None else standard_poses(T, mends.get("poses", STANDARD))
-        with suppress(InputError):
-            depth = frame.depth * np.float32(scale)
-            found.append(replace(frame, depth=depth, camera=replace(camera, K=K, T_world_camera=pose)))
-    return found or list(frames)
+def _as_kept(opinion: Opinion, settings: Settings) -> Opinion:
+    """An opinion whose mend is told as `write_settings` keeps it, in place of what is declared already."""
+    mend = dict(opinion.mend)
+    if "pose_shift" in mend:
+        mend["pose_shift"] += settings.pose_shift or 0
+        return replace(opinion, mend=mend, option=f"pose_shift = {mend['pose_shift']} in {FILE_NAME}")
+    if "registration" in mend and settings.registration:
+        both = Registration(*mend["registration"]).after(Registration(*settings.registration))
+        numbers = tuple(round(float(n), 4) for n in (both.fx, both.fy, both.cx, both.cy, *both.t))
+        return replace(
+            opinion, mend={"registration": numbers}, option=f"--registration {','.join(f'{n:g}' for n in numbers)}"
+        )
+    if "poses" in mend and settings.poses:
+        both = composed(settings.poses, mend["poses"])
+        if both is None:
+            return replace(opinion, mend={}, option=f"of the poses as they are declared, {settings.poses}")
+        return replace(opinion, mend={"poses": both}, option=f'--poses "{both}"')
+    return opinion
 
 
 def apply(found: Examination) -> Path | None:

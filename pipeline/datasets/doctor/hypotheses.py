@@ -1,4 +1,4 @@
-"""One explanation of a recording: by what depth, focal length, principal point and poses differ from what was read."""
+"""One explanation of a recording: what is wrong, and by what depth and focal length differ from what was read."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.datasets.doctor.causes import AS_READ, Cause
 from pipeline.geometry.landing import Landing, Views, land
-from pipeline.geometry.pose_convention import CONVENTIONS, STANDARD, standard_poses
 
-CENTERS = ("told", "swapped", "middle")
-"""The principal point as read; its two numbers the other way round; the middle of the picture."""
 SURE = 4.0
 LEAST_LEAD = 0.006
 """One hypothesis is better than another where its lead over the blocks is so many standard errors, and so much."""
@@ -27,51 +25,40 @@ class Hypothesis:
     scale : float
         True depth by depth as read.
     focal : float
-        True focal length by the one read.
-    center : str
-        One of `CENTERS`.
-    poses : str
-        What the pose files mean, one of `CONVENTIONS`.
-    shift : (float, float)
-        Added to that principal point, pixels.
+        True focal length by the one read, or by the cause's.
+    cause : Cause
+        What else is wrong.
     """
 
     scale: float = 1.0
     focal: float = 1.0
-    center: str = "told"
-    poses: str = STANDARD
-    shift: tuple[float, float] = (0.0, 0.0)
+    cause: Cause = AS_READ
 
-    def intrinsics(self, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-        """(..., 3, 3) intrinsics under it, of those that were read, for pictures of (height, width)."""
+    def intrinsics(self, K: np.ndarray) -> np.ndarray:
+        """(..., 3, 3) intrinsics under it, of those of its cause."""
         out = np.array(K, np.float64)
-        out[..., 0, 0] *= self.focal
-        out[..., 1, 1] *= self.focal
-        if self.center == "swapped":
-            out[..., 0, 2], out[..., 1, 2] = K[..., 1, 2], K[..., 0, 2]
-        elif self.center == "middle":
-            out[..., 0, 2], out[..., 1, 2] = (size[1] - 1) / 2, (size[0] - 1) / 2
-        out[..., :2, 2] += self.shift
+        out[..., [0, 1], [0, 1]] *= self.focal
         return out
 
     def landing(self, views: Views, tolerance: float, colour: bool = False) -> Landing:
-        """Where the points of views land under it; see `land`."""
-        K, poses = self.intrinsics(views.K, views.size), standard_poses(views.poses, self.poses)
-        return land(views, K, poses, self.scale, tolerance, colour)
+        """Where the points of views, which are those of its cause, land under it; see `land`."""
+        return land(views, self.intrinsics(views.K), views.poses, self.scale, tolerance, colour)
 
     @property
-    def family(self) -> tuple[str, str]:
-        """What is not a number in it."""
-        return self.center, self.poses
+    def words(self) -> str:
+        """What it says is wrong."""
+        parts = [
+            f"depth {self.scale:.3g} times as far" if abs(self.scale - 1) > 1e-6 else "",
+            f"focal length {self.focal:.3g} times as long" if abs(self.focal - 1) > 1e-6 else "",
+            self.cause.words,
+        ]
+        return ", ".join(part for part in parts if part) or "all as read"
 
-
-def families() -> tuple[Hypothesis, ...]:
-    """One hypothesis of each family that is tried: one thing wrong, or none."""
-    return (
-        Hypothesis(),
-        *(Hypothesis(center=center) for center in CENTERS[1:]),
-        *(Hypothesis(poses=poses) for poses in CONVENTIONS if poses != STANDARD),
-    )
+    @property
+    def deviations(self) -> float:
+        """How much it claims to be wrong: the number of things, and then by how much."""
+        numbers = [abs(np.log(self.scale)), abs(np.log(self.focal))]
+        return sum(n > 1e-9 for n in numbers) + (self.cause != AS_READ) + min(sum(numbers), 9.0) / 10
 
 
 def score(landing: Landing) -> float:
@@ -80,13 +67,23 @@ def score(landing: Landing) -> float:
     return float(landing.landed.sum()) / met
 
 
-def by_block(landing: Landing) -> np.ndarray:
-    """(P * B,) the same for each block of each pair."""
+def by_block(landing: Landing, views: Views) -> np.ndarray:
+    """(P * B,) 0..1: of each block of each pair, the share of the points that meet a surface and land on it.
+
+    NaN where a pair has no pose.
+    """
     met = np.maximum(landing.met, np.maximum(LEAST_MET * landing.lifted, 1.0))
-    return (landing.landed / met).ravel()
+    return np.where(posed(views.poses, views.pairs)[:, None], landing.landed / met, np.nan).ravel()
 
 
-def surely_positive(lead: np.ndarray) -> bool:
-    """Whether what one hypothesis has before another in each block ((N,)) is more than chance."""
+def posed(poses: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """(P,) bool: whether both views of each pair have poses ((F, 4, 4), NaN where missing)."""
+    known = np.isfinite(poses[:, 0, 0])
+    return known[pairs[:, 0]] & known[pairs[:, 1]]
+
+
+def surely_positive(lead: np.ndarray, sure: float = SURE) -> bool:
+    """Whether what one hypothesis has before another in each block ((N,), NaN unknown) is more than chance."""
+    lead = lead[np.isfinite(lead)]
     error = lead.std(ddof=1) / np.sqrt(len(lead)) if len(lead) > 1 else np.inf
-    return bool(lead.mean() > max(SURE * error, LEAST_LEAD))
+    return bool(len(lead) and lead.mean() > max(sure * error, LEAST_LEAD))

@@ -1,4 +1,4 @@
-"""Whether colour and depth are registered, by outlines of depth on edges of colour."""
+"""Whether colour and depth are registered, by outlines of depth on edges of colour, region by region of the picture."""
 
 from __future__ import annotations
 
@@ -6,63 +6,81 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.datasets.doctor.opinions import Opinion
-from pipeline.datasets.settings import Settings
-from pipeline.geometry.frame import Frame
-from pipeline.geometry.registration import Outlines, Registration, agreement, estimated
+from pipeline.datasets.doctor.seen import Seen
+from pipeline.datasets.doctor.trying import MOST_LOSS, Measured, Opinion
+from pipeline.geometry.outlines import REGIONS, WIDE, Outlines, mean_known
+from pipeline.geometry.registration import Registration
+from pipeline.geometry.warp_search import estimated
 
-LEAST_OUTLINES = 300
-"""Of a frame; with fewer it does not count."""
 LEAST_FRAMES = 2
-LEAST_GAIN = 0.08
-"""The warp must bring so much more of the outlines onto edges, in nearly every frame."""
-GAINING = 0.8
-LEAST_PEAK = 0.06
-"""What is registered falls by so much when one picture is moved by a few pixels."""
-MOVED_PX = 8.0
+LEAST_REGIONS = REGIONS[0] * REGIONS[1] // 2
+"""In fewer regions of the picture outlines say nothing of the whole: a robot's arms at its border are no witness."""
+LEAST_GAIN, LEAST_GAIN_ABOVE = 0.1, 0.07
+"""The warp must bring so much more of the outlines onto edges, and more than chance does."""
+GAINING_FRAMES = 0.8
+LEAST_PEAK, REGION_PEAK = 0.06, 0.12
+"""What is registered falls by so much when one picture is moved by a few pixels; and in a region alone."""
+KEPT = 0.03
+"""What a region that is registered as it is may lose by a warp."""
 WORTH_PX = 3.0
-"""Where the warp moves the border of the picture by less, at a width of 640, it is not worth declaring."""
-AT_M = 2.0
-"""How far away what is looked at is taken to be there, metres."""
+"""Where the warp moves what is seen by less, at a width of 640, it is not worth declaring."""
 
 
-def registration_opinion(frames: Sequence[Frame], settings: Settings | None = None) -> Opinion:
-    """What is thought of the registration of frames of one camera, one size, and right depth."""
-    outlines = [Outlines.of(f.rgb, f.depth, f.camera) for f in frames]
-    outlines = [frame for frame in outlines if len(frame.u) >= LEAST_OUTLINES]
-    if len(outlines) < LEAST_FRAMES:
-        return Opinion("registration", "unknown", "too few outlines in the depth to compare with edges of the colour")
-    told = Registration.none(outlines[0].camera)
-    own = agreement(outlines, told)
-    peak = own - float(np.mean([agreement(outlines, _moved(told, way)) for way in ((1, 0), (-1, 0), (0, 1), (0, -1))]))
-    warp = estimated(outlines)
-    gains = np.array([frame.near(warp).mean() - frame.near(told).mean() for frame in outlines])
-    best = own + float(gains.mean())
-    off = displacement(warp, outlines[0])
-    evidence = {"edges": round(own, 4), "edges_warped": round(best, 4), "border_px": round(off, 1)}
-    if gains.mean() >= LEAST_GAIN and (gains > 0).mean() >= GAINING and off >= WORTH_PX:
+class OfOutlines:
+    """Whether depth is of the colour's camera."""
+
+    def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
+        return [_opinion(seen)]
+
+    def measured(self, seen: Seen, mended: Seen) -> tuple[Measured, ...]:
+        own, other = ((o, Registration.none(o.camera)) for o in (Outlines.of(seen.frames), Outlines.of(mended.frames)))
+        plain = [o.by_region(o.near(none)) for o, none in (own, other)]
+        above = [o.by_region(o.above_chance(none)) for o, none in (own, other)]
+        peaked = np.nan_to_num(above[0]) > REGION_PEAK
+        # A region that is registered as it is may lose nothing to speak of.
+        kept = np.where(peaked & (plain[1] - plain[0] < -KEPT), plain[0] - 2 * MOST_LOSS, plain[1])
+        return Measured(plain[0], kept, LEAST_GAIN), Measured(above[0], above[1], LEAST_GAIN_ABOVE)
+
+
+def _opinion(seen: Seen) -> Opinion:
+    outlines = Outlines.of(seen.frames)
+    told = Registration.none(outlines.camera)
+    near = outlines.near(told)
+    own = outlines.by_region(near)
+    frames = int(np.isfinite(outlines.by_frame(near)).sum())
+    regions = int(np.isfinite(own).sum())
+    if frames < LEAST_FRAMES or regions < LEAST_REGIONS:
+        text = f"outlines of depth in {regions} of {own.size} regions of the picture, {frames} frames: too few to tell"
+        return Opinion("registration", "unknown", text)
+    peak = mean_known(outlines.by_region(outlines.above_chance(told)))
+    fitted = estimated(outlines)
+    gain = np.nan_to_num(outlines.near(fitted.warp) - near)
+    gained, off = mean_known(outlines.by_region(gain)), displacement(fitted.warp, outlines)
+    by_frame = outlines.by_frame(gain)
+    edges = mean_known(own)
+    evidence = {"edges": round(edges, 4), "edges_warped": round(edges + gained, 4), "border_px": round(off, 1)}
+    gaining = float(np.mean(by_frame[np.isfinite(by_frame)] > 0))
+    if gained >= LEAST_GAIN and gaining >= GAINING_FRAMES and off >= WORTH_PX and fitted.bounded:
+        text = "outlines of depth miss edges of colour; the search for a colour camera of its own ended at its bound"
+        return Opinion("registration", "unknown", text, evidence=evidence)
+    if gained >= LEAST_GAIN and gaining >= GAINING_FRAMES and off >= WORTH_PX:
+        warp = fitted.warp
         numbers = tuple(round(float(n), 4) for n in (warp.fx, warp.fy, warp.cx, warp.cy, warp.tx, warp.ty, warp.tz))
         text = (
-            f"outlines of depth miss edges of colour ({own:.0%} agree, {best:.0%} with a colour camera of its own): "
-            f"off by {off:.0f} pixels at the border"
+            f"outlines of depth miss edges of colour ({evidence['edges']:.0%} agree, {evidence['edges_warped']:.0%} "
+            f"with a colour camera of its own): off by {off:.0f} pixels"
         )
         line = f"--registration {','.join(f'{n:g}' for n in numbers)}"
         return Opinion("registration", "wrong", text, {"registration": numbers}, line, evidence)
     if peak < LEAST_PEAK:
         return Opinion("registration", "unknown", "edges of colour are everywhere or nowhere", evidence=evidence)
-    already = ", by the warp that is declared" if settings is not None and settings.registration else ""
-    text = f"{own:.0%} of the outlines of depth lie on edges of colour{already}; no warp does much better"
+    already = ", by the warp that is declared" if seen.settings.registration else ""
+    text = f"{evidence['edges']:.0%} of the outlines of depth lie on edges of colour{already}; no warp does much better"
     return Opinion("registration", "fine", text, evidence=evidence)
 
 
-def _moved(warp: Registration, way: tuple[int, int]) -> Registration:
-    pixels = MOVED_PX * 2 * warp.cx / 640
-    return Registration(warp.fx, warp.fy, warp.cx + way[0] * pixels, warp.cy + way[1] * pixels)
-
-
-def displacement(warp: Registration, frame: Outlines) -> float:
-    """By how many pixels, at a width of 640, a warp moves the corners of the picture at most."""
-    height, width = frame.away.shape
-    u, v = np.array([0.0, 0.0, width - 1, width - 1]), np.array([0.0, height - 1, 0.0, height - 1])
-    columns, rows, _ = warp.pixels(u, v, np.full(4, AT_M), frame.camera)
-    return float(np.hypot(columns - u, rows - v).max() * 640 / width)
+def displacement(warp: Registration, outlines: Outlines) -> float:
+    """By how many pixels, at a width of 640, a warp moves the outlines: more than nine of ten of them by less."""
+    columns, rows, _ = warp.pixels(outlines.u, outlines.v, outlines.z, outlines.camera)
+    moved = np.hypot(columns - outlines.u, rows - outlines.v)
+    return float(np.quantile(moved, 0.9) * WIDE / outlines.away.shape[3])

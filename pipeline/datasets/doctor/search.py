@@ -8,18 +8,22 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.datasets.doctor.hypotheses import Hypothesis, by_block, families, score, surely_positive
-from pipeline.geometry.landing import Views
+from pipeline.datasets.doctor.causes import AS_READ, Cause, causes, late
+from pipeline.datasets.doctor.hypotheses import LEAST_MET, SURE, Hypothesis, by_block, posed, score, surely_positive
+from pipeline.datasets.doctor.seen import Seen
+from pipeline.geometry.landing import Views, detail_of
 
 COARSE, MIDDLE, FINE = 0.08, 0.03, 0.012
 """Relative depth at which a point counts half: while looking around, while refining, and when deciding."""
 SCALES = tuple(float(s) for s in np.geomspace(1 / 32, 32, 27))
 FOCALS = (0.4, 0.5, 0.63, 0.8, 1.25, 1.6, 2.0, 2.5)
-MOST_PAIRS = 24
-LEAST_OVERLAP = 0.15
-LEAST_PAIRS = 2
-LEAST_SCORE = 0.22
-"""Below this, measured at `FINE`, nothing explains the views."""
+SHIFTS = (-1, 1, -2, 2, -3, 3, -4, 4, -6, 6, -8, 8, -11, 11)
+FARTHEST = 14
+"""Places by which poses are taken to be late or early; beside the best, more are tried, up to so many."""
+COARSE_GRID, FINE_GRID = (8, 10), (20, 26)
+NEAREST_PAIRS, MOST_PAIRS = 12, 32
+"""Pairs of frames that are compared: those that overlap most, and as many more of all that overlap."""
+LEAST_OVERLAP = 0.075
 REFINED = 4
 
 
@@ -48,74 +52,101 @@ class Range:
 
 
 class Search:
-    """Posed views of one size, and what explains them.
+    """Posed views of one size, and what explains them."""
 
-    Parameters
-    ----------
-    coarse, fine : Views
-        The same views with few and with many points.
-    """
-
-    def __init__(self, coarse: Views, fine: Views) -> None:
-        self.coarse, self._fine = coarse, fine
-        self._landings: dict[tuple[Hypothesis, float], np.ndarray] = {}
+    def __init__(self, seen: Seen) -> None:
+        frames, scenes = seen.frames, seen.scenes
+        self.seen = seen
+        posed = [frame.camera.T_world_camera is not None for frame in frames]
+        many = range(len(frames))
+        pairs = [(a, b) for a in many for b in many if a != b and scenes[a] == scenes[b] and posed[a] and posed[b]]
+        depths, cameras = [f.depth for f in frames], [f.camera for f in frames]
+        array = np.array(pairs, np.int64).reshape(-1, 2)
+        self.coarse = Views.of(depths, cameras, array, COARSE_GRID)
+        fine = Views.of(depths, cameras, array, FINE_GRID)
+        self._fine = replace(fine, detail=np.stack([detail_of(f.rgb) for f in frames]))
+        self.causes = causes(self.coarse)
+        self._blocks: dict[tuple[Hypothesis, float], np.ndarray] = {}
         self._scores: dict[tuple[Hypothesis, float], float] = {}
         self._refined: dict[tuple[Hypothesis, tuple[str, ...]], Hypothesis] = {}
+        self._views: dict[Cause, Views] = {}
+
+    # What explains the views
 
     @cached_property
     def looked_around(self) -> tuple[Hypothesis, ...]:
-        """The best of each family, the best first."""
-        found: dict[tuple[str, str], tuple[float, Hypothesis]] = {}
-        for start in families():
-            tried = [replace(start, scale=s) for s in SCALES]
-            if start == Hypothesis():
-                tried += [replace(h, focal=f) for h in tried for f in FOCALS]
-            found[start.family] = max(
-                ((score(h.landing(self.coarse, COARSE)), h) for h in tried), key=lambda scored: scored[0]
-            )
-        ranked = sorted(found.values(), key=lambda scored: -scored[0])
-        return tuple(h for _, h in ranked)
+        """The best of each cause but time, the best first."""
+        found = []
+        for cause in self.causes:
+            views = cause.applied(self.coarse)
+            tried = [Hypothesis(scale, 1.0, cause) for scale in SCALES]
+            if cause == AS_READ:
+                tried += [replace(h, focal=focal) for h in tried for focal in FOCALS]
+            scored = [(score(h.landing(views, COARSE)), h) for h in tried]
+            found.append(max(scored, key=lambda one: one[0]))
+        return tuple(h for _, h in sorted(found, key=lambda scored: -scored[0]))
 
     @cached_property
     def fine(self) -> Views:
-        """Pairs that overlap under any of the best explanations, those that overlap most first."""
+        """Pairs that overlap under any of the best explanations: those that overlap most, and some of the others."""
         best = np.zeros(len(self._fine.pairs))
         for hypothesis in (*self.looked_around[:2], Hypothesis()):
-            landing = hypothesis.landing(self.coarse, COARSE)
+            landing = hypothesis.landing(hypothesis.cause.applied(self.coarse), COARSE)
             share = landing.landed.sum(axis=1) / np.maximum(landing.lifted.sum(axis=1), 1)
             best = np.maximum(best, share)
-        order = np.argsort(-best, kind="stable")[:MOST_PAIRS]
-        return self._fine.of_pairs(self._fine.pairs[np.sort(order[best[order] > LEAST_OVERLAP * 0.5])])
+        order = np.argsort(-best, kind="stable")
+        order = order[best[order] > LEAST_OVERLAP]
+        rest = order[NEAREST_PAIRS:]
+        spread = np.linspace(0, len(rest) - 1, min(len(rest), MOST_PAIRS - NEAREST_PAIRS)).astype(int)
+        return self._fine.of_pairs(self._fine.pairs[np.sort(np.concatenate([order[:NEAREST_PAIRS], rest[spread]]))])
+
+    @cached_property
+    def late(self) -> dict[int, Hypothesis]:
+        """{places: poses that are so many places late} of all that are tried."""
+        found: dict[int, Hypothesis] = {}
+
+        def add(shifts: Sequence[int]) -> None:
+            for shift in shifts:
+                poses = self.seen.poses_at(shift)
+                known = posed(poses, self.fine.pairs)
+                if 3 * np.count_nonzero(known) > len(known):
+                    found[shift] = Hypothesis(cause=late(shift, poses))
+
+        add(SHIFTS)
+        while found:
+            best = max(found, key=lambda shift: self.at(found[shift]))
+            beside = [s for s in (best - 1, best + 1) if s and s not in found and abs(s) <= FARTHEST]
+            tried = len(found)
+            add(beside)
+            if len(found) == tried:
+                break
+        return found
 
     @cached_property
     def best(self) -> Hypothesis:
         """The best of all, the simplest of those that are as good."""
-        starts = [*self.looked_around[:REFINED], replace(Hypothesis(), scale=self.looked_around[0].scale)]
+        best = max(self.explanations, key=self.at)
+        simpler = sorted(self.explanations, key=lambda h: h.deviations)
+        return next((h for h in simpler if not self.beats(best, h)), best)
+
+    @cached_property
+    def explanations(self) -> tuple[Hypothesis, ...]:
+        """All that are compared: what was read, each number wrong alone and both, each cause alone and with numbers."""
+        plain = Hypothesis()
+        starts = [*self.looked_around[:REFINED], Hypothesis(self.looked_around[0].scale)]
         refined = [self.refined(h) for h in starts]
         best = max(refined, key=self.at)
-        for simpler in self._simpler(best, refined):
-            if not self.beats(best, simpler):
-                return simpler
-        return best
-
-    def _simpler(self, best: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """What says less, the least first."""
-        plain = Hypothesis()
-        told = replace(best, center=plain.center, poses=plain.poses)
-        tried = [
-            plain,
-            *(self.refined(replace(plain, **{name: getattr(best, name)}), (name,)) for name in ("scale", "focal")),
-            replace(plain, center=best.center),
-            replace(plain, poses=best.poses),
-            told,
-            replace(best, scale=1.0),
-            replace(best, focal=1.0),
-            *others,
-        ]
-        return sorted(tried, key=deviations)
+        by_number = [
+            self.refined(replace(plain, **{name: getattr(start, name)}), (name,))
+            for name in ("scale", "focal") for start in (plain, best)
+        ]  # fmt: skip
+        of_causes = [Hypothesis(cause=cause) for cause in self.causes]
+        mixed = [replace(best, cause=AS_READ), replace(best, scale=1.0), replace(best, focal=1.0)]
+        timed = sorted(self.late.values(), key=self.at)[-1:]
+        return tuple(dict.fromkeys((plain, *by_number, *of_causes, *timed, *mixed, *refined)))
 
     def refined(self, start: Hypothesis, names: tuple[str, ...] = ("scale", "focal")) -> Hypothesis:
-        """The nearest best of its family, changing the numbers of these names alone."""
+        """The nearest best of its cause, changing the numbers of these names alone."""
         if (start, names) not in self._refined:
             self._refined[start, names] = self._climbed(start, names)
         return self._refined[start, names]
@@ -137,21 +168,32 @@ class Search:
                     value, best = found, hypothesis
         return best
 
-    def at(self, hypothesis: Hypothesis, tolerance: float = FINE) -> float:
-        """Its score, by default when deciding."""
-        self._of_blocks(hypothesis, tolerance)
-        return self._scores[hypothesis, tolerance]
+    # How well
 
-    def beats(self, one: Hypothesis, other: Hypothesis) -> bool:
+    def at(self, hypothesis: Hypothesis, tolerance: float = FINE) -> float:
+        """The share of the points that meet a surface and land on it, by default when deciding.
+
+        Where some poses are missing, what it has before the views as read on the other pairs counts.
+        """
+        lead = self._of_blocks(hypothesis, tolerance)
+        if np.isfinite(lead).all():
+            return self._scores[hypothesis, tolerance]
+        lead = lead - self._of_blocks(Hypothesis(), tolerance)
+        return self.at(Hypothesis(), tolerance) + (float(np.nanmean(lead)) if np.isfinite(lead).any() else -1.0)
+
+    def beats(self, one: Hypothesis, other: Hypothesis, sure: float = SURE) -> bool:
         """Whether the first is surely better than the other, block by block."""
-        return surely_positive(self._of_blocks(one) - self._of_blocks(other))
+        return surely_positive(self._of_blocks(one) - self._of_blocks(other), sure)
 
     def _of_blocks(self, hypothesis: Hypothesis, tolerance: float = FINE) -> np.ndarray:
         key = hypothesis, tolerance
-        if key not in self._landings:
-            landing = hypothesis.landing(self.fine, tolerance, colour=tolerance == FINE)
-            self._landings[key], self._scores[key] = by_block(landing), score(landing)
-        return self._landings[key]
+        if key not in self._blocks:
+            if hypothesis.cause not in self._views:
+                self._views[hypothesis.cause] = hypothesis.cause.applied(self.fine)
+            views = self._views[hypothesis.cause]
+            landing = hypothesis.landing(views, tolerance, colour=tolerance == FINE)
+            self._blocks[key], self._scores[key] = by_block(landing, views), score(landing)
+        return self._blocks[key]
 
     def range_of(self, name: str, other: str) -> Range:
         """How far a number of the best hypothesis can be told, while another one gives way."""
@@ -167,15 +209,29 @@ class Search:
             ends.append(end)
         return Range(value, ends[0], ends[1])
 
-    def rivals(self, differs: Callable[[Hypothesis], bool]) -> tuple[Hypothesis, ...]:
-        """Those of other families that the best does not surely beat."""
-        others = [self.refined(h) for h in self.looked_around if differs(h)]
-        return tuple(h for h in others if not self.beats(self.best, h))
+    def as_good(self, differs: Callable[[Hypothesis], bool]) -> tuple[Hypothesis, ...]:
+        """The explanations of this kind that the best does not surely beat."""
+        return tuple(h for h in self.explanations if differs(h) and not self.beats(self.best, h))
 
+    def of_regions(self, mended: Seen) -> tuple[np.ndarray, np.ndarray]:
+        """(B,) shares of the points that land, of each block of the pictures, as read and with the frames mended."""
+        ids = [frame.id for frame in mended.frames]
+        places = {k: ids.index(frame.id) for k, frame in enumerate(self.seen.frames) if frame.id in ids}
+        cameras = [mended.frames[places[k]].camera for k in places]
+        posed = {k for k, camera in zip(places, cameras, strict=True) if camera.T_world_camera is not None}
+        pairs = np.array([(a, b) for a, b in self.fine.pairs.tolist() if a in posed and b in posed], np.int64)
+        if not len(pairs):
+            return np.full(1, np.nan), np.full(1, np.nan)
+        found = []
+        for views, index in ((self.fine, None), (self._views_of(mended), places)):
+            own = views.of_pairs(pairs if index is None else np.vectorize(index.__getitem__)(pairs))
+            landing = Hypothesis().landing(own, FINE, colour=True)
+            met = np.maximum(landing.met.sum(axis=0), LEAST_MET * landing.lifted.sum(axis=0))
+            found.append(np.where(met > 0, landing.landed.sum(axis=0) / np.maximum(met, 1), np.nan))
+        return found[0], found[1]
 
-def deviations(hypothesis: Hypothesis) -> float:
-    """How much it claims to be wrong: the number of things, and then by how much."""
-    numbers = [abs(np.log(hypothesis.scale)), abs(np.log(hypothesis.focal))]
-    plain = Hypothesis()
-    words = [hypothesis.center != plain.center, hypothesis.poses != plain.poses]
-    return sum(n > 1e-9 for n in numbers) + sum(words) + min(sum(numbers), 9.0) / 10
+    @staticmethod
+    def _views_of(seen: Seen) -> Views:
+        frames = seen.frames
+        views = Views.of([f.depth for f in frames], [f.camera for f in frames], np.zeros((0, 2), np.int64), FINE_GRID)
+        return replace(views, detail=np.stack([detail_of(f.rgb) for f in frames]))

@@ -1,0 +1,252 @@
+"""What landing says of poses, their time, depth scale, focal length and principal point, tried as one explanation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.datasets.doctor.hypotheses import Hypothesis
+from pipeline.datasets.doctor.principal_point import center_by_middle
+from pipeline.datasets.doctor.search import FINE, Range, Search
+from pipeline.datasets.doctor.seen import Seen
+from pipeline.datasets.doctor.trying import Measured, Opinion
+from pipeline.datasets.doctor.units import UNITS, only_unit
+from pipeline.geometry.pose_convention import STANDARD
+from pipeline.language.counted import counted
+
+LEAST_PAIRS = 2
+LEAST_SCORE = 0.22
+"""Below this nothing explains the views."""
+LEAST_GAIN = 0.03
+"""A mend must bring so much more of the points to land, region by region."""
+SHARP, NEAR_UNIT = 0.25, 0.45
+"""How far a number that is wrong may be off, as a share, to be mended; and a scale, where one known unit is as near.
+The ranges are wide: in all that was planted on public recordings the numbers themselves were right to 4 %."""
+OFF_UNIT = 0.06
+"""A scale is a known unit's where it is no farther from it, as a share."""
+FINE_SCALE, FINE_FOCAL = 0.3, 0.12
+"""How far one that was read may be off to be called fine."""
+NEAR_TOLD = 0.04
+"""A number so near to the one that was read is not worth mending."""
+SAME_CENTER = 0.02
+"""Principal points closer than this share of the width are one."""
+NEAR_SURE = 2.0
+"""The place by which poses are late is told where those beside it are worse by so many standard errors."""
+
+
+class OfLanding:
+    """Whether the points of one frame land on the depth of another: five subjects, one explanation."""
+
+    def __init__(self) -> None:
+        self._search: Search | None = None
+
+    def search(self, seen: Seen) -> Search:
+        """What explains these frames, looked for once."""
+        if self._search is None or self._search.seen is not seen:
+            self._search = Search(seen)
+        return self._search
+
+    def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
+        search = Search(seen) if seen.mends else self.search(seen)
+        K = _common_intrinsics(seen)
+        pairs = len(search.fine.pairs)
+        if pairs >= LEAST_PAIRS and search.at(search.best) >= LEAST_SCORE:
+            found = [_poses(search), _time(search), _scale(search, seen.units), _focal(search), _center(search)]
+            return _with_intrinsics(found, search.best, K, search)
+        if pairs >= LEAST_PAIRS:
+            best = f"at best {search.at(search.best):.0%} of the points land"
+            why = f"nothing that was tried makes {pairs} pairs agree ({best}): are the poses of other frames?"
+        elif len(search.coarse.pairs):
+            why = "nothing can tell: no two posed frames of those that were looked at show the same surface"
+        else:
+            why = "nothing can tell: no two frames of a scene have poses"
+        subjects = ("poses", "time", "depth scale", "focal length", "principal point")
+        found = [Opinion(about, "unknown", why) for about in subjects]
+        shown = center_by_middle(search.coarse.K[0], search.coarse.size)
+        found[-1] = shown[0] or found[-1]
+        return _with_intrinsics(found, Hypothesis(cause=shown[1]), K, search)
+
+    def measured(self, seen: Seen, mended: Seen) -> tuple[Measured, ...]:
+        search = self.search(seen)
+        if len(search.fine.pairs) < LEAST_PAIRS:
+            # A principal point of one picture has nothing else that speaks for it.
+            return ()
+        return (Measured(*search.of_regions(mended), LEAST_GAIN),)
+
+
+def _common_intrinsics(seen: Seen) -> np.ndarray | None:
+    """(3, 3) those of all frames; None where they differ, or are of the colour that depth is warped to."""
+    first = seen.frames[0].camera.K
+    alike = all(np.allclose(frame.camera.K, first) for frame in seen.frames)
+    return first if alike and not seen.settings.registration else None
+
+
+def _against(search: Search, left: Callable[[Hypothesis], bool], otherwise: Hypothesis) -> tuple[str, dict[str, float]]:
+    """How the best compares with the best of the explanations that leave a thing as it is, as told."""
+    others = [h for h in search.explanations if left(h) and h != search.best] or [otherwise]
+    best, second = search.at(search.best), max(map(search.at, others))
+    told = {"lands": round(best, 4), "otherwise": round(second, 4), "pairs": float(len(search.fine.pairs))}
+    return f"{best:.0%} of the points land on the depth (within {FINE:.1%}) and colour of another frame", told
+
+
+def _either(about: str, search: Search, others: Sequence[Hypothesis]) -> Opinion:
+    """Abstains: what was read would do with something else mended."""
+    words = " or ".join(dict.fromkeys(h.words for h in (search.best, *others[:2])))
+    return Opinion(about, "unknown", f"what was read does not land; it does with {words}, and nothing tells which")
+
+
+def _poses(search: Search) -> Opinion:
+    cause = search.best.cause
+    best = cause.mend.get("poses", STANDARD)
+
+    def differ(h: Hypothesis) -> bool:
+        return h.cause.mend.get("poses", STANDARD) != best
+
+    lands, evidence = _against(search, differ, Hypothesis())
+    text = f"{lands} with {best}, {evidence['otherwise']:.0%} with any other convention"
+    rivals = search.as_good(differ)
+    if rivals and cause.about == "poses":
+        return _either("poses", search, rivals)
+    if rivals:
+        names = ", ".join(dict.fromkeys((best, *(h.cause.mend["poses"] for h in rivals))))
+        return Opinion("poses", "unknown", f"too little motion between the frames to tell {names} apart")
+    if cause.about != "poses":
+        return Opinion("poses", "fine", text, evidence=evidence)
+    return Opinion("poses", "wrong", text, dict(cause.mend), f'--poses "{best}"', evidence)
+
+
+def _time(search: Search) -> Opinion:
+    late, best = search.late, search.best
+    if not late:
+        return Opinion("time", "unknown", "no three frames of a scene have poses, and neighbours with others")
+    if best.cause.about != "time":
+        if search.as_good(lambda h: h.cause.about == "time") and not search.as_good(lambda h: h == Hypothesis()):
+            return _either("time", search, search.as_good(lambda h: h.cause.about == "time"))
+        worse = [abs(shift) for shift, h in late.items() if search.beats(best, replace(best, cause=h.cause))]
+        if not worse:
+            why = "too few frames, or too close together, to tell the poses of neighbours"
+            return Opinion("time", "unknown", why)
+        text = f"the poses of frames {counted(min(worse), 'place')} earlier or later land worse"
+        return Opinion("time", "fine", text, evidence={"told_from": float(min(worse))})
+    if rivals := search.as_good(lambda h: h.cause.about != "time"):
+        return _either("time", search, rivals)
+    (shift,) = (shift for shift, h in late.items() if h.cause == best.cause)
+    near = [s for s, h in late.items() if not search.beats(best, replace(best, cause=h.cause), NEAR_SURE)]
+    gain = search.at(best) - search.at(Hypothesis())
+    when = f"{counted(abs(shift), 'place')} {'later' if shift > 0 else 'earlier'}"
+    text = f"with the poses of frames {when}, {gain:.0%} more of the points land"
+    evidence = {"shift": float(shift), "gain": round(gain, 4)}
+    if len(near) > 1:
+        text = f"{text}, and nearly as many with {' or '.join(f'{s:+d}' for s in sorted(near) if s != shift)} places"
+        return Opinion("time", "wrong", text, evidence=evidence)
+    return Opinion("time", "wrong", text, {"pose_shift": shift}, f"pose_shift = {shift}", evidence)
+
+
+def _between(found: Range) -> str:
+    high = "any larger number" if np.isinf(found.high) else f"{found.high:.3g}"
+    return f"from {found.low:.3g} to {high} times"
+
+
+def _scale(search: Search, units: float | None) -> Opinion:
+    def left(h: Hypothesis) -> bool:
+        return abs(h.scale - 1) < NEAR_TOLD
+
+    found = search.range_of("scale", "focal")
+    otherwise = replace(search.best, scale=1.25) if left(search.best) else replace(search.best, scale=1.0)
+    lands, evidence = _against(search, lambda h: left(h) != left(search.best), otherwise)
+    evidence |= {"value": found.value, "low": found.low, "high": min(found.high, 1e9)}
+    if found.holds(1.0):
+        if found.sharp <= FINE_SCALE:
+            return Opinion("depth scale", "fine", f"{lands}; {_between(found)} it would do", evidence=evidence)
+        text = f"the frames are too close together: {_between(found)} the depth as read lands as well"
+        return Opinion("depth scale", "unknown", text, evidence=evidence)
+    if not left(search.best) and (rivals := search.as_good(left)):
+        return _either("depth scale", search, rivals)
+    unit = None if units is None else _known_unit(units, found)
+    if units is None or (unit is None and found.sharp > SHARP):
+        text = f"the depth as read does not land; {_between(found)} it would, which is no one unit"
+        return Opinion("depth scale", "unknown", text, evidence=evidence)
+    right = unit or float(f"{units / found.value:.4g}")
+    what = f": {UNITS[unit]}" if unit in UNITS else ""
+    text = f"{lands} where depth is {units / right:.3g} times as far as read, else {evidence['otherwise']:.0%}{what}"
+    return Opinion("depth scale", "wrong", text, {"depth_scale": right}, f"--depth-scale {right:g}", evidence)
+
+
+def _known_unit(units: float, found: Range) -> float | None:
+    """The unit, of those known, that the scale is; None where it is none."""
+    near = [unit for unit in UNITS if abs(np.log(units / unit / found.value)) < OFF_UNIT]
+    sure = found.sharp <= SHARP or (found.sharp <= NEAR_UNIT and only_unit(units, found.low, found.high))
+    return near[0] if near and sure else None
+
+
+def _focal(search: Search) -> Opinion:
+    by_cause = _by_cause(search.best, search)
+
+    def left(h: Hypothesis) -> bool:
+        return abs(h.focal * _by_cause(h, search) - 1) < NEAR_TOLD
+
+    inner = search.range_of("focal", "scale")
+    found = Range(inner.value * by_cause, inner.low * by_cause, inner.high * by_cause)
+    otherwise = replace(search.best, focal=1.25 if left(search.best) else 1 / by_cause)
+    lands, evidence = _against(search, lambda h: left(h) != left(search.best), otherwise)
+    evidence |= {"value": found.value, "low": found.low, "high": min(found.high, 1e9)}
+    if found.sharp > (FINE_FOCAL if found.holds(1.0) else SHARP):
+        start = "the frames turn too little" if found.holds(1.0) else "it is wrong, but the frames turn too little"
+        text = f"{start}: {_between(found)} the focal length as read lands as well"
+        return Opinion("focal length", "unknown", text, evidence=evidence)
+    if found.holds(1.0) or left(search.best):
+        return Opinion("focal length", "fine", f"{lands}; {_between(found)} it would do", evidence=evidence)
+    if rivals := search.as_good(left):
+        return _either("focal length", search, rivals)
+    text = f"{lands} where it is {found.value:.3g} times as long, else {evidence['otherwise']:.0%}"
+    return Opinion("focal length", "wrong", text, evidence=evidence)
+
+
+def _by_cause(h: Hypothesis, search: Search) -> float:
+    """Focal length under the cause of a hypothesis, by the one read."""
+    return float(h.cause.applied(search.coarse).K[0, 0, 0] / search.coarse.K[0, 0, 0])
+
+
+def _center(search: Search) -> Opinion:
+    size, best, told = search.fine.size, search.best, search.coarse.K[0, :2, 2]
+
+    def center(h: Hypothesis) -> np.ndarray:
+        return h.cause.applied(search.coarse).K[0, :2, 2]
+
+    def apart(h: Hypothesis, other: np.ndarray) -> bool:
+        return float(np.abs(center(h) - other).max()) > SAME_CENTER * size[1]
+
+    rivals = search.as_good(lambda h: apart(h, center(best)))
+    if rivals:
+        by_middle, _ = center_by_middle(search.fine.K[0], size)
+        if by_middle is not None and (by_middle.state == "wrong" or not apart(best, told)):
+            return by_middle
+        return Opinion("principal point", "unknown", "it lands as well with another principal point")
+    middle = next(cause for cause in search.causes if "middle" in cause.words)
+    otherwise = Hypothesis() if apart(best, told) else Hypothesis(cause=middle)
+    lands, evidence = _against(search, lambda h: apart(h, center(best)), otherwise)
+    text = f"{lands}, {evidence['otherwise']:.0%} with another principal point"
+    if not apart(best, told):
+        return Opinion("principal point", "fine", text, evidence=evidence)
+    return Opinion("principal point", "wrong", f"{text}: {best.cause.words}", evidence=evidence)
+
+
+def _with_intrinsics(found: list[Opinion], best: Hypothesis, K: np.ndarray | None, search: Search) -> list[Opinion]:
+    """The opinions with the intrinsics that those on focal length and principal point ask for, both in one."""
+    *_, focal, center = found
+    views = search.coarse
+    if center.state == "wrong" and best.cause.about != "principal point":
+        best = replace(best, cause=center_by_middle(views.K[0], views.size)[1])
+    mend, option = {}, "mend it where it stands: frames have intrinsics of their own, or a declared registration"
+    if K is not None:
+        right, true = K.copy(), best.intrinsics(best.cause.applied(views).K[0])
+        if focal.state == "wrong" or best.cause.words.startswith("intrinsics"):
+            right[[0, 1], [0, 1]] = true[[0, 1], [0, 1]]
+        if center.state == "wrong":
+            right[:2, 2] = true[:2, 2]
+        four = tuple(round(float(n), 3) for n in (right[0, 0], right[1, 1], right[0, 2], right[1, 2]))
+        mend, option = {"intrinsics": four}, f"--intrinsics {','.join(f'{n:g}' for n in four)}"
+    of_camera = (replace(o, mend=mend, option=option) if o.state == "wrong" else o for o in (focal, center))
+    return [*found[:-2], *of_camera]

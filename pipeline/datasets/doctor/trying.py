@@ -1,0 +1,123 @@
+"""A thing that may be wrong, the mend for it, and the mend tried: measured again with itself applied, or withdrawn.
+
+What is looked for is a list of `Suspicion`. Each in turn says what it thinks of its subjects, on the frames as they are
+with what was mended before. Where it has a mend, the frames are read with it, and what speaks for it is measured again,
+region by region of the picture. It is withdrawn where regions get worse, or where the mended frames ask for another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from pipeline.datasets.doctor.seen import Seen
+
+State = Literal["fine", "wrong", "unknown"]
+SUBJECTS = ("poses", "depth scale", "focal length", "principal point", "registration", "time", "up")
+"""In the order in which they are told."""
+GAINING = 0.7
+"""So many of the regions must gain by a mend."""
+NO_CHANGE = 0.02
+MOST_LOSS = 0.08
+"""A region that changes by less is as good, and none may lose more."""
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """What is thought of one thing.
+
+    Attributes
+    ----------
+    about : str
+        One of `SUBJECTS`.
+    state : str
+    text : str
+        One sentence with its evidence.
+    mend : dict
+        What `write_settings` is to keep: intrinsics, depth_scale, poses, pose_shift, registration, up.
+    option : str or None
+        The same as a person tells it.
+    evidence : dict of str to float
+    """
+
+    about: str
+    state: State
+    text: str
+    mend: dict[str, Any] = field(default_factory=dict)
+    option: str | None = None
+    evidence: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """How well frames agree as they are and with a mend, region by region.
+
+    Attributes
+    ----------
+    before, after : (R,) float64
+        0..1; NaN where a region says nothing.
+    least : float
+        So much must be gained on average.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    least: float
+
+    @property
+    def refusal(self) -> str | None:
+        """Why the mend is not to be had, None where it is."""
+        gains = (self.after - self.before)[np.isfinite(self.before) & np.isfinite(self.after)]
+        if not len(gains):
+            return "no region of the picture shows what it does"
+        lost = int((gains < -MOST_LOSS).sum())
+        if lost:
+            return f"{lost} of {len(gains)} regions of the picture agree less with it"
+        gaining = int((gains > NO_CHANGE).sum())
+        if gaining < GAINING * len(gains) or gains.mean() < self.least:
+            return f"{gaining} of {len(gains)} regions of the picture agree better with it"
+        return None
+
+
+class Suspicion(Protocol):
+    """Something that may be wrong with a recording."""
+
+    def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
+        """What is thought of its subjects, with what mends them; `known` is what is thought of others."""
+        ...
+
+    def measured(self, seen: Seen, mended: Seen) -> tuple[Measured, ...]:
+        """What speaks for the mend: how well frames agree as they are and mended."""
+        ...
+
+
+def diagnosed(seen: Seen, suspicions: Sequence[Suspicion]) -> tuple[list[Opinion], Seen]:
+    """What is thought of each subject, in the order of suspicions, and the frames with what mends them."""
+    known: list[Opinion] = []
+    for suspicion in suspicions:
+        found = suspicion.opinions(seen, known)
+        if mend := mends_of(found):
+            mended = seen.mended(mend)
+            why = next((why for one in suspicion.measured(seen, mended) if (why := one.refusal)), None)
+            if why is None and mends_of(suspicion.opinions(mended, known)):
+                why = "with it, another one is asked for"
+            found = found if why is None else [withdrawn(opinion, why) for opinion in found]
+            seen = mended if why is None else seen
+        known = [o for o in known if o.about not in {one.about for one in found}] + found
+    return sorted(known, key=lambda opinion: SUBJECTS.index(opinion.about)), seen
+
+
+def mends_of(opinions: Sequence[Opinion]) -> dict[str, Any]:
+    """What all of them mend."""
+    return {key: value for opinion in opinions for key, value in opinion.mend.items()}
+
+
+def withdrawn(opinion: Opinion, why: str) -> Opinion:
+    """An opinion without its mend, which was tried."""
+    if not opinion.mend:
+        return opinion
+    text = f"{opinion.text}; tried and withdrawn: {why}"
+    return replace(opinion, state="unknown", text=text, mend={}, option=None)

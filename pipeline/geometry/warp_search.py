@@ -1,0 +1,89 @@
+"""The warp between a depth camera and a colour camera under which outlines of depth lie on edges of colour."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.geometry.outlines import NEAR_PX, Outlines, mean_known
+from pipeline.geometry.registration import Registration
+
+FOCALS = (0.76, 0.8, 0.84, 0.88, 0.92, 0.96, 1.0, 1.04, 1.08, 1.13, 1.18, 1.24, 1.3)
+SHIFTS_M = (-0.06, -0.03, 0.0, 0.03, 0.06)
+"""Where the search begins: focal lengths of the colour camera by the depth camera's, and places beside it."""
+MOST_FOCAL, MOST_M, MOST_CENTER = 1.4, 0.12, 0.1
+"""And its bound: a focal length so many times as long or short, metres aside, and a principal point that is off by a
+share of the width."""
+EVERY = 3
+"""Of the outlines, where the search begins."""
+BEGUN = 6
+"""So many of the beginnings are followed."""
+LOOKING = ((2.0, 3 * NEAR_PX, EVERY), (1.0, 2 * NEAR_PX, EVERY))
+SETTLING = ((0.5, NEAR_PX, 1), (0.25, NEAR_PX, 1), (0.12, NEAR_PX, 1))
+"""Steps in hundredths and centimetres, the tolerance at each, pixels, and how many of the outlines are left out."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A warp that was searched for.
+
+    Attributes
+    ----------
+    warp : Registration
+    bounded : bool
+        Whether it lies at the bound of what is searched, so that it is none.
+    """
+
+    warp: Registration
+    bounded: bool
+
+
+def estimated(outlines: Outlines) -> Fitted:
+    """The warp under which most outlines of depth lie on edges of colour, region by region; one for all frames."""
+    told = Registration.none(outlines.camera)
+    own = {(near, every): outlines.near(told, near, every) for _, near, every in (*LOOKING, *SETTLING)}
+
+    def gain(warp: Registration, tolerance: float, every: int) -> float:
+        # What leaves the picture is taken to lie as it did.
+        gained = np.nan_to_num(outlines.near(warp, tolerance, every) - own[tolerance, every])
+        return mean_known(outlines.by_region(gained, every))
+
+    starts = [
+        replace(told, fx=told.fx * f, fy=told.fy * f, tx=tx, ty=ty)
+        for f in FOCALS for tx in SHIFTS_M for ty in SHIFTS_M[1:-1]
+    ]  # fmt: skip
+    begun = sorted(starts, key=lambda warp: -gain(warp, *LOOKING[0][1:]))[:BEGUN]
+    climbed = [_climbed(warp, gain, LOOKING) for warp in begun]
+    best = _climbed(max(climbed, key=lambda warp: gain(warp, *LOOKING[-1][1:])), gain, SETTLING)
+    center = max(abs(best.cx - told.cx), abs(best.cy - told.cy)) / outlines.away.shape[3]
+    focal = abs(np.log(best.fx / told.fx)) / np.log(MOST_FOCAL)
+    aside = max(abs(best.tx), abs(best.ty)) / MOST_M
+    return Fitted(best, bool(max(focal, aside, center / MOST_CENTER) >= 1))
+
+
+def _climbed(
+    best: Registration,
+    gain: Callable[[Registration, float, int], float],
+    levels: Sequence[tuple[float, float, int]],
+) -> Registration:
+    """The nearest best, by steps that become finer, as do tolerances."""
+    for step, tolerance, every in levels:
+        share, metres, pixels = 0.01 * step, 0.01 * step, 4.0 * step
+        value = gain(best, tolerance, every)
+        for _ in range(8):
+            near = [
+                *(replace(best, fx=best.fx * (1 + way * share), fy=best.fy * (1 + way * share)) for way in (-1, 1)),
+                *(replace(best, tx=best.tx + way * metres) for way in (-1, 1)),
+                *(replace(best, ty=best.ty + way * metres) for way in (-1, 1)),
+                *(best.moved(way * pixels, 0) for way in (-1, 1)),
+                *(best.moved(0, way * pixels) for way in (-1, 1)),
+                *(replace(best.moved(way * pixels, 0), tx=best.tx - way * metres) for way in (-1, 1)),
+                *(replace(best.moved(0, way * pixels), ty=best.ty - way * metres) for way in (-1, 1)),
+            ]
+            found, k = max((gain(warp, tolerance, every), k) for k, warp in enumerate(near))
+            if found <= value + 1e-4:
+                break
+            value, best = found, near[k]
+    return best
