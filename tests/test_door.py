@@ -29,7 +29,6 @@ HANDED = {
     "datasets/images.py Image.open": "an opened file",
     "datasets/images.py OpenEXR.File": "checked bytes stand there",
     "language/vectors/fasttext_bin.py mmap.mmap": "an opened file",
-    "language/vectors/tables.py zipfile.ZipFile": "an opened file, whose arrays are measured there",
     "language/vectors/vec_text.py gzip.open": "an opened file, unpacked line by line",
     "system/onnx_contents.py mmap.mmap": "an opened file",
     "system/onnx_session.py ort.InferenceSession": "a checked path",

@@ -27,10 +27,13 @@ from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.datasets.tum import match_times
-from pipeline.system.door import check_pixels, checked_path
+from pipeline.system.door import BoundedPath, check_pixels, checked_path
 from pipeline.system.errors import InputError, as_input_error, extra_module, needed, require
+from pipeline.system.limits import shown
 
 SUFFIXES = (".bag", ".db3", ".mcap")
+METADATA, LARGEST_METADATA = "metadata.yaml", 4 * 10**6
+"""The description of a recording in a folder, and its bytes: its parser takes half a minute for ten times as many."""
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CLOUD, CAMERA_INFO, TF = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
 REGISTERED = ("aligned", "registered", "color", "rgb")
@@ -85,7 +88,11 @@ class Stream:
         with as_input_error("a recording that cannot be read", Exception, got=str, path=path):
             for part in path.iterdir() if path.is_dir() else (path,):
                 checked_path(part, "unpacked")
-            self.reader: Any = highlevel.AnyReader([path], default_typestore=store)
+                require(
+                    part.name != METADATA or part.stat().st_size <= LARGEST_METADATA, "a description that is too large",
+                    got=f"{shown(part.stat().st_size)} bytes", expected=f"at most {shown(LARGEST_METADATA)}", path=part,
+                )  # fmt: skip
+            self.reader: Any = highlevel.AnyReader([BoundedPath(path)], default_typestore=store)
             self.reader.open()
         self.kinds: dict[str, str] = {c.topic: c.msgtype for c in self.reader.connections}
 
@@ -294,7 +301,7 @@ def _recognises(root: Path) -> bool:
     if root.suffix.lower() in SUFFIXES and not root.is_dir():
         return True
     names = readable(root)[1]
-    return "metadata.yaml" in names and any(name.endswith(SUFFIXES) for name in names)
+    return METADATA in names and any(name.endswith(SUFFIXES) for name in names)
 
 
 FORMAT = DatasetFormat("ros", f"ros: {', '.join(SUFFIXES)}", _recognises, StreamDataset)

@@ -14,6 +14,7 @@ import math
 import os
 import re
 import stat
+import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -40,6 +41,9 @@ _FLAGS = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 _OPENED = Path("/proc/self/fd")
 _HAS_OPENED = _OPENED.is_dir()
 _POINTER, _POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 200
+_LONGEST_LINE = 1 << 16
+_LONGEST_MEMBER = 46 + 3 * 0xFFFF
+"""Bytes of one member in the list of an archive: its name, extra field and comment have sixteen bits of length each."""
 _KINDS = {stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 
 
@@ -134,6 +138,48 @@ def checked_path(path: Path, limit: str = "bytes") -> Path:
     """The path, for a library that opens it itself; raises as `opened`."""
     with opened(path, limit):
         return path
+
+
+class _BoundedReader(io.BufferedReader):
+    """Reads no more at a time than the limit `bytes`, whatever length the file itself declares."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._path, self._most = path, limits_of(path)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is None or size < 0 or size > self._most.bytes:
+            left = os.fstat(self.fileno()).st_size - self.tell()
+            wanted = left if size is None or size < 0 else size
+            within(min(wanted, left), "bytes", "a part of a file", self._path, self._most)
+        return super().read(size)
+
+    def readline(self, size: int | None = -1, /) -> bytes:
+        return super().readline(_LONGEST_LINE if size is None or size < 0 else size)
+
+
+class BoundedPath(type(Path())):
+    """A checked path for a library that opens it by its `open` and takes the lengths in the file at their word."""
+
+    def open(self, mode: str = "r", *rest: Any, **options: Any) -> Any:
+        if mode != "rb":
+            return super().open(mode, *rest, **options)
+        return _BoundedReader(checked_path(self, "unpacked"))
+
+
+def open_archive(file: IO[bytes], path: Any) -> ZipFile:
+    """An archive of an open file; InputError where its list of members is longer than it can be, before it is read."""
+    # What zipfile itself goes by: the number of members, and how many bytes their list has.
+    end = zipfile._EndRecData(file)  # pyright: ignore[reportAttributeAccessIssue]
+    if end is not None:
+        members, listed = end[zipfile._ECD_ENTRIES_TOTAL], end[zipfile._ECD_SIZE]  # pyright: ignore[reportAttributeAccessIssue]
+        within(members, "members", "an archive", path, limits_of(path))
+        within(listed, "text", "the list of an archive's members", path, limits_of(path))
+        require(
+            listed <= members * _LONGEST_MEMBER, "a damaged archive",
+            got=f"a list of {members} members in {listed} bytes", path=path,
+        )  # fmt: skip
+    return ZipFile(file)
 
 
 def _check(path: Path, state: os.stat_result, limit: str) -> None:
@@ -255,7 +301,7 @@ def load_arrays(source: bytes | IO[bytes], path: Any) -> Any:
     packed = file.read(2) == b"PK"
     file.seek(0)
     if packed:
-        check_members(ZipFile(file), path)
+        check_members(open_archive(file, path), path)
     else:
         shape = array_shape(file)
         within(math.prod(shape), "pixels", f"an array of {'x'.join(map(str, shape))}", path, limits_of(path))
@@ -289,8 +335,9 @@ def check_members(archive: ZipFile, path: Any) -> None:
 
 def open_zip(path: Path) -> ZipFile:
     """An archive whose members are read in place; raises as `opened` (of its size `unpacked`) and `check_members`."""
-    archive = ZipFile(checked_path(path, "unpacked"))
-    check_members(archive, path)
+    with opened(path, "unpacked") as file:
+        check_members(open_archive(file, path), path)
+    archive = ZipFile(path)
     return archive
 
 

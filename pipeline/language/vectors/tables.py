@@ -16,7 +16,7 @@ import xxhash
 
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
-from pipeline.system.door import opened, parse_json, read_text
+from pipeline.system.door import open_archive, opened, parse_json, read_text
 from pipeline.system.errors import InputError, as_input_error, require
 
 NAME_KEYS = {"words": "word", "phrases": "phrase", "names": "phrase"}
@@ -109,7 +109,7 @@ def read_npz(path: Path, kind: str | None = None) -> VectorTable:
         The file is damaged, lacks an array, holds Python objects, or its arrays do not fit each other.
     """
     try:
-        with opened(path, "model") as content, zipfile.ZipFile(content) as archive:
+        with opened(path, "model") as content, open_archive(content, path) as archive:
             keys = [m.filename.removesuffix(".npy") for m in archive.infolist()]
             present = [k for k in NAME_KEYS if k in keys]
             if len(present) != 1 or "vectors" not in keys:
