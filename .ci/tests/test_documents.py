@@ -38,3 +38,21 @@ def test_links_between_documents_lead_somewhere() -> None:
 def test_the_readme_lists_every_document() -> None:
     readme = (ROOT / "README.md").read_text()
     assert [d.name for d in DOCUMENTS if d.parent.name == "docs" and f"](docs/{d.name})" not in readme] == []
+
+
+def test_what_was_measured_has_its_data_its_date_and_who_made_it() -> None:
+    section = (ROOT / "docs" / "limits.md").read_text().partition("\n## What was measured\n")[2].partition("\n## ")[0]
+    rows = [[c.strip() for c in line.strip("|").split("|")] for line in section.splitlines() if line.startswith("| ")]
+    head, *claims = rows
+    assert head == ["what", "figure", "data", "measured", "knew the judge"]
+    assert len(claims) > 5
+    figures = [row for row in claims if re.search(r"\d ?%|\.\d\d", row[1])]
+    assert [r[0] for r in figures if not (r[2] and re.fullmatch(r"20\d\d-\d\d-\d\d", r[3]) and r[4])] == []
+    assert [r[0] for r in claims if r not in figures and "](" not in r[0] + r[1]] == []
+
+
+def test_accuracy_is_claimed_with_a_date_or_with_what_was_measured() -> None:
+    claims = re.compile(r"\b(F1|AUC|ECE|IoU)\b[^|\n]{0,40}[ |]\.\d\d")
+    dated = re.compile(r"\b20\d\d-\d\d-\d\d\b|#what-was-measured")
+    texts = {d.name: d.read_text() for d in DOCUMENTS}
+    assert [name for name, text in texts.items() if claims.search(text) and not dated.search(text)] == []
