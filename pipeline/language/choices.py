@@ -52,6 +52,11 @@ ORDINALS = {w: n for n, words in enumerate(
      "ninth 9th", "tenth 10th"), start=1) for w in words.split()} | {"last": -1}  # fmt: skip
 NUMBERS = {w: n for n, w in enumerate(("two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"), 2)}
 NUMBERS |= {str(n): n for n in range(2, 11)}
+FROM_LAST = re.compile(
+    r"(?:next to(?: the)? last|penultimate|last but one"
+    r"|(?P<rank>second|third|fourth|2nd|3rd) (?:to|from)(?: the)? last)(?= |$)"
+)
+"""`second to last`, which counts from the end."""
 OPPOSITE = {
     "left": "right", "right": "left", "top": "bottom", "bottom": "top", "near": "far", "far": "near", "high": "low",
     "low": "high", "tall": "short", "short": "tall", "big": "small", "small": "big",
@@ -86,7 +91,8 @@ FROM_SIDE = re.compile(
 """Where an ordinal begins to count: `second from the left`."""
 
 BARE_SIDE = re.compile(
-    rf"(?:(?P<far>far|very|extreme) (?P<only>left|right|back)|(?P<side>(?:{_SIDE})(?: (?:left|right))?)"
+    rf"(?:(?P<far>far|very|extreme) (?P<only>left|right|back)|(?P<away>far) (?:away|off)"
+    rf"|(?P<side>(?:{_SIDE})(?: (?:left|right))?)"
     rf"(?P<part>(?: {_PART})+)|(?P<two>(?:top|bottom|upper|lower|front|back) (?:left|right))){_SCENE}(?= |$)(?! of )"
 )
 """A side after the noun, without a preposition: `plant far left`, `mug, right side`, `box bottom left`."""

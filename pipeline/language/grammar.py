@@ -20,12 +20,12 @@ from pipeline.language import choices, lexicon
 from pipeline.language.chain import Attach, Chain, Clause, Opened
 from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
-from pipeline.language.nouns import Phrase
+from pipeline.language.nouns import ALTERNATIVES, Phrase
 from pipeline.language.references import ReferenceReader
 from pipeline.language.tokens import Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice, Span
 from pipeline.language.unreadable import FORM, NOT_EXACT, not_known, unreadable
-from pipeline.language.views import closing_removed, leading_removed, without_view
+from pipeline.language.views import closing_removed, leading_removed, thing_first, without_view
 from pipeline.system.errors import InputError, Unsupported
 
 
@@ -90,6 +90,8 @@ class _Reader(ReferenceReader):
         tokens, self.asks_what = leading_removed(tokens)
         if tokens and tokens[0].plain in lexicon.NEGATIONS:
             tokens = _meant_first(tokens, text)
+        if not self.asks_what:
+            tokens = thing_first(tokens, text)
         super().__init__(text, tokens, own)
 
     def read(self) -> Chain:
@@ -98,8 +100,9 @@ class _Reader(ReferenceReader):
             at = self._step(at)
         for opened in self.opened:
             self._missing(opened)
-        self.note_dropped()
         chain = self.chain
+        chain.spans += [Span(*where, "unused", 0, why) for *where, why in self.left_out.values()]  # type: ignore[arg-type]
+        self.note_dropped()
         said = [word for noun in chain.nouns for word in noun.words]
         chain.mended += [m for m in self.respelled.values() if m[2] in said]
         if not chain.nouns:
@@ -119,6 +122,9 @@ class _Reader(ReferenceReader):
         if word == "without" and self.chain.nouns and not self.opened:
             self.negated = True
             return self._with(at)
+        if self.chain.nouns and not self.opened and (found := self.match(lexicon.EXCEPT, at)):
+            self.negated = True
+            return found[1]
         if self.opened and word in ("neither", "not") and self._starts_noun(at + 1):
             # `near neither the bed nor the desk`
             self.opened[-1] = replace(self.opened[-1], negated=True)
@@ -134,6 +140,12 @@ class _Reader(ReferenceReader):
             self.joined = self.joined or word == "nor"
             self._relation_span(token)
             return at + 1
+        if word == "or" and self.chain.nouns and not (last is not None and last.negated):
+            return self._alternative(at)
+        if word == "whose" and self.chain.nouns:
+            end = next((k for k in range(at + 1, len(self.tokens)) if self.breaks[k] or self._relates(k)), None)
+            self._note(at, end or len(self.tokens), "parts and what a thing has are left to the detector")
+            return end or len(self.tokens)
         if word in lexicon.AND or word in ("or", "nor", "plus"):
             self.joined = True
             clauses = self.chain.clauses
@@ -147,7 +159,7 @@ class _Reader(ReferenceReader):
             return look
         if not self.opened and (clause := self._object_clause(at)) is not None:
             return clause
-        loose = self.chain.nouns and not self.opened and token.relation is None
+        loose = self.chain.nouns and not self.opened and (token.relation is None or token.text == "in")
         filler = self.match(lexicon.FILLER, at) if loose else None
         if filler is not None and self._goes_on(filler[1]):
             return filler[1]
@@ -183,6 +195,17 @@ class _Reader(ReferenceReader):
             return self._unused(at, not_known(self.tokens, at, self.text))
         return self._noun(at)
 
+    def _alternative(self, at: int) -> int:
+        """Past `or` and what follows it, which is not judged."""
+        end = at + 1
+        while end < len(self.tokens) and (
+            self._relates(end) or self.tokens[end].plain in lexicon.LINKING - DETERMINERS
+        ):
+            end += 1
+        end = max(self.noun(end, predicate=True)[1] if end < len(self.tokens) else end, at + 1)
+        self._note(at, end, ALTERNATIVES)
+        return end
+
     def _links(self, at: int) -> bool:
         """Whether a word only links a noun to what follows."""
         word, following = self.tokens[at].plain, self.tokens[at + 1] if at + 1 < len(self.tokens) else None
@@ -199,7 +222,8 @@ class _Reader(ReferenceReader):
     def _relation(self, at: int) -> int:
         token = self.tokens[at]
         if not self.chain.nouns:
-            if not (self.asks_what or self.linked or self.joined or token.text.split()[0] in lexicon.LINKING):
+            opens = token.relation in ("closest", "farthest") or token.text.split()[0] in lexicon.LINKING
+            if not (opens or self.asks_what or self.linked or self.joined):
                 raise self._no_target()
             self._add_noun(Phrase(label="thing"), "target", (at, at))
         scene = self._scene(at + 1) if token.relation in choices.OF_THE_SCENE else None
@@ -280,7 +304,20 @@ class _Reader(ReferenceReader):
             for k in range(at + 1, phrase.where[0] if phrase.where[1] > phrase.where[0] else end):
                 if self.tokens[k].plain == "other" and self.tokens[at].plain != "a":
                     self._note(k, k + 1, "than which other is not said")
+            if self.negated and phrase.attributes and self.tokens[at].plain not in DETERMINERS:
+                # `not red mug`
+                lacks = tuple(zip(phrase.attributes, phrase.words, strict=True))
+                phrase = replace(phrase, label=phrase.name, head="", attributes=(), words=(), lacks=lacks)
+            elif self.negated:
+                self.problems.append(Unsupported("only what is not meant is said", got=f"'{self.text}'"))
+                self._note(at, end, self.problems[-1].what)
+                self._forget()
+                return end
             self._add_noun(phrase, "target", phrase.where)
+            for look, word in phrase.lacks:
+                other = Phrase(f"{word} {phrase.name}", phrase.name, (look,), (word,))
+                number = self._add_noun(other, "reference", (end, end))
+                self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
             self._forget()
             return end
         return self._further(at, phrase, end)

@@ -150,7 +150,7 @@ DOING = re.compile(
 )
 """What somebody does with a thing."""
 
-CLOSING = _words("please thanks is are there now asap")
+CLOSING = _words("please thanks is are there now asap where located")
 CLOSING_PHRASES = _phrases(
     "for me, for us, would you, will you, could you, can you, if you can, if you could, if you please, thank you, "
     "do you see it, can you see it, if possible, if you don't mind, right now, right away, thank you so much, "
@@ -175,7 +175,7 @@ FILLER = re.compile(
 
 SMALL_WORDS = _words(
     "or plus of for few couple little bit feet foot inch inches meters metres centimeters steps way ways up down over "
-    "back all place by what looks look like seem seems appear see"
+    "back all place by what looks look like seem seems appear see color colour size shape"
 )
 """Words of fillers and lists, which say nothing alone."""
 
@@ -200,6 +200,8 @@ OF_SEVERAL = re.compile(
     r"(?P<side>left|right|top|front) of (?=(?:the |these |those )?(?:two|three|four|five|\d+|both) )"
 )
 """`the left of the two lamps`, which is one of them."""
+EXCEPT = re.compile(r"(?:and |but )?(?:other than|apart from|aside from|rather than|instead of)(?= )")
+"""Words that say what is not meant."""
 RECIPROCAL = ("each other", "one another")
 
 OTHER = frozenset({"another", "other"})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pipeline.language import choices, lexicon
 from pipeline.language.attributes import BASIC_COLORS, FURTHER_COLORS, Attribute, attribute
@@ -28,12 +28,13 @@ class Draft:
     ordinal: tuple[int, str] | None = None
     superlative: Token | None = None
     predicate: bool = False
+    lacks: list[tuple[Attribute, str]] = field(default_factory=list)
 
     def choose(self, order: str, text: str, rank: int | None = 1) -> None:
         if self.ordinal is not None and rank == 1:
             rank, self.ordinal = self.ordinal[0], None
             if rank < 0:
-                order, rank = choices.OPPOSITE.get(order, order), 1
+                order, rank = choices.OPPOSITE.get(order, order), -rank
         self.choices.append(Choice(order, rank, text))  # type: ignore[arg-type]
 
 
@@ -43,6 +44,9 @@ class LooksReader(Cursor):
     def __init__(self, text: str, tokens: Sequence[Token], own: Collection[str] = ()) -> None:
         super().__init__(text, tokens, own)
         self.respelled: dict[int, tuple[int, int, str]] = {}
+        """Misspelt words by token: where each stands, and what it was read as."""
+        self.left_out: dict[int, tuple[int, int, str]] = {}
+        """Words of noun phrases that are not judged, by token: where they stand, and why."""
 
     def _text(self, at: int) -> str:
         """A word as the tables of choices and attributes have it; empty for names and phrases."""
@@ -71,7 +75,11 @@ class LooksReader(Cursor):
             text = " ".join(self._text(k) for k in range(at, at + size)).strip()
             if (size == 2 and " " not in text) or not text:
                 continue
-            found = attribute(text) or (_superlative_of(text) if size == 1 else None)
+            if size == 1 and text.startswith("non ") and (other := attribute(text[4:])):
+                draft.lacks.append((other, text[4:]))
+                draft.modifiers.append((self.tokens[at].start, self.tokens[at].end, "attribute"))
+                return at + 1
+            found = attribute(text) or _superlative_of(text)
             if found is None and size == 1 and (meant := self._meant(at, draft)):
                 found, text = attribute(meant), meant
                 self.respelled[at] = self.tokens[at].start, self.tokens[at].end, meant
@@ -115,6 +123,17 @@ class LooksReader(Cursor):
                 draft.modifiers.append((self.tokens[k].start, self.tokens[k].end, "attribute"))
         return start
 
+    def _color_after(self, at: int) -> tuple[Attribute, str, int] | None:
+        """A colour that follows a thing by a phrase, its words, and the token after it: `in red`, `of a red colour`."""
+        found = self.match(lexicon.LOOK_AFTER, at)
+        if found is None or not self._ends(found[1]):
+            return None
+        words, said = found[0]["look"], found[0]["says"] or found[0]["color"]
+        look = attribute(words)
+        if look is None or look.kind != "color" or (not said and is_name(words)):
+            return None
+        return look, words, found[1]
+
     def _is_the_thing(self, at: int, draft: Draft, found: Attribute) -> bool:
         """`orange`, `glass` and `light` name things too, where nothing follows that could be one."""
         same_kind = any(a.kind == found.kind for a in draft.attributes)
@@ -139,7 +158,9 @@ class LooksReader(Cursor):
 
 def _superlative_of(word: str) -> Attribute | None:
     """`darkest` as dark: how a thing looks is judged by degrees."""
-    stems = (word[:-3], word[:-2], word[:-4]) if word.endswith("est") and len(word) > 5 else ()
+    if word.startswith("most "):
+        return attribute(word[5:])
+    stems = (word[:-3], word[:-2], word[:-4], f"{word[:-4]}y") if word.endswith("est") and len(word) > 5 else ()
     return next((found for stem in stems if (found := attribute(stem)) is not None), None)
 
 

@@ -17,6 +17,7 @@ from pipeline.language.tree import Choice, Role
 QUANTIFIERS = frozenset({"all", "both", "each", "every", "same", "whichever", "whatever", "either"})
 _JUST = frozenset({"just", "directly", "right", "immediately", "slightly", "exactly", "straight", "almost", "very"})
 _LONGEST_CHOICE = 3
+ALTERNATIVES = "of alternatives only the first is judged"
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class Phrase:
         Character ranges of what stands apart from the thing: its choices, and attributes without a thing.
     superlative : Token or None
         `nearest` and the like, which may be a relation: `the nearest chair to the door`.
+    lacks : tuple of (Attribute, str)
+        How it does not look, and the words: `the not red mug`.
     """
 
     label: str
@@ -56,6 +59,7 @@ class Phrase:
     where: tuple[int, int] = (0, 0)
     modifiers: tuple[tuple[int, int, Role], ...] = ()
     superlative: Token | None = None
+    lacks: tuple[tuple[Attribute, str], ...] = ()
 
     @property
     def name(self) -> str:
@@ -99,13 +103,13 @@ class NounReader(LooksReader):
         after = self._ordinal_end(end, draft)
         end = self._looks_after(at, end, draft)
         head = self._of_a_stack(self.tokens[at:end])
-        if not head and not (draft.attributes or draft.choices or draft.count):
+        if not head and not (draft.attributes or draft.choices or draft.count or draft.lacks):
             return None, after
         start = _first_word(draft, self.tokens, at if not head else end - len(head))
         name, cut = "thing", end
         if head:
             cut = next((k for k, t in enumerate(head) if k and t.plain in lexicon.WITH), len(head))
-            name = label_of(self.text, head)
+            name = head[0].text if head[0].text in lexicon.ANYTHING and cut == 1 else label_of(self.text, head)
         label = " ".join([*draft.words, name])
         alone = label_of(self.text, head[:cut]) if head and cut < len(head) else name
         return Phrase(
@@ -125,6 +129,7 @@ class NounReader(LooksReader):
                 or not self.tokens[start].start <= m[0] < self.tokens[end - 1].end
             ),
             superlative=draft.superlative,
+            lacks=tuple(draft.lacks),
         ), after
 
     def _determiners(self, at: int) -> int:
@@ -146,29 +151,48 @@ class NounReader(LooksReader):
                 draft.modifiers.append((token.start, token.end, "choice"))
                 at = self._determiners(found[1])
                 continue
-            if (number := self._numbered(at)) is not None:
-                draft.ordinal = number, self.words(at, at + 2).lower()
-                draft.modifiers.append((token.start, self.tokens[at + 1].end, "choice"))
-                at += 2
+            if found := self.match(choices.FROM_LAST, at):
+                draft.ordinal = -choices.ORDINALS.get(found[0]["rank"] or "second", 2), found[0][0].strip()
+                draft.modifiers.append((token.start, self.tokens[found[1] - 1].end, "choice"))
+                at = found[1]
+                continue
+            if (numbered := self._numbered(at, draft)) is not None:
+                at = numbered
                 continue
             end = self._choice_before(at, draft) or self._attribute(at, draft)
             if end is None and token.plain in lexicon.OTHER and not self._ends(at + 1):
                 end = at + 1
             if end is None and token.plain in choices.NUMBERS and not self._ends(at + 1):
                 draft.count, end = choices.NUMBERS[token.plain], at + 1
-            if end is None and token.plain in ("and", "&") and draft.attributes and attribute(self._text(at + 1)):
+            following = attribute(self._text(at + 1))
+            if end is None and token.plain in ("and", "&") and draft.attributes and following:
                 end = at + 1
+            if end is None and token.plain == "or" and draft.attributes and following:
+                end = at + 2
+                self.left_out[at] = token.start, self.tokens[at + 1].end, ALTERNATIVES
+            if end is None and token.plain == "not" and following:
+                end = at + 2
+                draft.lacks.append((following, self._text(at + 1)))
+                draft.modifiers.append((token.start, self.tokens[at + 1].end, "attribute"))
             if end is None or (at > 0 and self.breaks[at] and not draft.attributes):
                 break
             at = end
         return at
 
-    def _numbered(self, at: int) -> int | None:
-        """2 of `number 2` or `no. two`; None elsewhere."""
-        if at + 1 >= len(self.tokens) or self.tokens[at].plain not in ("number", "no", "nr", "num"):
+    def _numbered(self, at: int, draft: Draft | None = None) -> int | None:
+        """Past `number 2`, `no. two` or `#2`, an ordinal; None elsewhere."""
+        if at >= len(self.tokens):
             return None
-        word = self.tokens[at + 1].plain or ""
-        return choices.NUMBERS.get(word, 1 if word in ("1", "one") else None)
+        sign = self.text[self.tokens[at].start - 1 : self.tokens[at].start] == "#"
+        last = at if sign else at + 1
+        word = (self.tokens[last].plain or "") if last < len(self.tokens) else ""
+        rank = choices.NUMBERS.get(word, 1 if word in ("1", "one") else None)
+        if rank is None or not (sign or self.tokens[at].plain in ("number", "no", "nr", "num")):
+            return None
+        if draft is not None:
+            draft.ordinal = rank, self.words(at, last + 1).lower()
+            draft.modifiers.append((self.tokens[at].start, self.tokens[last].end, "choice"))
+        return last + 1
 
     def _choice_before(self, at: int, draft: Draft) -> int | None:
         if self.breaks[at] and at and draft.choices:
@@ -181,7 +205,8 @@ class NounReader(LooksReader):
                 continue
             text = " ".join(words)
             order = choices.EXTREMES.get(text)
-            sides = choices.orders_of(text)
+            beside = size > 1 and words[-1] == "side" and not self._ends(at + size)
+            sides = choices.orders_of(" ".join(words[:-1]) if beside else text)
             if sides and order == "low" and self._text(at + size) in choices.SIDES:
                 order = None  # `lower left chair`
             rank = choices.ORDINALS.get(text) if size == 1 else None
@@ -240,6 +265,8 @@ class NounReader(LooksReader):
     def _stops(self, end: int, at: int, word: str, before: str | None, stop_at_and: bool) -> bool:
         if word in DETERMINERS:
             return end > at and before not in lexicon.ARTICLE_BEARING
+        if word in ("of", "with") and end > at and self._color_after(end) is not None:
+            return True
         if word in lexicon.WITH:
             return word != "with" or end == at or not self._starts_noun(end + 1) or self._with_relation(end + 1)
         if word in lexicon.AND:
@@ -258,7 +285,11 @@ class NounReader(LooksReader):
             return word in lexicon.COPULAS or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
         if word in lexicon.SOMEBODY:
             return True
-        if self._numbered(end) is not None:
+        if (
+            self._numbered(end) is not None
+            or self.match(lexicon.EXCEPT, end) is not None
+            or (end > at and self._color_after(end) is not None)
+        ):
             return True
         if word in _JUST:
             return self._ends(end + 1)
@@ -307,10 +338,8 @@ class NounReader(LooksReader):
 
     def _ordinal_end(self, end: int, draft: Draft) -> int:
         """`from the left` after an ordinal says where it begins to count."""
-        if draft.ordinal is None and (number := self._numbered(end)) is not None:
-            draft.ordinal = number, self.words(end, end + 2).lower()
-            draft.modifiers.append((self.tokens[end].start, self.tokens[end + 1].end, "choice"))
-            end += 2
+        if draft.ordinal is None:
+            end = self._numbered(end, draft) or end
         if draft.ordinal is None:
             return end
         found = self.match(choices.FROM_SIDE, end)
@@ -323,8 +352,8 @@ class NounReader(LooksReader):
             draft.modifiers.append((self.tokens[end].start, self.tokens[after - 1].end, "choice"))
             if rank == -1 and found[0][0].startswith(("on", "at", "to")):
                 rank = 1
-        if rank == -1:
-            order, rank = choices.OPPOSITE.get(order, order), 1
+        if rank < 0:
+            order, rank = choices.OPPOSITE.get(order, order), -rank
         draft.choices.append(Choice(order, rank, text))  # type: ignore[arg-type]
         return after
 

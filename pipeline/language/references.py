@@ -50,6 +50,16 @@ class ReferenceReader(RegionReader):
             token = self.opened[-1].token
             self._choice(Choice("high", 1, f"{token.text} {self.words(at, end)}"), at, end)
             return end
+        token, root = self.opened[-1].token, self.chain.nouns[0]
+        order = lexicon.SCENE_ORDER.get(str(token.relation))
+        again = singular(phrase.head_word) == singular(root.head_word) and not phrase.attributes
+        several = phrase.name in choices.NUMBERS or (phrase.count and again)
+        if order is not None and several and " of" in token.text and not self.chain.clauses:
+            # `the mug on the left of the two (mugs)`
+            rank = 1 if order == "middle" or (phrase.count or choices.NUMBERS.get(phrase.name)) == 2 else None
+            self._choice(Choice(order, rank, f"{token.text} {self.words(at, end)}"), at, end)  # type: ignore[arg-type]
+            self.chain.spans.append(Span(token.start, token.end, "choice", 0))
+            return end
         if self.words(at, end).lower() in lexicon.RECIPROCAL:
             phrase = replace(phrase, label=self.chain.nouns[0].label, head=self.chain.nouns[0].head)
         phrase = self._whole(at, self._resolved(phrase))

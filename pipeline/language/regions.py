@@ -6,9 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pipeline.language import choices, lexicon
-from pipeline.language.attributes import attribute
 from pipeline.language.chain import Attach, ChainReader, Clause, Opened
-from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import Phrase
 from pipeline.language.relation_names import MIRRORED
@@ -27,7 +25,7 @@ class RegionReader(ChainReader):
             self._choice(Choice(choices.SIDES[found[0]["side"]], 1, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
             return found[1]
         if (bare := self.match(choices.BARE_SIDE, at)) and self.chain.nouns and not self.opened and self._ends(bare[1]):
-            for order in choices.orders_of(bare[0]["only"] or bare[0]["side"] or bare[0]["two"]):
+            for order in choices.orders_of(bare[0]["only"] or bare[0]["side"] or bare[0]["two"] or bare[0]["away"]):
                 self._choice(Choice(order, 1 if bare[0]["far"] else None, bare[0][0].strip()), at, bare[1])  # type: ignore[arg-type]
             return bare[1]
         found, region = self.match(choices.AT_SIDE, at), self.match(choices.REGION_OF, at)
@@ -43,20 +41,14 @@ class RegionReader(ChainReader):
 
     def _look(self, at: int) -> int | None:
         """A colour that follows the thing by a phrase: `in red`, `of a red colour`, `painted green`."""
-        found = self.match(lexicon.LOOK_AFTER, at)
-        if found is None or not self._ends(found[1]) or self.opened:
+        found = None if self.opened else self._color_after(at)
+        if found is None:
             return None
-        look = attribute(found[0]["look"])
-        if (
-            look is None
-            or (look.kind != "color" and not found[0]["says"])
-            or (not found[0]["says"] and is_name(found[0]["look"]))
-        ):
-            return None
-        where = self.tokens[at].start, self.tokens[found[1] - 1].end
-        phrase = Phrase("", attributes=(look,), words=(found[0]["look"],), modifiers=((*where, "attribute"),))
+        look, words, end = found
+        where = self.tokens[at].start, self.tokens[end - 1].end
+        phrase = Phrase("", attributes=(look,), words=(words,), modifiers=((*where, "attribute"),))
         self._merge(phrase, len(self.chain.nouns) - 1)
-        return found[1]
+        return end
 
     def _region(self, at: int) -> int | None:
         """A part of a thing: it stands in a relation to that thing, and at a side."""

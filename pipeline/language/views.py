@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pipeline.language import lexicon
-from pipeline.language.naming import is_compound
+from pipeline.language import choices, lexicon
+from pipeline.language.naming import DETERMINERS, is_compound
 from pipeline.language.tokens import Token, joined_words
 from pipeline.language.unreadable import FORM, check_judged, other_view
 from pipeline.system.errors import Unsupported
@@ -94,3 +94,21 @@ def _among_removed(tokens: list[Token]) -> list[Token]:
     found = lexicon.AMONG_FIRST.match(joined)
     end = None if found is None else len(found[0].rstrip())
     return tokens[ends.index(end) + 1 :] if end in ends else tokens
+
+
+def thing_first(tokens: list[Token], text: str) -> list[Token]:
+    """`a mug on the desk` of `on the desk (there) is a mug` and of `on the desk, find a mug`."""
+    if not tokens or tokens[0].relation is None:
+        return tokens
+    for k in range(2, len(tokens) - 1):
+        there = tokens[k].plain in ("there", "there's")
+        if there or tokens[k].plain in lexicon.BE | lexicon.POSTURES:
+            after = k + 1 + (there and tokens[k + 1].plain in lexicon.BE)
+            related = tokens[k - 1].plain in lexicon.RELATIVE or tokens[after].plain in lexicon.RELATIVE
+            starts = tokens[after].plain in DETERMINERS | choices.NUMBERS.keys() if after < len(tokens) else False
+            return tokens[after:] + tokens[:k] if starts and not related else tokens
+        if any(c in text[tokens[k - 1].end : tokens[k].start] for c in ",;:."):
+            rest, _ = leading_removed(tokens[k:])
+            if rest[0].plain in DETERMINERS - lexicon.RELATIVE or len(rest) < len(tokens) - k:
+                return rest + tokens[:k]
+    return tokens
