@@ -15,7 +15,7 @@ import sys
 import textwrap
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from importlib import import_module
 from typing import Annotated, Any, Union
 
@@ -37,6 +37,7 @@ from spatialviz.cli_ask import (
     Glossary,
     ImportRecording,
     ImportRun,
+    JudgeAgain,
     Mcp,
     Measure,
     Query,
@@ -81,6 +82,7 @@ from spatialviz.cli_models import (
     Train,
 )
 from spatialviz.options import BAD, FINE, INTERRUPTED, TOLD, UNREAD, error_line, one_line_warnings, warn
+from spatialviz.plain_text import plain_streams, unfiltered
 
 GROUPS: dict[str, dict[str, tuple[type, str]]] = {
     "browse, ask": {
@@ -115,6 +117,7 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "eval": (Eval, "run_eval"),
         "import-run": (ImportRun, "run_predictions"),
         "export-run": (ExportRun, "run_predictions"),
+        "judge-again": (JudgeAgain, "run_predictions"),
         "failures": (Failures, "run_eval"),
         "query": (Query, "run_eval"),
         "tables": (Tables, "run_eval"),
@@ -168,7 +171,8 @@ def run(arguments: Sequence[str]) -> int:
     config = (tyro.conf.PositionalMetavarFromFieldName, tyro.conf.DisallowNone)
     told = io.StringIO()
     try:
-        with redirect_stderr(told):
+        # Its help is in colour, and holds nothing of strangers.
+        with redirect_stderr(told), redirect_stdout(unfiltered(sys.stdout)):
             command: Any = tyro.cli(
                 Union[commands],  # pyright: ignore
                 prog="spatialviz",
@@ -218,16 +222,6 @@ def _own_settings() -> Iterator[None]:
                     os.environ[name] = value
 
 
-def _prepare_streams() -> None:
-    """Show a question mark for a character that a terminal lacks; what goes to a closed stream goes nowhere."""
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name)
-        if stream is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 (open to the end)
-        elif isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
-
-
 def _drop_unwritten() -> None:
     """Drop what a closed pipe or a full disk did not take: at its end the interpreter would try again, and complain."""
     for stream in (sys.stdout, sys.stderr):
@@ -239,14 +233,14 @@ def _drop_unwritten() -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0 fine, 1 the answer is no, 2 bad usage or input."""
-    _prepare_streams()
-    try:
-        status = _status(list(sys.argv[1:] if argv is None else argv))
-    except BrokenPipeError:
-        # The reader went away (for example `| head`); nothing is left to say.
-        status = UNREAD
-    _drop_unwritten()
-    return status
+    with plain_streams():
+        try:
+            status = _status(list(sys.argv[1:] if argv is None else argv))
+        except BrokenPipeError:
+            # The reader went away (for example `| head`); nothing is left to say.
+            status = UNREAD
+        _drop_unwritten()
+        return status
 
 
 def _status(arguments: list[str]) -> int:

@@ -17,6 +17,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 from pipeline.system.detector_setup import DetectorSetup, with_files
 from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.onnx_session import Provider, ProviderWarning, use_execution
+from spatialviz.plain_text import one_line
 
 if TYPE_CHECKING:
     from pipeline.answering.opening import Pipeline
@@ -91,7 +92,7 @@ def print_json(record: dict[str, Any]) -> None:
 
 def warn(text: object) -> None:
     """A line beside the output."""
-    print(f"spatialviz: {text}", file=sys.stderr)
+    print(f"spatialviz: {one_line(str(text))}", file=sys.stderr)
 
 
 def error_line(error: Exception) -> str:

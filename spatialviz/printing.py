@@ -12,6 +12,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -21,12 +22,20 @@ from pipeline.language.counted import counted
 from pipeline.metrics.intervals import Estimate
 from pipeline.metrics.tables import Cell, with_heads
 from pipeline.metrics.tables import Table as ResultTable
+from spatialviz.plain_text import one_line, plain, unfiltered
 
 NAME_WIDTH = 32
 
 
 class _PipeConsole(Console):
-    """Leaves a closed pipe to the command line, which knows the right exit status."""
+    """Prints what it is given plainly, and leaves a closed pipe to the command line, which knows the right status."""
+
+    @property
+    def file(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return unfiltered(super().file)
+
+    def _render_buffer(self, buffer: Iterable[Segment]) -> str:
+        return super()._render_buffer(s if s.control else Segment(plain(s.text), s.style) for s in buffer)
 
     def on_broken_pipe(self) -> None:
         raise BrokenPipeError
@@ -44,7 +53,13 @@ def console() -> Console:
 
 def say(*parts: str | Text | tuple[str, str], style: str = "") -> None:
     """A line of parts: text, not markup, or (text, style)."""
-    console().print(Text.assemble(*parts, style=style))
+    console().print(Text.assemble(*map(_on_one_line, parts), style=style))
+
+
+def _on_one_line(part: str | Text | tuple[str, str]) -> str | Text | tuple[str, str]:
+    if isinstance(part, Text):
+        return part
+    return one_line(part) if isinstance(part, str) else (one_line(part[0]), part[1])
 
 
 def table(columns: Iterable[str], rows: Iterable[Iterable[str | Text]], **each: Any) -> Table:
@@ -56,7 +71,7 @@ def table(columns: Iterable[str], rows: Iterable[Iterable[str | Text]], **each: 
     for name in columns:
         found.add_column(Text(name.removeprefix(">")), justify="right" if name.startswith(">") else "left", **each)
     for row in rows:
-        found.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
+        found.add_row(*(Text(one_line(cell)) if isinstance(cell, str) else cell for cell in row))
     return found
 
 
@@ -78,7 +93,7 @@ def progress_bars() -> Iterator[Callable[..., None]]:
         return
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
     shown = (TextColumn("{task.description}"), *columns)
-    with Progress(*shown, console=Console(stderr=True), transient=True) as progress:
+    with Progress(*shown, console=_PipeConsole(stderr=True), transient=True) as progress:
         tasks: dict[str, TaskID] = {}
 
         def tell(what: str, done: int, total: int, note: str = "") -> None:

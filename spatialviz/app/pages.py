@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 import time
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
@@ -29,6 +28,7 @@ from spatialviz.app.channel import Hello, read
 from spatialviz.app.context import Shared
 from spatialviz.app.session import Session
 from spatialviz.app.site import PAGE_ID, Access
+from spatialviz.options import warn
 
 MAX_CLIENTS = 24
 """Pages that may be open at once."""
@@ -298,5 +298,5 @@ class Pages:
         now, self._unsaid = time.monotonic(), self._unsaid + 1
         if now - self._logged >= LOGGED_SECONDS:
             more = "" if self._unsaid == 1 else f" ({self._unsaid} such messages)"
-            print(f"spatialviz: a message was not understood{more}: {problem[:200]}", file=sys.stderr)
+            warn(f"a message was not understood{more}: {problem[:200]}")
             self._logged, self._unsaid = now, 0

@@ -33,6 +33,7 @@ from spatialviz.app.context import Shared
 from spatialviz.app.pages import MAX_CLIENTS, Pages
 from spatialviz.app.site import Access, Site
 from spatialviz.app.viser_socket import served_by
+from spatialviz.plain_text import one_line
 
 ENDS_WITHIN = 10.0
 """Seconds that clients' threads have to finish what they are at."""
@@ -219,7 +220,7 @@ def _say_unsaved(place: JournalLocation) -> None:
             file=sys.stderr,
         )
         for edit in found.edits:
-            print(f"  {edit}", file=sys.stderr)
+            print(f"  {one_line(str(edit))}", file=sys.stderr)
         if not found.files:
             print("spatialviz: no folder can be written: they are lost", file=sys.stderr)
         for path in found.files:

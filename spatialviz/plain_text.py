@@ -1,0 +1,76 @@
+"""What the shell and the log print without the control codes of strangers: of names of classes, files, tensors, keys.
+
+Such a code stands as its escape, which in JSON means the same: `\\u202e`. The colours of the terminal are rich's own.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+_CODES = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+"""C0 without tabs and ends of lines, DEL, C1, marks of direction, separators of lines, half characters."""
+
+
+def plain(text: str) -> str:
+    """The text with its control codes as escapes; ends of lines stay."""
+    return _CODES.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def one_line(text: str) -> str:
+    """The same on one line: its ends of lines are escapes too."""
+    return plain(text).replace("\n", "\\u000a")
+
+
+class PlainStream:
+    """A text stream that everything is written to plainly; all else is the stream's own.
+
+    Attributes
+    ----------
+    rich_proxied_file
+        The stream itself, under the name by which rich finds it.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self.rich_proxied_file = stream
+
+    def write(self, text: str) -> int:
+        self.rich_proxied_file.write(plain(text))
+        return len(text)
+
+    def writelines(self, lines: Any) -> None:
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rich_proxied_file, name)
+
+
+def unfiltered(stream: Any) -> Any:
+    """The stream below, for what filters by itself."""
+    while (below := getattr(stream, "rich_proxied_file", None)) is not None:
+        stream = below
+    return stream
+
+
+@contextmanager
+def plain_streams() -> Iterator[None]:
+    """What is printed meanwhile is plain; a character that a terminal lacks is a question mark, and what goes to a
+    closed stream goes nowhere."""
+    before = sys.stdout, sys.stderr
+    for name in ("stdout", "stderr"):
+        stream: Any = getattr(sys, name)
+        if stream is None:
+            stream = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 (open to the end)
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+        setattr(sys, name, PlainStream(stream))
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
