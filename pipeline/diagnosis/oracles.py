@@ -48,6 +48,11 @@ from pipeline.labels.cases import HIT
 ORACLES = ("RECALL", "LIFT", "SRM", "CONF")
 ALL_ORACLES = (*ORACLES, "ATTRIBUTE")
 """Of an expression that speaks of attributes."""
+NAMED_BY = {
+    "PARSE": ("PARSE",), "RECALL": ("OPM-TARGET", "OPM-REF"), "LIFT": ("LIFT",), "ATTRIBUTE": ("ATTRIBUTE",),
+    "SRM": ("SRM",), "CONF": ("OPM-CONF", "PRM"),
+}  # fmt: skip
+"""The verdicts that each oracle takes away, by which people are told of it; of PARSE the gold triple does."""
 RECALL, LIFT, SRM, CONF, ATTRIBUTE = (1 << k for k in range(5))
 SUBSETS = 16
 STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
@@ -295,6 +300,11 @@ def relation_of(evidence: FrameEvidence, relation: str, target: CandidateSet, re
 def names_of(subset: int) -> tuple[str, ...]:
     """The oracles of a subset, which is a number with one bit for each."""
     return tuple(name for k, name in enumerate(ALL_ORACLES) if subset >> k & 1)
+
+
+def shown_oracle(name: str) -> str:
+    """What people are told an oracle by: the verdicts that it takes away."""
+    return ", ".join(NAMED_BY.get(name, (name,)))
 
 
 def _odds(p: np.ndarray) -> np.ndarray:

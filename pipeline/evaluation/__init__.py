@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pipeline.evaluation.adapters import import_published
     from pipeline.evaluation.browsing import RunRows
     from pipeline.evaluation.comparing import CHANGES, compare
+    from pipeline.evaluation.costs import oracle_deltas
     from pipeline.evaluation.facets import with_value
     from pipeline.evaluation.figures import STANDS_IN, Listing, RunFigures, figures_of
     from pipeline.evaluation.importing import export_run, import_run
@@ -29,6 +30,6 @@ if TYPE_CHECKING:
     from pipeline.evaluation.sentences import Sentence, SentenceFile, read_sentence_file
     from pipeline.evaluation.shared_makers import AGREEMENT, PERFECT, scorer_share, shares_of_run, title_of
     from pipeline.evaluation.slices import Slices, slice_by, slice_table
-    from pipeline.evaluation.summary import RunSummary, oracle_deltas, summarise_run
+    from pipeline.evaluation.summary import RunSummary, cost_words, summarise_run
 
 __getattr__ = lazy_exports(__name__, __file__)

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
 from pipeline.evaluation.confusion import Confusion
+from pipeline.evaluation.costs import Deltas
 from pipeline.evaluation.plots import (
     ADDS_UP,
     LOSS_COLORS,
@@ -23,7 +25,7 @@ from pipeline.evaluation.plots import (
     write_figures,
 )
 from pipeline.evaluation.slices import Slices
-from pipeline.evaluation.summary import Deltas, RunSummary, Share, residual_words
+from pipeline.evaluation.summary import RunSummary, Share, residual_words, untold_words
 from pipeline.labels.report.style import FULL, INK, QUIET, house_style, new_figure, save_figure, short
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
@@ -114,7 +116,7 @@ def _oracles(name: str, summary: RunSummary, costs: Deltas, caveat: str, path: P
         below, above = interval(estimate)
         end = 100 * (start + estimate.value)
         axes.errorbar(x - 0.18, end, [[below], [above]], ecolor=INK, elinewidth=0.8, fmt="none")
-        sign = key not in ("accuracy", "residual")
+        sign = key not in ("accuracy", "residual", "unknown")
         axes.text(
             x - 0.18, max(end, 100 * start) + above + 0.4, estimate.formatted(signed=sign).split(" [")[0],
             ha="center", va="bottom", fontsize=9,
@@ -133,10 +135,15 @@ def _oracles(name: str, summary: RunSummary, costs: Deltas, caveat: str, path: P
     least = min(100 * min(s, s + e.value) for _, s, e in bars[1:])
     alone = min((100 * (costs.value[0] + e.value) for e in costs.single.values()), default=least)
     start = max(0.0, min(least, alone) - 10)
-    axes.set_xticks(range(len(bars)), ["as answered", *(k for k, _, _ in bars[1:])])
+    axes.set_xticks(range(len(bars)), ["as answered", *(_named(k).replace(", ", "\n") for k, _, _ in bars[1:])])
     axes.set(ylim=(start, 104), ylabel=f"set-valued accuracy (%){f', from {start:.0f} on' if start else ''}")
     axes.grid(axis="y")
     save_figure(figure, path)
+
+
+def _named(key: str) -> str:
+    """What a bar of the costs is called."""
+    return "not worked out" if key == "unknown" else shown_oracle(key)
 
 
 def _slices(system: str, slices: Sequence[Slices], above: str, path: Path) -> None:
@@ -196,7 +203,7 @@ def write_page(
         parts.append(_verdicts_figure(summaries))
         for name, summary in summaries.items():
             if (costs := summary.deltas) is not None:
-                words = f"{ADDS_UP} {name}: {residual_words(summary)}."
+                words = f"{ADDS_UP} {name}: {residual_words(summary)}. {untold_words(summary)}"
                 parts += [_oracles_figure(name, summary, costs), _paragraph(words)]
     for cut in slices:
         parts += [_slices_figure(system, cut) for system in dict.fromkeys(s.system for s in cut.slices if s.verdicts)]
@@ -233,14 +240,14 @@ def _oracles_figure(name: str, summary: RunSummary, costs: Deltas) -> Any:
     bars = waterfall(summary)
     figure = moving_figure()
     figure.add_bar(
-        x=[k for k, _, _ in bars], y=[100 * e.value for _, _, e in bars], base=[100 * s for _, s, _ in bars],
+        x=[_named(k) for k, _, _ in bars], y=[100 * e.value for _, _, e in bars], base=[100 * s for _, s, _ in bars],
         marker_color=[LOSS_COLORS[k] for k, _, _ in bars], error_y=_errors([e for _, _, e in bars]),
         name="Shapley: adds up", offsetgroup="0", customdata=[e.formatted() for _, _, e in bars],
         hovertemplate="%{x}: %{customdata}",
     )  # fmt: skip
     single = costs.single
     figure.add_bar(
-        x=list(single), y=[100 * e.value for e in single.values()], base=100 * float(costs.value[0]),
+        x=[_named(k) for k in single], y=[100 * e.value for e in single.values()], base=100 * float(costs.value[0]),
         marker={"color": "rgba(0,0,0,0)", "line": {"color": [LOSS_COLORS[k] for k in single], "width": 2}},
         error_y=_errors(list(single.values())), name="alone: does not add up", offsetgroup="1",
         customdata=[e.formatted(signed=True) for e in single.values()], hovertemplate="%{x} alone: %{customdata}",

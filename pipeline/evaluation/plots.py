@@ -272,7 +272,8 @@ VERDICT_COLORS = {
 LOSS_COLORS = {
     "accuracy": VERDICT_COLORS["CORRECT"], "PARSE": VERDICT_COLORS["PARSE"], "RECALL": VERDICT_COLORS["OPM-TARGET"],
     "LIFT": VERDICT_COLORS["LIFT"], "SRM": VERDICT_COLORS["SRM"], "CONF": VERDICT_COLORS["OPM-CONF"],
-    "residual": VERDICT_COLORS["COMPOUND"],
+    "ATTRIBUTE": VERDICT_COLORS["ATTRIBUTE"], "residual": VERDICT_COLORS["COMPOUND"],
+    "unknown": VERDICT_COLORS["UNEXPLAINED"],
 }  # fmt: skip
 ADDS_UP = (
     "Full bars add up from the accuracy to 100: what the gold parse gains (PARSE), the Shapley value of each oracle, "

@@ -13,10 +13,11 @@ from typing import Any, get_args
 import numpy as np
 
 from pipeline.answering.opening import Pipeline
+from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.costs import Deltas, oracle_deltas
 from pipeline.evaluation.published import ACC_AT
 from pipeline.evaluation.sentences import Judged, Outcome, SentenceFile, judge_sentences, read_sentence_file
-from pipeline.evaluation.summary import Deltas, oracle_deltas
 from pipeline.metrics.intervals import Estimate, share_estimate
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.whole_files import check_target, staged_folder, text_file
@@ -170,7 +171,7 @@ class SentenceReport:
 
 def _costs(found: Deltas) -> tuple[Row, ...]:
     lines: list[tuple[str, tuple[Cell, Cell]]] = [("as answered", (None, float(found.value[0])))]
-    lines += [(name, (found.single[name], found.shapley[name])) for name in found.single]
+    lines += [(shown_oracle(name), (found.single[name], found.shapley[name])) for name in found.single]
     lines.append(("residual", (None, float(1 - found.value[-1]))))
     return tuple(Row(name, cells) for name, cells in lines)
 

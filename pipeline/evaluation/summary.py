@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
-from math import factorial
 from typing import Any
 
 import numpy as np
 
-from pipeline.diagnosis.oracles import ORACLES, SUBSETS, names_of
+from pipeline.diagnosis.oracles import NAMED_BY, ORACLES, shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
+from pipeline.evaluation.costs import EVERY, Deltas, KnownOracles, oracle_deltas, shapley_weights
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
@@ -21,6 +20,16 @@ from pipeline.system.errors import require
 
 EXACT = 1e-9
 """Sums that must agree agree to this."""
+SHORT = {
+    "PARSE": "reading the sentence", "RECALL": "finding the things", "LIFT": "from pixels to 3D",
+    "SRM": "judging relations", "ATTRIBUTE": "judging looks", "CONF": "trusting detections",
+    "residual": "what nothing mends", "unknown": "what cannot be worked out",
+}  # fmt: skip
+"""What of `RunSummary.loss` in words."""
+LEAST_SAID = 0.05
+"""Points that a sentence is worth: what is shown as 0.0 is not said."""
+RANKING_ALONE = ("SCORE", "DEGENERATE")
+"""Details of PRM that no oracle takes away: the ranking itself is wrong, with all that it ranks by true."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +74,13 @@ class RunSummary:
         None where no expression tells what the truth in place of a module would do: imported predictions without
         relation probabilities.
     residual : Estimate
-        1 - v(all).
+        What stays wrong with all oracles together.
     residual_causes : dict of (str, str or None) to int
-        Verdicts and details of the expressions that all oracles together do not mend.
+        Verdicts and details of these expressions.
+    unknown : Estimate
+        What is lost to nobody knows which module: it is in none of the costs, and not in the residual.
+    untold : dict of str to str
+        The oracles, and PARSE, whose costs cannot be worked out, and why.
     """
 
     expressions: int
@@ -80,13 +93,30 @@ class RunSummary:
     deltas: Deltas | None
     residual: Estimate
     residual_causes: dict[tuple[str, str | None], int]
+    unknown: Estimate
+    untold: dict[str, str]
 
     @property
     def loss(self) -> dict[str, Estimate]:
-        """What adds up to one: accuracy, PARSE, the Shapley value of each oracle, residual; empty without deltas."""
+        """What adds up to one: accuracy, PARSE, the Shapley value of each oracle, residual, and what is unknown, where
+        anything is; empty without deltas."""
         if self.deltas is None:
             return {}
-        return {"accuracy": self.accuracy, "PARSE": self.parse, **self.deltas.shapley, "residual": self.residual}
+        parse = {} if "PARSE" in self.untold else {"PARSE": self.parse}
+        unknown = {"unknown": self.unknown} if abs(self.unknown.value) > EXACT else {}
+        return {"accuracy": self.accuracy, **parse, **self.deltas.shapley, "residual": self.residual, **unknown}
+
+    @property
+    def failing(self) -> Counter[str]:
+        """How many expressions each oracle's verdicts name; of those that no oracle takes away by the verdict."""
+        found = Counter[str]()
+        for verdict, share in self.verdicts.items():
+            beyond = sum(self.details[v, d].count for v, d in self.details if v == verdict and d in RANKING_ALONE)
+            oracle = next((name for name, verdicts in NAMED_BY.items() if verdict in verdicts), verdict)
+            if verdict not in ("CORRECT", "LABEL"):
+                found[oracle] += share.count - beyond
+                found[verdict] += beyond
+        return +found
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
@@ -100,9 +130,12 @@ class RunSummary:
             ],
             "lucky": self.lucky.record(),
             "accuracy": self.accuracy.record(),
-            "parse": self.parse.record(),
+            "parse": None if "PARSE" in self.untold else self.parse.record(),
             "oracles": None if self.deltas is None else self.deltas.record(),
             "residual": None if self.deltas is None else self.residual.record(),
+            "unknown": self.unknown.record(),
+            "untold": self.untold,
+            "in_words": cost_words(self),
             "residual_causes": [
                 {"verdict": verdict, "detail": detail, "count": n}
                 for (verdict, detail), n in self.residual_causes.items()
@@ -165,16 +198,20 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
         raise AssertionError(f"shares of verdicts sum to {total}, not to one")
     details = dict(zip(pairs, shares[len(kinds) :], strict=False))
     ordered = sorted(details, key=lambda p: (VERDICTS.index(p[0]), -details[p].count, p[1]))
-    # Of imported predictions that do not tell: what is right stays so, and no oracle is known to mend the rest.
-    answered, right_with = column(records, "set_correct"), column(records, "right_with")
-    told = not np.isnan(right_with).all()
-    right_with = np.where(np.isnan(right_with), (answered > 0) * ((1 << SUBSETS) - 1), right_with).astype(np.int64)
-    deltas = oracle_deltas(right_with, clusters, config) if told else None
-    explained = 0.0 if deltas is None else sum(e.value for e in deltas.shapley.values())
-    if deltas is not None and abs(explained - (deltas.value[-1] - deltas.value[0])) > EXACT:
-        raise AssertionError(f"Shapley values sum to {explained}, not to v(all) - v(none)")
-    unmended = (right_with >> (SUBSETS - 1)) & 1 == 0
-    causes = Counter(zip(verdict[unmended].tolist(), detail[unmended].tolist(), strict=True))
+    answered, oracles = column(records, "set_correct"), KnownOracles.of(records)
+    right, unmended, whole = oracles.right, oracles.unmended, oracles.known == EVERY
+    costs = dict(zip(ORACLES, (right @ shapley_weights(len(ORACLES)).T).T, strict=True))
+    if abs(sum(c.mean() for c in costs.values()) - (right[:, -1] - right[:, 0]).mean()) > EXACT:
+        raise AssertionError("Shapley values do not sum to v(all) - v(none)")
+    costs["PARSE"] = right[:, 0] - answered
+    untold = oracles.untold(costs)
+    deltas = None
+    if oracles.known.any():
+        without = {name: why for name, why in untold.items() if name in ORACLES}
+        deltas = oracle_deltas(right, clusters, config, untold=without)
+    unknown = (unmended & ~whole) + sum((costs[name] for name in untold), np.zeros(len(right)))
+    left = unmended & whole
+    causes = Counter(zip(verdict[left].tolist(), detail[left].tolist(), strict=True))
     return RunSummary(
         len(verdict),
         unit,
@@ -182,10 +219,12 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
         {p: details[p] for p in ordered},
         shares[-1],
         mean_estimate(answered, clusters, config=config),
-        mean_estimate((right_with & 1).astype(np.float64), clusters, other=answered, config=config),
+        mean_estimate(right[:, 0], clusters, other=answered, config=config),
         deltas,
-        mean_estimate(unmended.astype(np.float64), clusters, config=config),
+        mean_estimate(left.astype(np.float64), clusters, config=config),
         dict(sorted(causes.items(), key=lambda item: (-item[1], VERDICTS.index(item[0][0])))),
+        mean_estimate(unknown, clusters, config=config),
+        untold,
     )
 
 
@@ -220,6 +259,7 @@ def verdict_table(systems: Mapping[str, RunSummary]) -> Table:
         "Percent of expressions. Each has one verdict, so that these sum to 100; rows after a colon are part of the "
         "verdict before it. CORRECT: the labelled target; LUCKY: with a pair of which the expression is not true; "
         "LABEL: AMBIGUOUS is another right answer, SUSPECT one that only the labels' relations call right. "
+        f"{''.join(f'{name}: {untold_words(s)} ' for name, s in systems.items() if s.deltas is None)}"
         f"Brackets: 95 % bootstrap intervals over {found[0].unit}s.",
     )
 
@@ -234,25 +274,66 @@ def oracle_table(systems: Mapping[str, RunSummary]) -> Table:
     """The table "oracles": single deltas, and Shapley values with what completes them to one; all have deltas."""
     found = list(systems.values())
 
+    def cost(summary: RunSummary, name: str) -> tuple[Cell, Cell]:
+        assert summary.deltas is not None
+        return summary.deltas.single.get(name), summary.deltas.shapley.get(name)
+
     lines: dict[str, list[tuple[Cell, Cell]]] = {
         "as answered": [(None, s.accuracy) for s in found],
-        "PARSE": [(s.parse, s.parse) for s in found],
-        **{m: [(d.single[m], d.shapley[m]) for s in found if (d := s.deltas) is not None] for m in ORACLES},
+        "PARSE": [(None, None) if "PARSE" in s.untold else (s.parse, s.parse) for s in found],
+        **{shown_oracle(m): [cost(s, m) for s in found] for m in ORACLES},
         "residual": [(None, s.residual) for s in found],
+        **({"not worked out": [(None, s.unknown) for s in found]} if any("unknown" in s.loss for s in found) else {}),
         "sum": [(None, float(sum(e.value for e in s.loss.values()))) for s in found],
     }
-    causes = " ".join(f"{name}: {residual_words(s)}." for name, s in systems.items())
+    causes = " ".join(f"{name}: {residual_words(s)}. {untold_words(s)}".strip() for name, s in systems.items())
     return Table(
         "oracles",
         "What each module costs",
         tuple(c for name in systems for c in _heads(name, ("alone", "Shapley"), len(systems))),
         tuple(Row(name, tuple(c for pair in cells for c in pair)) for name, cells in lines.items()),
-        "Points of set-valued accuracy gained with a module replaced by the truth. Alone: by it only; these do not add "
-        "up, since errors overlap and make up for each other, and one below 0 made up for another's. Shapley: its fair "
-        "share over all orders of replacing; the second column adds up to 100 from top to bottom. PARSE: gained by the "
-        f"gold parse. Residual: what all oracles together do not mend. {causes} "
-        f"Brackets: 95 % bootstrap intervals over {found[0].unit}s.",
+        "Points of set-valued accuracy gained with a module replaced by the truth, under the verdicts that this takes "
+        "away. Alone: by it only; these do not add up, since errors overlap and make up for each other, and one below "
+        "0 made up for another's. Shapley: its fair share over all orders of replacing; the second column adds up to "
+        "100 from top to bottom. PARSE: gained by the gold parse. Residual: what all oracles together do not mend. "
+        f"{causes} Brackets: 95 % bootstrap intervals over {found[0].unit}s.",
     )
+
+
+def untold_words(summary: RunSummary) -> str:
+    """Which costs cannot be worked out, and why; empty for none."""
+    reasons: dict[str, list[str]] = {}
+    for name, why in summary.untold.items():
+        reasons.setdefault(why, []).append(shown_oracle(name))
+    return " ".join(f"What {', '.join(names)} cost cannot be worked out: {why}." for why, names in reasons.items())
+
+
+def cost_words(summary: RunSummary) -> str:
+    """Where the accuracy goes, in sentences that say no other module than the verdicts do without saying why."""
+    right = summary.accuracy.value
+    text = f"Of 100 expressions {100 * right:.1f} are answered rightly, {100 * (1 - right):.1f} are not."
+    parts = {name: e.value for name, e in summary.loss.items() if name != "accuracy" and 100 * e.value >= LEAST_SAID}
+    worst = sorted(parts, key=lambda name: -parts[name])[:2]
+    if worst:
+        said = [f"{SHORT[name]}{_codes(name)} {100 * parts[name]:.1f}" for name in worst]
+        most = "Most of them by" if sum(parts[name] for name in worst) > (1 - right) / 2 else "The largest parts:"
+        text += f" {most} {' and '.join(said)}."
+    named = summary.failing.most_common(1)
+    if named and named[0][0] not in worst[:1]:
+        name, count = named[0]
+        of = f"{shown_oracle(name)} most often ({count} of {summary.failing.total()})"
+        why = "an answer that several modules would mend counts for each of them in part"
+        if name in summary.untold:
+            why = f"what that costs cannot be worked out: {summary.untold[name]}"
+        elif name not in NAMED_BY:
+            why = "that is no module whose truth would mend it alone"
+        text += f" Verdicts name {of}; {why}."
+    rest = untold_words(summary)
+    return f"{text} {rest}" if rest and not (named and named[0][0] in summary.untold) else text
+
+
+def _codes(name: str) -> str:
+    return f" ({shown_oracle(name)})" if name in NAMED_BY else ""
 
 
 def residual_words(summary: RunSummary) -> str:
@@ -269,76 +350,3 @@ def _cells(shares: Sequence[Share | None]) -> tuple[Cell, ...]:
 
 def _heads(name: str, kinds: tuple[str, str], systems: int) -> tuple[str, ...]:
     return kinds if systems == 1 else tuple(f"{name}, {kind}" for kind in kinds)
-
-
-@dataclass(frozen=True)
-class Deltas:
-    """Set-valued accuracy on the gold parse with parts of the pipeline replaced by the truth.
-
-    Attributes
-    ----------
-    expressions : int
-    value : (2^K,) float64
-        v(S) for each subset of the K oracles.
-    single : dict of str to Estimate
-        v({m}) - v(none), not clipped: a negative one says that the module made up for an error of another.
-        These do not add up.
-    shapley : dict of str to Estimate
-        phi_m = sum over S without m of |S|! (K - 1 - |S|)! / K! (v(S + m) - v(S)). These add up to v(all) - v(none).
-    """
-
-    expressions: int
-    value: np.ndarray
-    single: dict[str, Estimate]
-    shapley: dict[str, Estimate]
-
-    def record(self) -> dict[str, Any]:
-        """As JSON."""
-        return {
-            "expressions": self.expressions,
-            "value": {"+".join(names_of(s)) or "none": float(v) for s, v in enumerate(self.value)},
-            "single": {m: e.record() for m, e in self.single.items()},
-            "shapley": {m: e.record() for m, e in self.shapley.items()},
-            "shapley_sum": float(sum(e.value for e in self.shapley.values())),
-            "loss_explained": float(self.value[-1] - self.value[0]),
-            # What no oracle mends: bad labels, pairs excluded as one thing, ties.
-            "residual": float(1 - self.value[-1]),
-        }
-
-
-def shapley_weights(n: int) -> np.ndarray:
-    """(n, 2^n) float64: phi = weights @ v."""
-    weights = np.zeros((n, 1 << n))
-    for m, subset in product(range(n), range(1 << n)):
-        others = (subset & ~(1 << m)).bit_count()
-        share = factorial(others) * factorial(n - 1 - others) / factorial(n)
-        weights[m, subset] = share if subset >> m & 1 else -share
-    return weights
-
-
-def oracle_deltas(
-    right_with: np.ndarray,
-    clusters: np.ndarray,
-    config: BootstrapConfig | None = None,
-    oracles: Sequence[str] = ORACLES,
-) -> Deltas:
-    """The deltas of a run.
-
-    Parameters
-    ----------
-    right_with : (E,) int
-        Of each expression, bit s set where the answer is right with subset s.
-    clusters : (E,)
-        What resembles each other, for the intervals: scenes, or frames.
-    oracles : sequence of str
-        Those that the subsets are of, in the order of their bits.
-    """
-    subsets = 1 << len(oracles)
-    right = ((np.asarray(right_with, np.int64)[:, None] >> np.arange(subsets)) & 1).astype(np.float64)
-    single = {
-        name: mean_estimate(right[:, 1 << m], clusters, other=right[:, 0], config=config)
-        for m, name in enumerate(oracles)
-    }
-    weights = dict(zip(oracles, shapley_weights(len(oracles)), strict=True))
-    shapley = {name: mean_estimate(right @ own, clusters, config=config) for name, own in weights.items()}
-    return Deltas(len(right), right.mean(axis=0) if len(right) else np.full(subsets, np.nan), single, shapley)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pipeline.diagnosis.oracles import NAMED_BY, shown_oracle
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGES, Comparison
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
@@ -14,7 +15,7 @@ from pipeline.evaluation.figures import STANDS_IN, RunFigures
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.shared_makers import Share, title_of
 from pipeline.evaluation.slices import Slice, Slices
-from pipeline.evaluation.summary import RunSummary, residual_words
+from pipeline.evaluation.summary import SHORT, RunSummary, cost_words, residual_words
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color
 from pipeline.language.counted import counted
@@ -29,13 +30,10 @@ CUTS = {
     "same_class": "same class",
 }  # fmt: skip
 """Dimensions that a run is cut by here, and what they are called in the choice."""
-COST_COLORS = {
-    "PARSE": COLORS["PARSE"], "RECALL": COLORS["OPM-TARGET"], "LIFT": COLORS["LIFT"], "SRM": COLORS["SRM"],
-    "CONF": COLORS["OPM-CONF"], "ATTRIBUTE": COLORS["ATTRIBUTE"], "residual": COLORS["LABEL"],
+NOT_TOLD = "not worked out"
+COST_COLORS = {name: COLORS[verdicts[0]] for name, verdicts in NAMED_BY.items()} | {
+    "residual": COLORS["LABEL"], "unknown": COLORS["UNEXPLAINED"],
 }  # fmt: skip
-SHORT = {"PARSE": "reading the sentence", "RECALL": "finding the things", "LIFT": "from pixels to 3D",
-         "SRM": "judging relations", "ATTRIBUTE": "judging looks", "CONF": "trusting detections",
-         "residual": "what nothing mends"}  # fmt: skip
 AXIS = 10
 """The scale begins at a multiple of so many percent."""
 
@@ -87,10 +85,9 @@ def _along(start: float, width: float) -> dict[str, str]:
 def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
     """From the accuracy as it is, module by module, to 100: each bar begins where the one above ends."""
     if summary.deltas is None:
-        why = "What each module costs is not known: these predictions give no relation probabilities."
-        return heading("Where the accuracy goes", ""), _in_words(summary, {}), h.p(why, cls="small dim")
+        return heading("Where the accuracy goes", ""), _in_words(summary)
     shares = {name: e for name, e in summary.loss.items() if name != "accuracy"}
-    alone = {"PARSE": summary.parse, **summary.deltas.single}
+    alone = {name: e for name, e in {"PARSE": summary.parse, **summary.deltas.single}.items() if name in shares}
     base = summary.accuracy.value
     low = math.floor(max(0.0, base + min(0.0, *(e.value for e in alone.values())) - 0.02) * 100 / AXIS) * AXIS / 100
     span = 1 - low
@@ -110,26 +107,31 @@ def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
         mark = None if single is None else h.u(css={"left": f"{(base + single.value - low) / span:.2%}"})
         bar = h.i(css=scaled(at, at + e.value), cls="less" if e.value < 0 else "")
         reached = h.span("" if single is None else f"{100 * (base + single.value):.1f}", cls="n dim")
-        said = f"{name}: {hint(name)}\nFair share {e.formatted(signed=True)} points."
+        word = NOT_TOLD if name == "unknown" else name
+        said = f"{_named(name)}: {hint(word)}\nFair share {e.formatted(signed=True)} points."
         if single is not None:
             said += f" With it alone {100 * (base + single.value):.1f} in place of {100 * base:.1f}."
-        query = {"PARSE": "verdict:PARSE", "residual": _causes(summary)}.get(
+        query = {"PARSE": "verdict:PARSE", "residual": _causes(summary), "unknown": "-set_correct -untold:none"}.get(
             name, f"-verdict:CORRECT,LABEL mends:{name}"
         )
         rows.append(
             h.button(
-                h.span(h.b(name), " ", SHORT[name], cls="module"), h.b(signed(e.value), cls="n"), reached,
+                h.span(h.b(_named(name)), " ", SHORT[name], cls="module"), h.b(signed(e.value), cls="n"), reached,
                 h.span(bar, mark, cls="track", css={"--c": hex_color(COST_COLORS[name])}),
                 cls="fall", title=said, **searches(query),
             )
         )  # fmt: skip
         at += e.value
+    for name, why in summary.untold.items():
+        label = h.span(h.b(_named(name)), " ", SHORT[name], cls="module")
+        why = f"{_named(name)}: what it costs cannot be worked out: {why}"
+        rows.append(h.div(label, h.b("–", cls="n"), h.span(), h.span(), cls="fall", title=why))
     ends = (h.span(f"{100 * (low + part * span):.0f}") for part in (0, 0.5, 1))
     axis = h.div(
         h.span(), h.span("share", cls="n", title=hint("Shapley")), h.span("alone", cls="n", title=hint("alone")),
         h.span(ends, cls="track"), cls="fall axis",
     )  # fmt: skip
-    return heading("Where the accuracy goes", "% right, of all expressions"), _in_words(summary, shares), h.div(
+    return heading("Where the accuracy goes", "% right, of all expressions"), _in_words(summary), h.div(
         axis, rows, cls="falls"
     ), h.p(
         "Each bar is a module's fair share of what is lost; all add up to 100. ",
@@ -137,16 +139,14 @@ def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
     )  # fmt: skip
 
 
-def _in_words(summary: RunSummary, shares: dict[str, Estimate]) -> Element:
+def _in_words(summary: RunSummary) -> Element:
     """The picture in a sentence."""
-    lost = 1 - summary.accuracy.value
-    worst = sorted(shares, key=lambda name: -shares[name].value)[:2]
-    parts = [f"{SHORT[name]} ({name}) {100 * shares[name].value:.1f}" for name in worst if shares[name].value > 0]
-    most = f" Most of them by {' and '.join(parts)}." if parts else ""
-    return h.p(
-        f"Of 100 expressions {100 * summary.accuracy.value:.1f} are answered rightly, {100 * lost:.1f} are not.{most}",
-        cls="lead", title=f"{hint('accuracy')} {residual_words(summary)}.",
-    )  # fmt: skip
+    return h.p(cost_words(summary), cls="lead", title=f"{hint('accuracy')} {residual_words(summary)}.")
+
+
+def _named(name: str) -> str:
+    """What a bar is called: the verdicts that lists have."""
+    return NOT_TOLD if name == "unknown" else shown_oracle(name)
 
 
 def _causes(summary: RunSummary) -> str:

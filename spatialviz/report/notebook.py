@@ -14,11 +14,12 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import probability
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.oracles import shown_oracle
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.failures import Failure, Failures
 from pipeline.evaluation.plots import LOSS_COLORS, VERDICT_COLORS
 from pipeline.evaluation.run_folder import Run
-from pipeline.evaluation.summary import summarise_run
+from pipeline.evaluation.summary import cost_words, summarise_run
 from pipeline.geometry.palette import ON_LIGHT, hex_color, ink
 from pipeline.language.counted import counted
 from pipeline.metrics.intervals import Estimate
@@ -140,6 +141,7 @@ def _run(run: Run) -> Element:
         _shares("verdict", {name: share.estimate for name, share in summary.verdicts.items()}, VERDICT_COLORS),
         *([_shares("of all, lost to", {k: v for k, v in summary.loss.items() if k != "accuracy"}, LOSS_COLORS)]
           if summary.loss else []),
+        element("p", cost_words(summary), style=_QUIET),
     ]  # fmt: skip
     theirs = run.manifest.get("imported")
     whose = "" if theirs is None else f", imported, level {theirs['level']} of 3"
@@ -155,7 +157,12 @@ def _run(run: Run) -> Element:
 def _shares(name: str, shares: Mapping[str, Estimate], tones: Mapping[str, str]) -> Element:
     """Shares of all expressions with their intervals, each with a bar."""
     rows = [
-        (key, f"{100 * e.value:.1f} %", f"{100 * e.low:.1f} to {100 * e.high:.1f}", _bar(e.value, tones[key]))
+        (
+            shown_oracle(key),
+            f"{100 * e.value:.1f} %",
+            f"{100 * e.low:.1f} to {100 * e.high:.1f}",
+            _bar(e.value, tones[key]),
+        )
         for key, e in shares.items()
         if e.value
     ]

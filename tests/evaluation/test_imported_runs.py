@@ -86,8 +86,7 @@ def test_a_run_of_ours_comes_back_record_for_record(folder: Path) -> None:
     assert len(rows(again)) == ASKED
     # What no file gives is marked, and there is no more that differs.
     assert {r["worked_out"] for r in rows(first)} == {None}
-    marked = {name for r in rows(again) for name in r["worked_out"] or ()}
-    assert marked == {"log_score", "right_log_score"}
+    assert {n for r in rows(again) for n in r["worked_out"] or ()} == {"log_score", "right_log_score"}
     assert [r | {"worked_out": None} for r in rows(again)] == rows(first)
     assert len(first.verdicts) >= 4
     diagnoses = [json.loads((folder / name / "diagnosis.json").read_text())["systems"] for name in ("run", "again")]
