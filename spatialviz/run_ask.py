@@ -12,11 +12,13 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import taken_as, unused_words
 from pipeline.answering.json_records import frame_record, probability, relation_records, told, why_no_answer
 from pipeline.answering.objects import PreparedFrame, all_objects
-from pipeline.answering.opening import FrameRelations, open_pipeline, open_sources, relate_frames
+from pipeline.answering.opening import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
 from pipeline.answering.pair_table import ScoredPair
+from pipeline.answering.reading_notes import reading_notes
 from pipeline.answering.suggestions import SURE, MissedNames, completions, missed_names
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.camera_plan import CameraPlan, camera_plan
+from pipeline.datasets.demo import DEMO_NAME, demo_run
 from pipeline.datasets.importing import import_recording
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
@@ -25,16 +27,18 @@ from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge, labelled_truth
 from pipeline.diagnosis.offers import offers_of
+from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.run_folder import open_run
 from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.labels.reading import open_labels
+from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.language.glossary import Term, find_term, glossary, glossary_markdown
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
 from pipeline.system.errors import needed, require
 from spatialviz.cli_ask import Ask, Context, Frames, Glossary, ImportRecording, Measure, Relations, Render
-from spatialviz.options import ALL_FRAMES, FINE, NO, numbers, one_frame, print_json, warn, warn_skipped
+from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, print_json, warn, warn_skipped
 from spatialviz.printing import print_rows, print_summary, rate_bar, say
 from spatialviz.report.picture import save_picture
 
@@ -50,10 +54,9 @@ def run_ask(command: Ask) -> int:
         "--save takes one frame and one expression",
         path=command.save,
     )
-    labels = None if command.labels is None else open_labels(command.labels)
     answered = 0
-    source = command.source.open(command.dataset, command.frame, labels)
-    for answer in ask_and_judge(source, command.frame, command.expressions, labels, warn_skipped):
+    source, labels, spec = _opened(command)
+    for answer in ask_and_judge(source, command.frame, command.expressions, labels, warn_skipped, spec):
         trace = answer.needed_trace()
         answered += answer.holds is True
         command.write(answer.record(), print_answer, answer, trace)
@@ -64,12 +67,28 @@ def run_ask(command: Ask) -> int:
     return FINE if answered else NO
 
 
+def _opened(command: Ask) -> tuple[Pipeline, Labels | None, EvalSpec | None]:
+    """What answers, by what it is judged, and the run that is asked."""
+    labels = None if command.labels is None else open_labels(command.labels)
+    if command.run_folder is None:
+        if command.dataset == DEMO_NAME and command.source == SourceOptions() and not command.json:
+            say("by the demo's annotations; --run demo answers as `view` does", style="dim")
+        return command.source.open(command.dataset, command.frame, labels), labels, None
+    require(command.source == SourceOptions(), "--run brings its own detector and relation scorer")
+    built_in = str(command.run_folder) == DEMO_NAME and not command.run_folder.exists()
+    run = open_run(
+        demo_run() if built_in else command.run_folder,
+        dataset=None if command.dataset == DEMO_NAME else command.dataset,
+        labels=None if command.labels is None else str(command.labels),
+    )
+    return run.source, run.labels, run.spec
+
+
 def _complete(command: Ask) -> int:
     """Print what may come next of an expression."""
-    source = command.source.open(command.dataset, command.frame)
+    source, labels, _ = _opened(command)
     context = source.prepare(one_frame(source.dataset.frame_ids, command.frame, source.dataset.root))
     objects = all_objects(context, source.needed_detector())
-    labels = None if command.labels is None else open_labels(command.labels)
     truth = None if labels is None else labelled_truth(context.frame.id, source, labels)
     offered = offers_of(source, context, objects, truth)
     found = completions(" ".join(command.expressions), offered.names, offered.questions)
@@ -256,6 +275,8 @@ def print_ranking(trace: Trace) -> None:
         say(f"'{said}' read as '{meant}'", style="dim")
     for words, why in unused_words(trace.query):
         say(f"not used: '{words}': {why}", style="yellow")
+    for note in reading_notes(trace):
+        say(note, style="dim")
     if len(trace.query.readings) > 1 or trace.query.default.root.triple is None:
         say(f"read as: {trace.ranking.reading.description}", style="dim")
     columns: dict[str, Callable[[ScoredPair], str]] = {"target": lambda p: name(p.target)}

@@ -187,6 +187,7 @@ def trace_record(trace: Trace) -> Record:
     return record | present(
         score_calibration=None if calibration is None else {"a": calibration.a, "b": calibration.b},
         reason=why_no_answer(trace),
+        notes=list(reading_notes(trace)) or None,
         relations_worked_out=None if trace.scores.given is None else {
             f"{p.target},{p.reference}": trace.scores.worked_out(p.target, p.reference)
             for p in pairs if p.reference is not None
