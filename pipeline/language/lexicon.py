@@ -186,7 +186,7 @@ ACTIONS = _words(
 """Commands that ask for more than to point at a thing."""
 
 LOOK_AFTER = re.compile(
-    r"(?:(?:in|of|with|has|have|having) (?:a |the )?(?P<says>colou?r )?|colou?red |painted )"
+    r"(?:(?:in|(?P<part>of|with|has|have|having)) (?:a |the )?(?P<says>colou?r )?|colou?red |painted )"
     r"(?P<look>(?:(?:light|dark|bright|pale|deep) )?\w+)(?P<color> colou?r)?(?= |$)"
 )
 """A colour after the thing: `the mug in red`, `of a red colour`."""

@@ -105,7 +105,9 @@ class LooksReader(Cursor):
     def _looks_after(self, at: int, end: int, draft: Draft) -> int:
         """The end of the thing before attributes that follow it: `something yellow`, `mug small and red`."""
         start = end
-        while start > at + 1:
+        if self.tokens[end].plain in ("to", "for", "by", "as", "of") if end < len(self.tokens) else False:
+            return end
+        while start > at + 1 and not any(t.plain in lexicon.WITH for t in self.tokens[at:end]):
             word, before = self.tokens[start - 1], self.tokens[start - 2]
             found = attribute(word.plain or "")
             if found is None or is_name(word.text) or self._compound(start - 2):
@@ -130,7 +132,7 @@ class LooksReader(Cursor):
             return None
         words, said = found[0]["look"], found[0]["says"] or found[0]["color"]
         look = attribute(words)
-        if look is None or look.kind != "color" or (not said and is_name(words)):
+        if look is None or look.kind != "color" or (not said and (is_name(words) or found[0]["part"])):
             return None
         return look, words, found[1]
 

@@ -205,7 +205,7 @@ class NounReader(LooksReader):
                 continue
             text = " ".join(words)
             order = choices.EXTREMES.get(text)
-            beside = size > 1 and words[-1] == "side" and not self._ends(at + size)
+            beside = size > 1 and words[-1] == "side" and self._starts_noun(at + size) and self._text(at + size) != "of"
             sides = choices.orders_of(" ".join(words[:-1]) if beside else text)
             if sides and order == "low" and self._text(at + size) in choices.SIDES:
                 order = None  # `lower left chair`
@@ -310,6 +310,8 @@ class NounReader(LooksReader):
             return not self._compound(end - 1)
         if self.match(choices.AT_SIDE, end) is not None or self.match(choices.FROM_SIDE, end) is not None:
             return True
+        if before in lexicon.ARTICLE_BEARING and word.endswith("ed") and not self._ends(end + 1):
+            return False
         return (
             word in lexicon.LINKING or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
             or word in lexicon.VERBS

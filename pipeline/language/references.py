@@ -54,7 +54,8 @@ class ReferenceReader(RegionReader):
         order = lexicon.SCENE_ORDER.get(str(token.relation))
         again = singular(phrase.head_word) == singular(root.head_word) and not phrase.attributes
         several = phrase.name in choices.NUMBERS or (phrase.count and again)
-        if order is not None and several and " of" in token.text and not self.chain.clauses:
+        ends = end >= len(self.tokens) or self.breaks[end]
+        if order is not None and several and ends and " of" in token.text and not self.chain.clauses:
             # `the mug on the left of the two (mugs)`
             rank = 1 if order == "middle" or (phrase.count or choices.NUMBERS.get(phrase.name)) == 2 else None
             self._choice(Choice(order, rank, f"{token.text} {self.words(at, end)}"), at, end)  # type: ignore[arg-type]

@@ -65,21 +65,20 @@ def is_known(word: str) -> bool:
 def look_meant(word: str) -> str | None:
     """The word for a look that an unknown word misspells: `purple` for `pruple`; None where there is none or several.
 
-    Two letters that changed places and a letter too few come before a letter too many, and that before another
-    letter; of words of four letters only the first, of three only a letter too few.
+    Two letters that changed places and a letter too few come before a letter too many, and that before another letter;
+    which short words are not. The ends stay: other words differ there (`pasted` and `pastel`).
     """
     if len(word) < 3 or not word.isalpha() or is_known(word):
         return None
     swapped = two_swapped(word) if len(word) > 3 else frozenset[str]()
-    away = one_letter_away(word)
+    away = {w for w in one_letter_away(word) if w[0] == word[0]}
     longer = {w for w in away if len(w) > len(word)}
-    shorter = {w for w in away if len(w) < len(word)}
-    ranks = (swapped | longer, shorter, away) if len(word) > 4 else (swapped | longer,)
-    for near in ranks:
-        candidates = [w for w in sorted(near) if w in SINGLE_WORDS]
-        kept = [w for w in candidates if w[0] == word[0]] or (candidates if len(word) > 4 else [])
-        if kept:
-            return kept[0] if len({attribute(w) for w in kept}) == 1 else None
+    shorter = {w for w in away if len(w) < len(word) and (w != word[:-1] or word[-1] == word[-2])}
+    other = {w for w in away if len(w) == len(word) and w[-1] == word[-1]}
+    for near in (swapped | longer, shorter, other if len(word) > 4 else frozenset[str]()):
+        meant = sorted(near & SINGLE_WORDS)
+        if meant:
+            return meant[0] if len({attribute(w) for w in meant}) == 1 else None
     return None
 
 
