@@ -14,6 +14,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import FrameRelations
 from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
 from pipeline.answering.ranking import Candidates, Ranking
+from pipeline.answering.reading_notes import reading_notes
 from pipeline.answering.worked_out import worked_out
 from pipeline.datasets.frame_reports import FrameReport
 from pipeline.geometry.viewer import ViewerAxes
