@@ -79,6 +79,9 @@ class Ask(Output):
     expressions: Positional[tuple[str, ...]]
     """TARGET RELATION REFERENCE, each in quotes."""
     source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    run_folder: Annotated[Path | None, arg(name="run")] = None
+    """A run folder: its detector, relation scorer and labels answer and judge, as in `view --run`. "demo" is the run of
+    the built-in demo, which `view` opens."""
     save: Path | None = None
     """Write the answer as a picture."""
     labels: Truth = None
@@ -156,6 +159,8 @@ class Doctor(Output):
     camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
     apply: Flag = False
     """Keep what mends it in spatialviz.toml beside the data, where readers find it."""
+    overlay: Path | None = None
+    """Picture to write: colour with the outlines of depth on it, as read and with what mends it."""
 
 
 @dataclass(frozen=True)
@@ -273,6 +278,20 @@ class ImportRun(Output):
     plots: bool = True
     """Draw plots (extra: report)."""
     overwrite: Overwrite = False
+
+
+@dataclass(frozen=True)
+class JudgeAgain(Output):
+    """Judge what an earlier version judged, by this one: a run, labels or a case, into a new folder.
+
+    A run is answered again by its own models, or by the predictions that it keeps; relations alone are not measured.
+    Labels are made again of their dataset with the same settings; corrections stay with the old ones.
+    """
+
+    folder: Positional[Path]
+    """Of `eval`, `import-run`, `label` or `save-case`; it stays as it is."""
+    out: NewFolder
+    workers: Workers = CPUS
 
 
 @dataclass(frozen=True)

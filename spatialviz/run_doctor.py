@@ -6,10 +6,12 @@ from pathlib import Path
 
 from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.datasets.doctor.examine import Examination, apply, examine
+from pipeline.datasets.doctor.overlay import overlay
 from pipeline.language.counted import counted
 from spatialviz.cli_ask import Doctor
 from spatialviz.options import FINE, NO
 from spatialviz.printing import print_rows, say
+from spatialviz.report.picture import write_picture
 
 STYLES = {"fine": "green", "wrong": "bold red", "unknown": "yellow"}
 WORDS = {"fine": "fine", "wrong": "WRONG", "unknown": "cannot tell"}
@@ -19,6 +21,8 @@ SHOWN = 6
 def run_doctor(command: Doctor) -> int:
     demo = command.dataset == DEMO_NAME and not Path(command.dataset).exists()
     found = examine(demo_path() if demo else command.dataset, **command.camera.camera())
+    if command.overlay is not None:
+        write_picture(overlay(found), command.overlay)
     written = apply(found) if command.apply else None
     record = {**found.record(), "written": None if written is None else str(written)}
     command.write(record, print_examination, found, written)
