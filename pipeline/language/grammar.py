@@ -101,6 +101,8 @@ class _Reader(ReferenceReader):
         for opened in self.opened:
             self._missing(opened)
         chain = self.chain
+        if self.negated:
+            self._drop_negation()
         chain.spans += [Span(*where, "unused", 0, why) for *where, why in self.left_out.values()]  # type: ignore[arg-type]
         self.note_dropped()
         said = [word for noun in chain.nouns for word in noun.words]
@@ -111,6 +113,14 @@ class _Reader(ReferenceReader):
         if self.problems and not told:
             raise self.problems[0]
         return chain
+
+    def _drop_negation(self) -> None:
+        """Tell of a negation that nothing followed."""
+        last = max((k for k, t in enumerate(self.tokens) if t.plain in lexicon.NEGATIONS), default=None)
+        if last is not None:
+            start = self.tokens[last].start
+            self.chain.spans = [s for s in self.chain.spans if s.start != start]
+            self._note(last, last + 1, "what is not meant is not said")
 
     # ---- one step --------------------------------------------------------------------------------------------------
 
@@ -308,6 +318,7 @@ class _Reader(ReferenceReader):
                 # `not red mug`
                 lacks = tuple(zip(phrase.attributes, phrase.words, strict=True))
                 phrase = replace(phrase, label=phrase.name, head="", attributes=(), words=(), lacks=lacks)
+                self.negated = False
             elif self.negated:
                 self.problems.append(Unsupported("only what is not meant is said", got=f"'{self.text}'"))
                 self._note(at, end, self.problems[-1].what)
