@@ -31,7 +31,7 @@ class _PipeConsole(Console):
     """Prints what it is given plainly, and leaves a closed pipe to the command line, which knows the right status."""
 
     @property
-    def file(self) -> Any:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def file(self) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         return unfiltered(super().file)
 
     def _render_buffer(self, buffer: Iterable[Segment]) -> str:

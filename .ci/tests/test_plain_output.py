@@ -72,10 +72,8 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ):
         table = pq.read_table(file)
         for name in columns:
-            place = table.schema.get_field_index(name)
-            table = table.set_column(
-                place, table.schema.field(name), pc.binary_join_element_wise(table[name], NASTY, "")
-            )
+            place, texts = table.schema.get_field_index(name), pc.binary_join_element_wise(table[name], NASTY, "")
+            table = table.set_column(place, table.schema.field(name), texts)
         pq.write_table(table, file)
     return folder
 

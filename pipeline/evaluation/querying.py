@@ -54,7 +54,7 @@ class RunDatabase:
 
     def __init__(self, tables: Mapping[str, Path], spill: str, labels: str | None) -> None:
         self.views, self.labels = tuple(tables), labels
-        self._opening = (dict(tables), spill)
+        self._opening = (dict(tables), (RECORDS,), spill)
         self._process: subprocess.Popen[bytes] | None = None
         self._last = object()
 

@@ -25,8 +25,8 @@ from pipeline.datasets.parquet import Cell, tables_in
 from pipeline.datasets.robospatial import FILE, KEYS, item_name, robospatial_entries
 from pipeline.evaluation.vlm.answers import parse_yes_no
 from pipeline.metrics.tables import Row, Table
-from pipeline.system.arrow import pa, pq
-from pipeline.system.door import read_parquet
+from pipeline.system.arrow import pa
+from pipeline.system.door import parquet_columns, read_parquet
 from pipeline.system.errors import as_input_error, first_line, require
 
 POINTING = "context"
@@ -113,12 +113,12 @@ def read_questions(root: Path) -> list[Question]:
 
 def _question_tables(root: Path) -> list[Path]:
     with as_input_error("a table that cannot be read", pa.ArrowException, OSError, got=first_line, path=root):
-        return [t for t in tables_in(root) if set(KEYS) <= set(pq.read_schema(t).names)]
+        return [t for t in tables_in(root) if set(KEYS) <= set(parquet_columns(t))]
 
 
 def _of_table(table: Path, several: bool) -> Iterator[Question]:
     columns = read_parquet(table, ["category", "question", "answer"]).to_pylist()
-    masked = "mask" in pq.read_schema(table).names
+    masked = "mask" in parquet_columns(table)
     for row, entry in enumerate(columns):
         frame = f"{table.stem}/{row}" if several else str(row)
         mask = Cell(table, row, "mask") if masked and entry["category"] == POINTING else None

@@ -352,7 +352,9 @@ def open_parquet(source: Any, path: Any = None, **options: Any) -> Any:
         Damaged.
     """
     path = path or source
-    file = pq.ParquetFile(checked_path(source, "unpacked") if isinstance(source, Path) else source, **options)
+    if isinstance(source, Path):
+        check_footer(source)
+    file = pq.ParquetFile(source, **options)
     try:
         within(file.metadata.num_rows, "rows", "a table", path, limits_of(path))
     except InputError:
@@ -361,9 +363,27 @@ def open_parquet(source: Any, path: Any = None, **options: Any) -> Any:
     return file
 
 
+def parquet_columns(path: Path) -> list[str]:
+    """The names of a table's columns; raises as `open_parquet`."""
+    with open_parquet(path) as file:
+        return file.schema_arrow.names
+
+
+def check_footer(path: Path) -> None:
+    """Raise InputError where what stands at the end of a table about it is too large; raises as `opened`."""
+    with opened(path, "unpacked") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > 8:
+            file.seek(size - 8)
+            # What names itself otherwise is no table, which pyarrow says by itself.
+            length, mark = int.from_bytes(file.read(4), "little"), file.read(4)
+            within(length if mark in (b"PAR1", b"PARE") else 0, "text", "the end of a table", path, limits_of(path))
+
+
 def read_parquet(path: Path, columns: list[str] | None = None, filters: Any = None) -> Any:
     """A `pyarrow.Table`, whole or of the rows that `filters` of pyarrow leave; raises as `open_parquet`."""
     if filters is not None:
-        return pq.read_table(checked_path(path, "unpacked"), columns=columns, filters=filters)
+        check_footer(path)
+        return pq.read_table(path, columns=columns, filters=filters)
     with open_parquet(path) as file:
         return file.read(columns=columns)

@@ -14,11 +14,12 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from pipeline.system.door import read_parquet
 from pipeline.system.errors import InputError, kind_and_text
 from pipeline.system.limits import LIMITS_OPTION, current_limits, shown, shown_above
 
@@ -69,10 +70,10 @@ def answer_queries() -> None:
     # Nothing else may come between the answers.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
-    tables, spill = pickle.load(sys.stdin.buffer)
+    tables, held, spill = pickle.load(sys.stdin.buffer)
     asked = _questions(sys.stdin.buffer)
     try:
-        connection = _opened(tables, spill)
+        connection = _opened(tables, held, spill)
     except Exception as error:
         _tell(out, ("problem", _words(error)))
         return
@@ -108,8 +109,8 @@ def _tell(out: BinaryIO, answer: tuple[str, Any]) -> None:
     out.flush()
 
 
-def _opened(tables: Mapping[str, Path], spill: str) -> duckdb.DuckDBPyConnection:
-    """A database of Parquet files as views, that can touch nothing else."""
+def _opened(tables: Mapping[str, Path], held: Collection[str], spill: str) -> duckdb.DuckDBPyConnection:
+    """A database of Parquet files as views, some of them held in memory; it can touch nothing else."""
     import duckdb
     from pyarrow import dataset
 
@@ -117,7 +118,7 @@ def _opened(tables: Mapping[str, Path], spill: str) -> duckdb.DuckDBPyConnection
     for name, path in tables.items():
         # Arrow reads these files, piece by piece: DuckDB needs leave for no path, since a path that it may read is one
         # that it may write, by a COPY within a SELECT.
-        connection.register(name, dataset.dataset(path, format="parquet"))
+        connection.register(name, read_parquet(path) if name in held else dataset.dataset(path, format="parquet"))
     for setting in _SHUT:
         with suppress(duckdb.CatalogException):
             connection.execute(f"SET {setting} = false")

@@ -71,7 +71,7 @@ def test_rows_come_in_order_and_of_the_last_query_alone(database: RunDatabase) -
 
 def test_no_process_and_no_folder_stays(database: RunDatabase) -> None:
     list(database.select("SELECT 1").rows)
-    process, spill = database._process, Path(database._opening[1])
+    process, spill = database._process, Path(database._opening[2])
     assert process is not None
     assert spill.is_dir()
     database.close()

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from pipeline.datasets import open_dataset
+from pipeline.labels import read_table
 from pipeline.language.vectors import open_vectors
 from pipeline.system import InputError
 from tests.slow_cases import mostly_slow
@@ -81,6 +82,11 @@ def test_a_huge_description_of_a_recording(tmp_path: Path) -> None:
     (tmp_path / "x.db3").write_bytes(b"")
     sparse(tmp_path / "metadata.yaml", b"", b"")
     refused(lambda: open_dataset(tmp_path, browse=True))
+
+
+def test_a_huge_end_of_a_table_of_labels(tmp_path: Path) -> None:
+    path = sparse(tmp_path / "objects.parquet", b"PAR1", PARQUET_2G)
+    refused(lambda: read_table(path, "objects"))
 
 
 def test_a_huge_table_of_vectors(tmp_path: Path) -> None:
