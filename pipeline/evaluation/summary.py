@@ -300,18 +300,20 @@ def oracle_table(systems: Mapping[str, RunSummary]) -> Table:
     )
 
 
-def untold_words(summary: RunSummary) -> str:
-    """Which costs cannot be worked out, and why; empty for none."""
+def untold_words(summary: RunSummary, said: str | None = None) -> str:
+    """Which costs cannot be worked out, and why, but for the reason that was `said`; empty for none."""
     reasons: dict[str, list[str]] = {}
     for name, why in summary.untold.items():
         reasons.setdefault(why, []).append(shown_oracle(name))
+    reasons.pop(said or "", None)
     return " ".join(f"What {', '.join(names)} cost cannot be worked out: {why}." for why, names in reasons.items())
 
 
 def cost_words(summary: RunSummary) -> str:
     """Where the accuracy goes, in sentences that say no other module than the verdicts do without saying why."""
     right = summary.accuracy.value
-    text = f"Of 100 expressions {100 * right:.1f} are answered rightly, {100 * (1 - right):.1f} are not."
+    shares = (f"{100 * share:.1f}" if 100 * share >= LEAST_SAID else "none" for share in (right, 1 - right))
+    text = "Of 100 expressions {} are answered rightly, {} are not.".format(*shares)
     parts = {name: e.value for name, e in summary.loss.items() if name != "accuracy" and 100 * e.value >= LEAST_SAID}
     worst = sorted(parts, key=lambda name: -parts[name])[:2]
     if worst:
@@ -328,8 +330,8 @@ def cost_words(summary: RunSummary) -> str:
         elif name not in NAMED_BY:
             why = "that is no module whose truth would mend it alone"
         text += f" Verdicts name {of}; {why}."
-    rest = untold_words(summary)
-    return f"{text} {rest}" if rest and not (named and named[0][0] in summary.untold) else text
+    rest = untold_words(summary, summary.untold.get(named[0][0]) if named else None)
+    return f"{text} {rest}" if rest else text
 
 
 def _codes(name: str) -> str:
