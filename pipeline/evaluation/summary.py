@@ -200,7 +200,7 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
     ordered = sorted(details, key=lambda p: (VERDICTS.index(p[0]), -details[p].count, p[1]))
     answered, oracles = column(records, "set_correct"), KnownOracles.of(records)
     right, unmended, whole = oracles.right, oracles.unmended, oracles.known == EVERY
-    costs = dict(zip(ORACLES, (right @ shapley_weights(len(ORACLES)).T).T, strict=True))
+    costs: dict[str, np.ndarray] = dict(zip(ORACLES, (right @ shapley_weights(len(ORACLES)).T).T, strict=True))
     if abs(sum(c.mean() for c in costs.values()) - (right[:, -1] - right[:, 0]).mean()) > EXACT:
         raise AssertionError("Shapley values do not sum to v(all) - v(none)")
     costs["PARSE"] = right[:, 0] - answered
