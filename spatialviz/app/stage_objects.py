@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from pipeline.answering.ask import Trace
@@ -191,12 +193,15 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
         return [h.p("No relation between two objects is asked, or no pair is chosen.", cls="dim")]
     # "the table holding the lamp" asks for the lamp on the table.
     a, b = (pair.reference, pair.target) if trace.inverse else (pair.target, pair.reference)
+    # Of imported relations it is told which the file gives; what the rule would say of these is no part of them.
+    ours = trace.scores.worked_out(a, b)
+    marks = letter if trace.scores.given is None else None
     bars = [
         _bar(
             state,
             relation,
             float(trace.scores.probabilities[a, b, n]),
-            letter(trace.scores.states[a, b, n]),
+            marks(trace.scores.states[a, b, n]) if marks else "worked out" if relation in ours else "given",
             None if state.edited is None else state.edited.relation_before(a, b, relation),
             n,
         )
@@ -206,20 +211,22 @@ def relations_evidence(state: State, trace: Trace) -> list[Child]:
         bars.append(_bar(state, trace.relation, pair.p_relation))
     links, asked = pair.links if len(pair.links) > 1 else (), asked_pair(trace, pair, state.edits)
     return [
-        h.h3(f"{state.name_of(a)} → {state.name_of(b)}", h.span(f"by {_scored_by(trace.scores, trace.scorer)}")),
+        h.h3(f"{state.name_of(a)} → {state.name_of(b)}", h.span(f"by {_scored_by(trace.scores, trace.scorer, ours)}")),
         bars,
         (h.p(f"{link_words(link, state.name_of)}: {probability(link.probability)}") for link in links),
         None if asked is None else _placement(state, asked),
     ]
 
 
-def _scored_by(scores: RelationScores, scorer: str) -> str:
-    """The scorer, and what the relations it has nothing for are scored by: "rel32; on, in, near by rule"."""
+def _scored_by(scores: RelationScores, scorer: str, ours: Collection[str]) -> str:
+    """The scorer, and what the relations it has nothing for are scored by: "rel32; on, in, near by rule"; of imported
+    ones those that are worked out in `ours`."""
     others: dict[str, list[str]] = {}
     for relation in scores.relations:
-        if scores.scored_by[relation] != scorer:
-            others.setdefault(scores.scored_by[relation], []).append(relation)
-    return "; ".join([scorer, *(f"{', '.join(names)} by {other}" for other, names in others.items())])
+        by = "worked out here" if relation in ours else f"by {scores.scored_by[relation]}"
+        if relation in ours or scores.scored_by[relation] != scorer:
+            others.setdefault(by, []).append(relation)
+    return "; ".join([scorer, *(f"{', '.join(names)} {by}" for by, names in others.items())])
 
 
 def _bar(
