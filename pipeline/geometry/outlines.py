@@ -155,21 +155,25 @@ def _depth_steps(depth: np.ndarray) -> tuple[np.ndarray, ...]:
     v, u = np.nonzero(outline)
     # Only the step counts for its direction, however far what is behind it lies.
     behind = filled - cv2.erode(filled, np.ones((5, 5), np.uint8)) > step
-    return v, u, depth[v, u], _angle(cv2.GaussianBlur(behind.astype(np.float32), (0, 0), 2.0))[v, u]
+    return v, u, depth[v, u], _angle(cv2.GaussianBlur(behind.astype(np.float32), (0, 0), 2.0), v, u)
 
 
-def _angle(picture: np.ndarray) -> np.ndarray:
-    across, down = (cv2.Sobel(picture, cv2.CV_32F, *way) for way in ((1, 0), (0, 1)))
+def _angle(picture: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Direction across the edges of a picture (radians, 0..pi) at pixels."""
+    across, down = (cv2.Sobel(picture, cv2.CV_32F, *way)[v, u] for way in ((1, 0), (0, 1)))
     return np.arctan2(down, across) % np.pi
 
 
 def _away(rgb: np.ndarray) -> np.ndarray:
     grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), (0, 0), 1.2)
-    edge, angle = cv2.Canny(grey, *EDGES) > 0, _angle(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.0))
+    v, u = np.nonzero(cv2.Canny(grey, *EDGES))
+    angle = _angle(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.0), v, u)
     found = []
     for way in range(WAYS):
         off = np.abs(angle - way * np.pi / WAYS)
-        alike = edge & (np.minimum(off, np.pi - off) < np.deg2rad(OFF_WAY_DEG))
-        pixels = cv2.distanceTransform((~alike).astype(np.uint8), cv2.DIST_L2, 3) * (WIDE / rgb.shape[1])
+        alike = np.minimum(off, np.pi - off) < np.deg2rad(OFF_WAY_DEG)
+        no_edge = np.ones(grey.shape, np.uint8)
+        no_edge[v[alike], u[alike]] = 0
+        pixels = cv2.distanceTransform(no_edge, cv2.DIST_L2, 3) * (WIDE / rgb.shape[1])
         found.append(np.minimum(pixels * AWAY_STEPS, 255).astype(np.uint8))
     return np.stack(found)

@@ -1,25 +1,32 @@
-"""What may be wrong with a camera, a unit or poses, and the views as they would be then: the list that is tried."""
+"""What may be wrong with a camera or with poses and is no number: the list of what is tried.
+
+A cause is what is kept where it is true. Frames are read with it (`Seen.mended`), and their views compared with those
+that were read, so that what is tried is what is mended. Another one, such as pictures that are mirrored, is one more
+entry here, and its key one more line there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from pipeline.geometry.landing import Views
-from pipeline.geometry.pose_convention import CONVENTIONS, STANDARD, standard_poses
+from pipeline.datasets.doctor.seen import Seen
+from pipeline.geometry.pose_convention import CONVENTIONS, STANDARD
+from pipeline.language.counted import counted
 
 RESIZED = (0.5, 2.0, 1 / 3, 3.0, 0.25, 4.0, 2 / 3, 1.5)
 """Sizes of a picture whose camera is told, by the size of those that are read."""
 NEAR_MIDDLE = 0.06
 """A principal point is of such a size where it is then so near to the middle, by the width."""
+SWAPPED, MIDDLE = "cx and cy swapped", "principal point in the middle"
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One thing that may be wrong and is no number.
+    """One thing that may be wrong.
 
     Attributes
     ----------
@@ -28,53 +35,37 @@ class Cause:
     words : str
         What is true then.
     mend : dict
-        What `write_settings` is to keep then; without what follows from the intrinsics.
-    applied : callable
-        The views as they are read, to those that are true then.
+        What `Seen.mended` takes.
     """
 
     about: str
     words: str
     mend: Mapping[str, Any] = field(default_factory=dict, compare=False)
-    applied: Callable[[Views], Views] = field(default=lambda views: views, compare=False, repr=False)
 
 
 AS_READ = Cause("", "")
 
 
-def causes(views: Views) -> tuple[Cause, ...]:
-    """All that are tried of views, but for the time of their poses."""
-    size = views.size
-    middle = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2])
-    found = [
-        Cause("principal point", "cx and cy swapped", applied=lambda v: _centred(v, v.K[:, 1::-1, 2])),
-        Cause("principal point", "principal point in the middle", applied=lambda v: _centred(v, middle)),
-    ]
-    told = views.K[0, :2, 2]
-    for by in RESIZED:
-        if np.abs(told / by - middle).max() < NEAR_MIDDLE * size[1]:
-            words = f"intrinsics of a picture {by:.2g} times as large"
-            found.append(Cause("principal point", words, applied=lambda v, by=by: _resized(v, by)))
-    for name in CONVENTIONS:
-        if name != STANDARD:
-            moved = lambda v, name=name: replace(v, poses=standard_poses(v.poses, name))  # noqa: E731
-            found.append(Cause("poses", f"poses are {name}", {"poses": name}, moved))
+def causes(seen: Seen) -> tuple[Cause, ...]:
+    """All that are tried of frames, but for the time of their poses."""
+    K, (height, width) = seen.intrinsics, seen.frames[0].depth.shape
+    found = [] if K is None else other_centers(K, (height, width))
+    found += [Cause("poses", f"poses are {name}", {"poses": name}) for name in CONVENTIONS if name != STANDARD]
     return AS_READ, *found
 
 
-def late(shift: int, poses: np.ndarray) -> Cause:
-    """Poses that are those of frames some places on ((F, 4, 4), NaN where there is none)."""
-    when = f"poses are of frames {abs(shift)} places {'later' if shift > 0 else 'earlier'}"
-    return Cause("time", when, {"pose_shift": shift}, lambda views: replace(views, poses=poses))
+def other_centers(K: np.ndarray, size: tuple[int, int]) -> list[Cause]:
+    """What else (3, 3) intrinsics may mean for pictures of (height, width) by their principal point."""
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    middle = (size[1] - 1) / 2, (size[0] - 1) / 2
+    found = [(SWAPPED, (fx, fy, cy, cx)), (MIDDLE, (fx, fy, *middle))]
+    for by in RESIZED:
+        if max(abs(cx / by - middle[0]), abs(cy / by - middle[1])) < NEAR_MIDDLE * size[1]:
+            found.append((f"intrinsics of a picture {by:.2g} times as large", (fx / by, fy / by, cx / by, cy / by)))
+    return [Cause("principal point", words, {"intrinsics": tuple(map(float, four))}) for words, four in found]
 
 
-def _centred(views: Views, center: np.ndarray) -> Views:
-    K = views.K.copy()
-    K[:, :2, 2] = center
-    return replace(views, K=K)
-
-
-def _resized(views: Views, by: float) -> Views:
-    K = views.K.copy()
-    K[:, :2] /= by
-    return replace(views, K=K)
+def late(shift: int) -> Cause:
+    """Poses that stand some places later."""
+    when = f"poses are of frames {counted(abs(shift), 'place')} {'later' if shift > 0 else 'earlier'}"
+    return Cause("time", when, {"pose_shift": shift})

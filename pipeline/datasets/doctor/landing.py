@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.datasets.doctor.causes import MIDDLE, SWAPPED
 from pipeline.datasets.doctor.hypotheses import Hypothesis
 from pipeline.datasets.doctor.principal_point import center_by_middle
 from pipeline.datasets.doctor.search import FINE, Range, Search
@@ -50,11 +51,10 @@ class OfLanding:
 
     def opinions(self, seen: Seen, known: Sequence[Opinion]) -> list[Opinion]:
         search = Search(seen) if seen.mends else self.search(seen)
-        K = _common_intrinsics(seen)
         pairs = len(search.fine.pairs)
         if pairs >= LEAST_PAIRS and search.at(search.best) >= LEAST_SCORE:
             found = [_poses(search), _time(search), _scale(search, seen.units), _focal(search), _center(search)]
-            return _with_intrinsics(found, search.best, K, search)
+            return _with_intrinsics(found, search.best, search)
         if pairs >= LEAST_PAIRS:
             best = f"at best {search.at(search.best):.0%} of the points land"
             why = f"nothing that was tried makes {pairs} pairs agree ({best}): are the poses of other frames?"
@@ -66,7 +66,7 @@ class OfLanding:
         found = [Opinion(about, "unknown", why) for about in subjects]
         shown = center_by_middle(search.coarse.K[0], search.coarse.size)
         found[-1] = shown[0] or found[-1]
-        return _with_intrinsics(found, Hypothesis(cause=shown[1]), K, search)
+        return _with_intrinsics(found, Hypothesis(cause=shown[1]), search)
 
     def measured(self, seen: Seen, mended: Seen) -> tuple[Measured, ...]:
         search = self.search(seen)
@@ -74,13 +74,6 @@ class OfLanding:
             # A principal point of one picture has nothing else that speaks for it.
             return ()
         return (Measured(*search.of_regions(mended), LEAST_GAIN),)
-
-
-def _common_intrinsics(seen: Seen) -> np.ndarray | None:
-    """(3, 3) those of all frames; None where they differ, or are of the colour that depth is warped to."""
-    first = seen.frames[0].camera.K
-    alike = all(np.allclose(frame.camera.K, first) for frame in seen.frames)
-    return first if alike and not seen.settings.registration else None
 
 
 def _against(search: Search, left: Callable[[Hypothesis], bool], otherwise: Hypothesis) -> tuple[str, dict[str, float]]:
@@ -206,14 +199,14 @@ def _focal(search: Search) -> Opinion:
 
 def _by_cause(h: Hypothesis, search: Search) -> float:
     """Focal length under the cause of a hypothesis, by the one read."""
-    return float(h.cause.applied(search.coarse).K[0, 0, 0] / search.coarse.K[0, 0, 0])
+    return float(search.views(h.cause, coarse=True).K[0, 0, 0] / search.coarse.K[0, 0, 0])
 
 
 def _center(search: Search) -> Opinion:
     size, best, told = search.fine.size, search.best, search.coarse.K[0, :2, 2]
 
     def center(h: Hypothesis) -> np.ndarray:
-        return h.cause.applied(search.coarse).K[0, :2, 2]
+        return search.views(h.cause, coarse=True).K[0, :2, 2]
 
     def apart(h: Hypothesis, other: np.ndarray) -> bool:
         return float(np.abs(center(h) - other).max()) > SAME_CENTER * size[1]
@@ -224,8 +217,8 @@ def _center(search: Search) -> Opinion:
         if by_middle is not None and (by_middle.state == "wrong" or not apart(best, told)):
             return by_middle
         return Opinion("principal point", "unknown", "it lands as well with another principal point")
-    middle = next(cause for cause in search.causes if "middle" in cause.words)
-    otherwise = Hypothesis() if apart(best, told) else Hypothesis(cause=middle)
+    middle = [Hypothesis(cause=cause) for cause in search.causes if cause.words == MIDDLE]
+    otherwise = Hypothesis() if apart(best, told) or not middle else middle[0]
     lands, evidence = _against(search, lambda h: apart(h, center(best)), otherwise)
     text = f"{lands}, {evidence['otherwise']:.0%} with another principal point"
     if not apart(best, told):
@@ -233,20 +226,19 @@ def _center(search: Search) -> Opinion:
     return Opinion("principal point", "wrong", f"{text}: {best.cause.words}", evidence=evidence)
 
 
-def _with_intrinsics(found: list[Opinion], best: Hypothesis, K: np.ndarray | None, search: Search) -> list[Opinion]:
+def _with_intrinsics(found: list[Opinion], best: Hypothesis, search: Search) -> list[Opinion]:
     """The opinions with the intrinsics that those on focal length and principal point ask for, both in one."""
     *_, focal, center = found
-    views = search.coarse
-    if center.state == "wrong" and best.cause.about != "principal point":
-        best = replace(best, cause=center_by_middle(views.K[0], views.size)[1])
+    K, views = search.seen.intrinsics, search.coarse
     mend, option = {}, "mend it where it stands: frames have intrinsics of their own, or a declared registration"
     if K is not None:
-        right, true = K.copy(), best.intrinsics(best.cause.applied(views).K[0])
-        if focal.state == "wrong" or best.cause.words.startswith("intrinsics"):
-            right[[0, 1], [0, 1]] = true[[0, 1], [0, 1]]
-        if center.state == "wrong":
-            right[:2, 2] = true[:2, 2]
-        four = tuple(round(float(n), 3) for n in (right[0, 0], right[1, 1], right[0, 2], right[1, 2]))
+        if center.state == "wrong" and best.cause.about != "principal point":
+            best = replace(best, cause=center_by_middle(K, views.size)[1])
+        true = best.intrinsics(search.views(best.cause, coarse=True).K[0])
+        of_size = best.cause.words not in (SWAPPED, MIDDLE) and center.state == "wrong"
+        fx, fy = (true if focal.state == "wrong" or of_size else K)[[0, 1], [0, 1]]
+        cx, cy = (true if center.state == "wrong" else K)[:2, 2]
+        four = tuple(round(float(n), 3) for n in (fx, fy, cx, cy))
         mend, option = {"intrinsics": four}, f"--intrinsics {','.join(f'{n:g}' for n in four)}"
     of_camera = (replace(o, mend=mend, option=option) if o.state == "wrong" else o for o in (focal, center))
     return [*found[:-2], *of_camera]

@@ -33,7 +33,7 @@ class OfOutlines:
         return [_opinion(seen)]
 
     def measured(self, seen: Seen, mended: Seen) -> tuple[Measured, ...]:
-        own, other = ((o, Registration.none(o.camera)) for o in (Outlines.of(seen.frames), Outlines.of(mended.frames)))
+        own, other = ((o, Registration.none(o.camera)) for o in (seen.outlines, mended.outlines))
         plain = [o.by_region(o.near(none)) for o, none in (own, other)]
         above = [o.by_region(o.above_chance(none)) for o, none in (own, other)]
         peaked = np.nan_to_num(above[0]) > REGION_PEAK
@@ -43,7 +43,7 @@ class OfOutlines:
 
 
 def _opinion(seen: Seen) -> Opinion:
-    outlines = Outlines.of(seen.frames)
+    outlines = seen.outlines
     told = Registration.none(outlines.camera)
     near = outlines.near(told)
     own = outlines.by_region(near)

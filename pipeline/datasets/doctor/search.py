@@ -60,16 +60,22 @@ class Search:
         posed = [frame.camera.T_world_camera is not None for frame in frames]
         many = range(len(frames))
         pairs = [(a, b) for a in many for b in many if a != b and scenes[a] == scenes[b] and posed[a] and posed[b]]
-        depths, cameras = [f.depth for f in frames], [f.camera for f in frames]
         array = np.array(pairs, np.int64).reshape(-1, 2)
-        self.coarse = Views.of(depths, cameras, array, COARSE_GRID)
-        fine = Views.of(depths, cameras, array, FINE_GRID)
-        self._fine = replace(fine, detail=np.stack([detail_of(f.rgb) for f in frames]))
-        self.causes = causes(self.coarse)
+        self.coarse, self._fine = (views_of(seen, array, grid) for grid in (COARSE_GRID, FINE_GRID))
+        self._fine = replace(self._fine, detail=np.stack([detail_of(f.rgb) for f in frames]))
+        self.causes = causes(seen)
         self._blocks: dict[tuple[Hypothesis, float], np.ndarray] = {}
         self._scores: dict[tuple[Hypothesis, float], float] = {}
         self._refined: dict[tuple[Hypothesis, tuple[str, ...]], Hypothesis] = {}
-        self._views: dict[Cause, Views] = {}
+        self._views: dict[tuple[Cause, bool], Views] = {}
+
+    def views(self, cause: Cause, coarse: bool = False) -> Views:
+        """The views of the frames as they are read with a cause."""
+        key = cause, coarse
+        if key not in self._views:
+            like = self.coarse if coarse else self.fine
+            self._views[key] = like if cause == AS_READ else views_like(like, self.seen, self.seen.mended(cause.mend))
+        return self._views[key]
 
     # What explains the views
 
@@ -78,7 +84,7 @@ class Search:
         """The best of each cause but time, the best first."""
         found = []
         for cause in self.causes:
-            views = cause.applied(self.coarse)
+            views = self.views(cause, coarse=True)
             tried = [Hypothesis(scale, 1.0, cause) for scale in SCALES]
             if cause == AS_READ:
                 tried += [replace(h, focal=focal) for h in tried for focal in FOCALS]
@@ -91,7 +97,7 @@ class Search:
         """Pairs that overlap under any of the best explanations: those that overlap most, and some of the others."""
         best = np.zeros(len(self._fine.pairs))
         for hypothesis in (*self.looked_around[:2], Hypothesis()):
-            landing = hypothesis.landing(hypothesis.cause.applied(self.coarse), COARSE)
+            landing = hypothesis.landing(self.views(hypothesis.cause, coarse=True), COARSE)
             share = landing.landed.sum(axis=1) / np.maximum(landing.lifted.sum(axis=1), 1)
             best = np.maximum(best, share)
         order = np.argsort(-best, kind="stable")
@@ -107,10 +113,10 @@ class Search:
 
         def add(shifts: Sequence[int]) -> None:
             for shift in shifts:
-                poses = self.seen.poses_at(shift)
-                known = posed(poses, self.fine.pairs)
+                cause = late(shift)
+                known = posed(self.views(cause).poses, self.fine.pairs)
                 if 3 * np.count_nonzero(known) > len(known):
-                    found[shift] = Hypothesis(cause=late(shift, poses))
+                    found[shift] = Hypothesis(cause=cause)
 
         add(SHIFTS)
         while found:
@@ -188,9 +194,7 @@ class Search:
     def _of_blocks(self, hypothesis: Hypothesis, tolerance: float = FINE) -> np.ndarray:
         key = hypothesis, tolerance
         if key not in self._blocks:
-            if hypothesis.cause not in self._views:
-                self._views[hypothesis.cause] = hypothesis.cause.applied(self.fine)
-            views = self._views[hypothesis.cause]
+            views = self.views(hypothesis.cause)
             landing = hypothesis.landing(views, tolerance, colour=tolerance == FINE)
             self._blocks[key], self._scores[key] = by_block(landing, views), score(landing)
         return self._blocks[key]
@@ -215,23 +219,31 @@ class Search:
 
     def of_regions(self, mended: Seen) -> tuple[np.ndarray, np.ndarray]:
         """(B,) shares of the points that land, of each block of the pictures, as read and with the frames mended."""
-        ids = [frame.id for frame in mended.frames]
-        places = {k: ids.index(frame.id) for k, frame in enumerate(self.seen.frames) if frame.id in ids}
-        cameras = [mended.frames[places[k]].camera for k in places]
-        posed = {k for k, camera in zip(places, cameras, strict=True) if camera.T_world_camera is not None}
-        pairs = np.array([(a, b) for a, b in self.fine.pairs.tolist() if a in posed and b in posed], np.int64)
+        other = views_like(self.fine, self.seen, mended)
+        pairs = other.pairs[posed(other.poses, other.pairs)]
         if not len(pairs):
             return np.full(1, np.nan), np.full(1, np.nan)
         found = []
-        for views, index in ((self.fine, None), (self._views_of(mended), places)):
-            own = views.of_pairs(pairs if index is None else np.vectorize(index.__getitem__)(pairs))
-            landing = Hypothesis().landing(own, FINE, colour=True)
+        for views in (self.fine, other):
+            landing = Hypothesis().landing(views.of_pairs(pairs), FINE, colour=True)
             met = np.maximum(landing.met.sum(axis=0), LEAST_MET * landing.lifted.sum(axis=0))
             found.append(np.where(met > 0, landing.landed.sum(axis=0) / np.maximum(met, 1), np.nan))
         return found[0], found[1]
 
-    @staticmethod
-    def _views_of(seen: Seen) -> Views:
-        frames = seen.frames
-        views = Views.of([f.depth for f in frames], [f.camera for f in frames], np.zeros((0, 2), np.int64), FINE_GRID)
-        return replace(views, detail=np.stack([detail_of(f.rgb) for f in frames]))
+
+def views_of(seen: Seen, pairs: np.ndarray, grid: tuple[int, int]) -> Views:
+    """Views of frames, with pairs and points; a pose that is missing is NaN."""
+    cameras = [frame.camera for frame in seen.frames]
+    missing = np.array([camera.T_world_camera is None for camera in cameras])
+    views = Views.of([frame.depth for frame in seen.frames], cameras, pairs, grid)
+    return replace(views, poses=np.where(missing[:, None, None], np.nan, views.poses))
+
+
+def views_like(like: Views, seen: Seen, mended: Seen) -> Views:
+    """The views of the same frames mended, with the same pairs and points; one that cannot be read has no pose."""
+    by_id = {frame.id: frame for frame in mended.frames}
+    frames = [by_id.get(f.id, replace(f, camera=replace(f.camera, T_world_camera=None))) for f in seen.frames]
+    views = views_of(replace(mended, frames=tuple(frames)), like.pairs, (1, 1))
+    changed = any(a.rgb is not b.rgb for a, b in zip(frames, seen.frames, strict=True))
+    detail = np.stack([detail_of(f.rgb) for f in frames]) if changed and like.detail is not None else like.detail
+    return replace(views, u=like.u, v=like.v, z=views.depth[:, like.v, like.u], detail=detail)

@@ -14,6 +14,7 @@ from pipeline.datasets.cameras import or_note
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.outlines import Outlines
 from pipeline.geometry.pose_convention import STANDARD, standard_poses
 from pipeline.geometry.registration import Registration, registered
 from pipeline.system.errors import InputError
@@ -50,9 +51,17 @@ class Seen:
         """The scene of each frame."""
         return [scene_of(self.dataset, frame.id) for frame in self.frames]
 
-    @property
-    def posed(self) -> bool:
-        return any(frame.camera.T_world_camera is not None for frame in self.frames)
+    @cached_property
+    def intrinsics(self) -> np.ndarray | None:
+        """(3, 3) those of all frames; None where they differ, or are of the colour that depth is warped to."""
+        first = self.frames[0].camera.K
+        alike = all(np.allclose(frame.camera.K, first) for frame in self.frames)
+        return first if alike and not self.settings.registration else None
+
+    @cached_property
+    def outlines(self) -> Outlines:
+        """Those of the depth of the frames."""
+        return Outlines.of(self.frames)
 
     def mended(self, mend: Mapping[str, Any]) -> Seen:
         """The frames as they are read with one more mend; a frame that cannot be read with it is left out."""
@@ -65,7 +74,8 @@ class Seen:
                 T = shift[k] if np.isfinite(shift[k]).all() else None
             pose = None if T is None else standard_poses(T, mend.get("poses", STANDARD))
             K = intrinsics(*mend["intrinsics"]) if "intrinsics" in mend else camera.K
-            depth, camera = frame.depth * np.float32(scale), self._upright(k, replace(camera, K=K, T_world_camera=pose))
+            depth = frame.depth if scale == 1 else frame.depth * np.float32(scale)
+            camera = self._upright(k, replace(camera, K=K, T_world_camera=pose))
             if "registration" in mend:
                 depth, camera = registered(depth, camera, Registration(*mend["registration"]))
             try:
