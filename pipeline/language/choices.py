@@ -19,8 +19,8 @@ def _table(text: str) -> dict[str, str]:
 EXTREMES = _table(
     "left: leftmost, left most, most left, far left, farthest left, furthest left, extreme left, very left;"
     "right: rightmost, right most, most right, far right, farthest right, furthest right, extreme right, very right;"
-    "high: topmost, top most, uppermost, very top, highest, higher;"
-    "low: lowest, bottommost, bottom most, very bottom, lowermost, lower most, lower;"
+    "high: topmost, top most, uppermost, very top, highest, higher, highest up, higher up;"
+    "low: lowest, bottommost, bottom most, very bottom, lowermost, lower most, lower, lowest down, lower down;"
     "near: closest, nearest, closer, nearer, frontmost, front most, foremost, very front, closest by, nearest by;"
     "far: farthest, furthest, farther, further, backmost, back most, very back, rearmost, most distant, farthest away,"
     "furthest away, farther away, further away, farthest back, furthest back, further back, farther back;"
@@ -38,7 +38,7 @@ COMPARATIVES = frozenset(w for phrase in EXTREMES for w in phrase.split() if w.e
 
 def compares(text: str) -> bool:
     """Whether words of a choice or of a relation compare two things: `the closer of the two`, `closer to`."""
-    return not COMPARATIVES.isdisjoint(text.split())
+    return text.startswith("more ") or not COMPARATIVES.isdisjoint(text.split())
 
 
 SIDES = _table(
@@ -98,7 +98,7 @@ BARE_SIDE = re.compile(
 """A side after the noun, without a preposition: `plant far left`, `mug, right side`, `box bottom left`."""
 
 EXTREME_AT_SIDE = re.compile(
-    rf"(?:farthest|furthest|most|further|farther|closest|nearest|all the way)(?: away)? ?(?:to|on|at|toward|towards)? "
+    rf"(?:farthest|furthest|most|more|further|farther|closest|nearest|all the way)(?: away)? ?(?:to|on|at|towards?)? "
     rf"{_THE}(?P<side>left|right|top|bottom|front|back)(?: (?:hand )?(?:side|end|edge))?{_SCENE}(?= |$)(?! of )"
 )
 """`furthest to the left`, `farthest left`."""

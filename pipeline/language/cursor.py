@@ -94,7 +94,8 @@ class Cursor:
     def is_superlative_noun(self, at: int) -> bool:
         """Whether `nearest` stands before a noun, as in `the nearest chair`."""
         return self.tokens[at].text in lexicon.BEFORE_NOUNS and self._starts_noun(at + 1) and (
-            at == 0 or self.tokens[at - 1].plain in DETERMINERS or self.tokens[at - 1].plain in choices.ORDINALS
+            at == 0 or self.tokens[at - 1].plain in DETERMINERS | choices.ORDINALS.keys() | choices.NUMBERS.keys()
+            or self.tokens[at - 1].text == "next"
             or self.tokens[at - 1].relation is not None
         )  # fmt: skip
 

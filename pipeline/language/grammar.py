@@ -21,7 +21,7 @@ from pipeline.language.chain import Attach, Chain, Clause, Opened
 from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import ALTERNATIVES, Phrase
-from pipeline.language.references import ReferenceReader
+from pipeline.language.references import NO_RANK, ReferenceReader
 from pipeline.language.tokens import Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice, Span
 from pipeline.language.unreadable import FORM, NOT_EXACT, not_known, unreadable
@@ -134,7 +134,12 @@ class _Reader(ReferenceReader):
             return self._with(at)
         if self.chain.nouns and not self.opened and (found := self.match(lexicon.EXCEPT, at)):
             self.negated = True
+            self.chain.spans.append(self._span((at, found[1]), "relation", len(self.chain.clauses)))
             return found[1]
+        ordered = at + 1 < len(self.tokens) and self.tokens[at + 1].relation in ("closest", "farthest")
+        if word in choices.ORDINALS and ordered and not self.is_superlative_noun(at + 1):
+            self._note(at, at + 1, NO_RANK)
+            return at + 1
         if self.opened and word in ("neither", "not") and self._starts_noun(at + 1):
             # `near neither the bed nor the desk`
             self.opened[-1] = replace(self.opened[-1], negated=True)
@@ -226,11 +231,14 @@ class _Reader(ReferenceReader):
                 word in lexicon.LINKING and following is not None and following.relation is not None
             )
         if word == "right" or word in lexicon.POSTURES:
-            return following is None or following.relation is not None or self._structural(at + 1)
+            chosen = following is not None and following.text in choices.EXTREMES
+            return following is None or chosen or following.relation is not None or self._structural(at + 1)
         return word in lexicon.LINKING or word in lexicon.PLACE_PRONOUNS
 
     def _relation(self, at: int) -> int:
         token = self.tokens[at]
+        if (fronted := self._fronted(at)) is not None:
+            return fronted
         if not self.chain.nouns:
             opens = token.relation in ("closest", "farthest") or token.text.split()[0] in lexicon.LINKING
             if not (opens or self.asks_what or self.linked or self.joined):
@@ -245,7 +253,8 @@ class _Reader(ReferenceReader):
                 self._choice(Choice(order, None, token.text), at, scene)  # type: ignore[arg-type]
             return scene
         order = lexicon.BARE_SIDES.get(token.text)
-        if order is not None and not self._starts_noun(at + 1):
+        it = at + 1 < len(self.tokens) and self.tokens[at + 1].plain in lexicon.PLACE_PRONOUNS
+        if order is not None and not it and not self._starts_noun(at + 1):
             first = token.text == "on top" or token.text in lexicon.SUPERLATIVES
             end = at + 1
             while first and end < len(self.tokens) and self.tokens[end].plain in ("away", "back", "by", "off"):

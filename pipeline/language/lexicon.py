@@ -83,7 +83,7 @@ STACKS = _words("stack pile heap")
 SCENE = _words("room picture image photo photograph scene view frame screen shot")
 """What holds all of the frame: its sides are those of the picture."""
 
-WITH = frozenset({"with", "has", "have", "having"})
+WITH = frozenset({"with", "has", "have", "having", "got"})
 CONTRACTIONS = {
     "whats": "what's", "wheres": "where's", "whos": "who's", "thats": "that's", "theres": "there's", "heres": "here's",
     "whichs": "which's", "isnt": "isn't", "arent": "aren't", "wasnt": "wasn't", "werent": "weren't",
@@ -108,7 +108,7 @@ AMONG_FIRST = re.compile(
 """Words at the start that say among which things the one meant is."""
 
 LINKING = _words(
-    "that which who what is are was were be been being that's which's who's it's they're there also directly "
+    "that which who what is are was were be been being that's which's who's it's they're there there's also directly "
     "immediately just right straight exactly slightly somewhere still currently located positioned placed "
     "situated standing stood sitting seated lying laying laid resting hanging hung leaning mounted kept found put "
     "parked the a an can could may should would might must will shall seen visible propped stored stacked "
@@ -154,6 +154,7 @@ CLOSING = _words("please thanks is are there now asap where located")
 CLOSING_PHRASES = _phrases(
     "for me, for us, would you, will you, could you, can you, if you can, if you could, if you please, thank you, "
     "do you see it, can you see it, if possible, if you don't mind, right now, right away, thank you so much, "
+    "please and thank you, please & thank you, many thanks, thanks a lot, for me please, "
     "thank you very much"
 )
 """What may stand after the last noun and says nothing about it."""
@@ -168,7 +169,9 @@ NEGATIONS = _words(
 FILLER = re.compile(
     r"(?:(?:a |one |two |three |several |some )?(?:few |couple of |couple |little |bit )?"
     r"(?:feet|foot|inch|inches|meters|metres|centimeters|steps|bit|little|ways?)(?: away| off| over| back| up| down)?"
-    r"|(?:up|down|over|out|off|all the way|in place|by itself|here|located)|(?:you|i|we) (?:can |could )?see"
+    r"|of (?:the |these |those )?(?:two|three|four|five|six|\d+|them|all|both|lot|bunch)"
+    r"|(?:(?:high|low|way) )?(?:up|down|over|out|off)|(?:all the way|in place|by itself|here|located)"
+    r"|(?:you|i|we) (?:can |could )?see"
     r"|in (?:colou?r|size|shape)) ?(?= |$)"
 )
 """A distance or a direction before a relation, which no relation judges: `a few feet to the left of`."""
@@ -223,7 +226,7 @@ VERBS = _words("that which who whose is are was were has have should where")
 TELLING = _words(
     "left right top front behind above below under underneath beneath beside between near nearer nearest nearby next "
     "close closer closest farther farthest further furthest distant far higher lower inside outside within atop "
-    "adjacent alongside middle center centre ahead most opposite without except excluding same only"
+    "adjacent alongside middle center centre ahead most opposite without except excluding same"
 )
 """Words that tell things apart wherever they stand: left out of all parts, they are told."""
 

@@ -14,7 +14,7 @@ from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token, label_of
 from pipeline.language.tree import Choice, Role
 
-QUANTIFIERS = frozenset({"all", "both", "each", "every", "same", "whichever", "whatever", "either"})
+QUANTIFIERS = frozenset({"all", "both", "each", "every", "same", "whichever", "whatever", "either", "only"})
 _JUST = frozenset({"just", "directly", "right", "immediately", "slightly", "exactly", "straight", "almost", "very"})
 _LONGEST_CHOICE = 3
 ALTERNATIVES = "of alternatives only the first is judged"
@@ -81,6 +81,7 @@ class NounReader(LooksReader):
     """A cursor that reads noun phrases."""
 
     asks_what = False
+    stop: int | None = None
 
     # ---- one noun phrase -------------------------------------------------------------------------------------------
 
@@ -144,6 +145,7 @@ class NounReader(LooksReader):
 
     def _before(self, at: int, draft: Draft) -> int:
         """Read choices, numbers and attributes before the head."""
+        start = at
         while at < len(self.tokens):
             token = self.tokens[at]
             if found := self.match(lexicon.OF_SEVERAL, at):
@@ -162,7 +164,8 @@ class NounReader(LooksReader):
             end = self._choice_before(at, draft) or self._attribute(at, draft)
             if end is None and token.plain in lexicon.OTHER and not self._ends(at + 1):
                 end = at + 1
-            if end is None and token.plain in choices.NUMBERS and not self._ends(at + 1):
+            superlative = at + 1 < len(self.tokens) and self.tokens[at + 1].text in lexicon.BEFORE_NOUNS
+            if end is None and token.plain in choices.NUMBERS and (superlative or not self._ends(at + 1)):
                 draft.count, end = choices.NUMBERS[token.plain], at + 1
             following = attribute(self._text(at + 1))
             if end is None and token.plain in ("and", "&") and draft.attributes and following:
@@ -174,7 +177,7 @@ class NounReader(LooksReader):
                 end = at + 2
                 draft.lacks.append((following, self._text(at + 1)))
                 draft.modifiers.append((token.start, self.tokens[at + 1].end, "attribute"))
-            if end is None or (at > 0 and self.breaks[at] and not draft.attributes):
+            if end is None or (at > start and self.breaks[at] and not draft.attributes):
                 break
             at = end
         return at
@@ -204,6 +207,9 @@ class NounReader(LooksReader):
             if not all(words):
                 continue
             text = " ".join(words)
+            first, _, last = text.partition(" ")
+            if last in choices.EXTREMES and (first == "next" or (size == 1 and first in choices.ORDINALS)):
+                draft.ordinal, text = (choices.ORDINALS.get(first, 2), first), last
             order = choices.EXTREMES.get(text)
             beside = size > 1 and words[-1] == "side" and self._starts_noun(at + size) and self._text(at + size) != "of"
             sides = choices.orders_of(" ".join(words[:-1]) if beside else text)
@@ -212,8 +218,8 @@ class NounReader(LooksReader):
             rank = choices.ORDINALS.get(text) if size == 1 else None
             if order is None and not sides and rank is None:
                 continue
-            last = at + size
-            if self._compound(at) or (size == 1 and not self._may_choose(text, last, draft, bool(sides))):
+            after = at + size
+            if self._compound(at) or (size == 1 and not self._may_choose(text, after, draft, bool(sides))):
                 return None
             if rank is not None:
                 draft.ordinal = rank, text
@@ -227,8 +233,8 @@ class NounReader(LooksReader):
             else:
                 for side in sides:
                     draft.choose(side, text, None)
-            draft.modifiers.append((self.tokens[at].start, self.tokens[last - 1].end, "choice"))
-            return last
+            draft.modifiers.append((self.tokens[at].start, self.tokens[after - 1].end, "choice"))
+            return after
         return None
 
     def _may_choose(self, text: str, after: int, draft: Draft, side: bool) -> bool:
@@ -257,7 +263,7 @@ class NounReader(LooksReader):
             if token.relation is not None or (end > at and self.breaks[end]):
                 break
             before = self.tokens[end - 1].plain if end > at else None
-            if word is not None and self._stops(end, at, word, before, stop_at_and):
+            if end == self.stop or (word is not None and self._stops(end, at, word, before, stop_at_and)):
                 break
             end += 1
         return end
@@ -265,7 +271,7 @@ class NounReader(LooksReader):
     def _stops(self, end: int, at: int, word: str, before: str | None, stop_at_and: bool) -> bool:
         if word in DETERMINERS:
             return end > at and before not in lexicon.ARTICLE_BEARING
-        if word in ("of", "with") and end > at and self._color_after(end) is not None:
+        if word in ("of", "with") and end > at and (self._color_after(end) is not None or self._filler(end)):
             return True
         if word in lexicon.WITH:
             return word != "with" or end == at or not self._starts_noun(end + 1) or self._with_relation(end + 1)
@@ -284,6 +290,8 @@ class NounReader(LooksReader):
         if end == at:
             return word in lexicon.COPULAS or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
         if word in lexicon.SOMEBODY:
+            return True
+        if word in choices.ORDINALS and end > at and self._orders(end + 1):
             return True
         if (
             self._numbered(end) is not None
@@ -304,8 +312,11 @@ class NounReader(LooksReader):
             return True
         if (bare := self.match(choices.BARE_SIDE, end)) is not None and self._ends(bare[1]):
             return True
-        if word in ("up", "down", "out", "back") and self.match(choices.AT_SIDE, end + 1) is not None:
-            return True
+        if word in ("up", "down", "out", "back", "over", "high", "low"):
+            after = end + 1 + (end + 1 < len(self.tokens) and self.tokens[end + 1].plain in ("up", "down"))
+            related = after < len(self.tokens) and self.tokens[after].relation is not None
+            if related or self.match(choices.AT_SIDE, end + 1) is not None:
+                return True
         if word in ("left", "right"):
             return not self._compound(end - 1)
         if self.match(choices.AT_SIDE, end) is not None or self.match(choices.FROM_SIDE, end) is not None:
@@ -316,6 +327,13 @@ class NounReader(LooksReader):
             word in lexicon.LINKING or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
             or word in lexicon.VERBS
         )  # fmt: skip
+
+    def _orders(self, at: int) -> bool:
+        """Whether an order follows an ordinal: `(second) from the left`, `(second) closest`."""
+        text = self._text(at)
+        if at < len(self.tokens) and self.tokens[at].relation in ("closest", "farthest"):
+            return True
+        return self.match(choices.FROM_SIDE, at) is not None or (text in choices.EXTREMES and text not in choices.SIDES)
 
     def _filler(self, at: int) -> bool:
         found = self.match(lexicon.FILLER, at)
@@ -336,7 +354,8 @@ class NounReader(LooksReader):
             return None
         if at + 1 < len(self.tokens) and self.tokens[at + 1].plain in lexicon.PLACE_PRONOUNS:
             return at + 2
-        return at + 1 if token.text in lexicon.BARE_TAILS and not self._starts_noun(at + 1) else None
+        bare = token.text in lexicon.BARE_TAILS or token.text in ("on", "in")
+        return at + 1 if bare and not self._starts_noun(at + 1) else None
 
     def _ordinal_end(self, end: int, draft: Draft) -> int:
         """`from the left` after an ordinal says where it begins to count."""

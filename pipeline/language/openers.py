@@ -40,6 +40,9 @@ _TOLD = _phrases("know, tell me, see, remember, recall, seen, found, noticed, re
 _WHICH = _phrases(
     "where, which, what, where is, where are, which is, which one is, what is, if there is, whether there is"
 )
+_LIES = _phrases(
+    "lies, stands, sits, hangs, rests, do you see, can you see, can i see, do we see, do you find, else is"
+)
 _ASKING = frozenset(
     " ".join(words)
     for words in (
@@ -51,6 +54,7 @@ _ASKING = frozenset(
         *product(_AT_IT, _AFTER),
         *product(_SPEAKING, _WANTING),
         *product(_KNOWING, _TOLD, _WHICH),
+        *product(("what", "which one", "which thing", "which object"), _LIES),
     )
 )
 _FRAMES = _phrases(

@@ -16,6 +16,8 @@ from pipeline.language.tree import Choice, Span
 from pipeline.language.unreadable import FORM, not_known, unreadable
 from pipeline.system.errors import InputError, require
 
+NO_RANK = "only the closest and the farthest to a thing are judged"
+
 
 class ReferenceReader(RegionReader):
     """Reads the things after the first."""
@@ -182,6 +184,10 @@ class ReferenceReader(RegionReader):
         early = phrase.superlative
         assert early is not None
         others = tuple(c for c in phrase.choices if c.text != early.text)
+        if any(c.text == early.text and c.rank != 1 for c in phrase.choices):
+            before = [m for m in phrase.modifiers if m[1] <= early.start]
+            self.chain.spans += [Span(m[0], m[1], "unused", 0, NO_RANK) for m in before[-1:]]
+            phrase = replace(phrase, modifiers=tuple(m for m in phrase.modifiers if m not in before[-1:]))
         modifiers = tuple(m for m in phrase.modifiers if m[0] != early.start)
         phrase = replace(phrase, superlative=None, choices=others, modifiers=modifiers)
         if self.opened:

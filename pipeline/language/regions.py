@@ -122,7 +122,7 @@ class RegionReader(ChainReader):
         start = at if bare else at + 1
         if not self._starts_noun(start):
             return None
-        phrase, end = self.noun(start, stop_at_and=True)
+        phrase, end = self._who_stands(start)
         if phrase is None or phrase.where[0] == phrase.where[1] or phrase.head_word in lexicon.SOMEBODY:
             return None
         negated = False
@@ -147,12 +147,40 @@ class RegionReader(ChainReader):
         self._forget()
         return end + 1
 
+    def _who_stands(self, at: int) -> tuple[Phrase | None, int]:
+        """The thing of a clause about it: of `the plant stands`, which may be things elsewhere, the plant."""
+        phrase, end = self.noun(at, stop_at_and=True)
+        if phrase is not None and self.tokens[end - 1].plain in lexicon.POSTURES and end - 1 > phrase.where[0]:
+            self.stop = end - 1
+            phrase, end = self.noun(at, stop_at_and=True)
+            self.stop = None
+        return phrase, end
+
+    def _fronted(self, at: int) -> int | None:
+        """`the table on which the lamp stands`: a relation that holds from the thing named after it; None elsewhere."""
+        token = self.tokens[at]
+        whom = self.tokens[at + 1].plain if at + 1 < len(self.tokens) else None
+        if whom not in ("which", "whom") or token.relation not in (*MIRRORED, "on", "in") or not self.chain.nouns:
+            return None
+        phrase, end = self._who_stands(at + 2)
+        if phrase is None or phrase.where[0] == phrase.where[1]:
+            return None
+        while end < len(self.tokens) and self.tokens[end].plain in lexicon.LINKING | lexicon.POSTURES:
+            end += 1
+        number = self._add_noun(self._resolved(phrase), "reference", phrase.where)
+        self._relation_span(token)
+        clause = Clause(str(token.relation), token.text, (number,), not token.swapped, "nearest", closed=True)
+        self.chain.clauses.append(clause)
+        self._forget()
+        return end
+
     def _predicative(self, at: int) -> bool:
         """Whether what begins here is said of a thing: `is red`, `is not the red one`, and not `there is`."""
         at -= 1
         while at > 0 and (self.tokens[at].plain in lexicon.NEGATIONS or self.tokens[at].plain in lexicon.DEGREES):
             at -= 1
-        return bool(self.chain.nouns) and self.tokens[at].plain in lexicon.BE and self.tokens[at - 1].plain != "there"
+        said = self.tokens[at].plain in lexicon.BE | lexicon.POSTURES
+        return bool(self.chain.nouns) and said and self.tokens[at - 1].plain != "there"
 
     def _whole(self, at: int, phrase: Phrase) -> Phrase:
         """`the bookcase` for `the lowest shelf of the bookcase`: of what part of a thing is meant nothing is known."""

@@ -141,7 +141,7 @@ DECLARED: tuple[Relation, ...] = (
     Relation(
         "near", "near",
         (
-            "near", "near to", "nearby", "next to", "beside", "by", "close to", "close by", "by the side of",
+            "near", "near to", "nearby", "next to", "beside", "besides", "by", "close to", "close by", "by the side of",
             "adjacent to", "alongside", "alongside of", "in the vicinity of", "over by", "over near", "over next to",
         ),
         says=("near", "next to", "close to", "beside"), inverse="near", color=(170, 68, 153),

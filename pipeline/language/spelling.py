@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 
 from pipeline.language import choices
@@ -49,9 +49,18 @@ def spelled(word: str) -> str:
     return word
 
 
-def was_misspelt(word: str) -> bool:
-    """Whether `spelled` takes a word for another that is more than its usual short form."""
-    return spelled(word) != word and word not in CONTRACTIONS and word not in SHORTHAND
+def heard(words: Sequence[str]) -> list[str]:
+    """The words, in which one that sounds like a small word of the grammar is that word: `next too the`, `left off`."""
+    found = list(words)
+    for k, word in enumerate(words):
+        before, after = words[k - 1] if k else "", words[k + 1] if k + 1 < len(words) else ""
+        if word == "too" and (before in ("next", "close", "closest", "nearest", "near") or after in ("the", "a", "my")):
+            found[k] = "to"
+        elif word == "off" and before in ("left", "right", "front", "top"):
+            found[k] = "of"
+        elif word == "then" and before in choices.COMPARATIVES:
+            found[k] = "than"
+    return found
 
 
 @lru_cache(maxsize=4096)
@@ -82,17 +91,19 @@ def look_meant(word: str) -> str | None:
     return None
 
 
-def mended_spans(words: Iterable[tuple[int, int, str]], names: Collection[str]) -> tuple[tuple[int, int, str], ...]:
-    """The misspelt words of the grammar among words with their places: where each stands, and what it was read as.
+def mended_words(words: Sequence[str], own: Collection[str]) -> tuple[list[str], list[bool]]:
+    """Words as they are read, and whether each was misspelt.
 
     Parameters
     ----------
-    words : iterable of (int, int, str)
-    names : collection of str
+    words : sequence of str
+        Lower case.
+    own : collection of str
         Words of the user's own names, which are spelled as they are.
     """
-    told = ((start, end, word) for start, end, word in words if word not in names and was_misspelt(word))
-    return tuple((start, end, spelled(word)) for start, end, word in told)
+    read = heard([word if word in own else spelled(word) for word in words])
+    short = CONTRACTIONS.keys() | SHORTHAND.keys()
+    return read, [a != b and a not in short for a, b in zip(words, read, strict=True)]
 
 
 def _one_slip(word: str, meant: str) -> bool:

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from pipeline.language.lexicon import AND, LINKING, STRUCTURAL, WITH, phrase_table
 from pipeline.language.naming import DETERMINERS, Synonyms
-from pipeline.language.spelling import mended_spans, spelled
+from pipeline.language.spelling import mended_words
 from pipeline.system.errors import InputError, require
 
 MAX_LENGTH = 300
@@ -86,8 +86,9 @@ _PHRASES = _phrases_by_first_word()
 
 def mended(text: str, known: Vocabulary) -> tuple[tuple[int, int, str], ...]:
     """The words of the grammar that were misspelt: where each stands, and what it was read as."""
-    words = ((m.start(), m.end(), m[0].lower().replace("’", "'")) for m in _WORD.finditer(text))
-    return mended_spans(words, known.words)
+    found = list(_WORD.finditer(text))
+    read, wrong = mended_words([m[0].lower().replace("’", "'") for m in found], known.words)
+    return tuple((m.start(), m.end(), word) for m, word, is_wrong in zip(found, read, wrong, strict=True) if is_wrong)
 
 
 def words_of(name: str) -> tuple[str, ...]:
@@ -167,7 +168,7 @@ def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[T
     """
     found = list(_WORD.finditer(text))
     words = [m[0].lower().replace("’", "'") for m in found]
-    words = [w if w in known.words else spelled(w) for w in words]
+    words, _ = mended_words(words, known.words)
     words = [
         "with" if w == "w" and text[m.end() : m.end() + 1] == "/" else w for w, m in zip(words, found, strict=True)
     ]
