@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from pipeline.corrections.journal.examining import examine
 from pipeline.datasets import open_dataset
 from pipeline.labels import read_table
 from pipeline.language.vectors import open_vectors
@@ -87,6 +88,19 @@ def test_a_huge_description_of_a_recording(tmp_path: Path) -> None:
 def test_a_huge_end_of_a_table_of_labels(tmp_path: Path) -> None:
     path = sparse(tmp_path / "objects.parquet", b"PAR1", PARQUET_2G)
     refused(lambda: read_table(path, "objects"))
+
+
+@pytest.mark.parametrize("head", [b"", b"SQLite format 3\0", b'{"a":"'])
+def test_a_huge_journal(head: bytes, tmp_path: Path) -> None:
+    path = sparse(tmp_path / "journal.sqlite", head, b"")
+    assert examine(path).damage
+
+
+def test_a_huge_log_of_a_journal(tmp_path: Path) -> None:
+    path = tmp_path / "journal.sqlite"
+    path.write_bytes(b"SQLite format 3\0" + bytes(4080))
+    sparse(tmp_path / "journal.sqlite-wal", b"\x37\x7f\x06\x82", b"")
+    assert "log" in examine(path).damage[0]
 
 
 def test_a_huge_table_of_vectors(tmp_path: Path) -> None:

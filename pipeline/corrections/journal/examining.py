@@ -30,6 +30,7 @@ from pipeline.corrections.journal.chain import (
     judged_alone,
 )
 from pipeline.corrections.journal.sqlite_file import connected, lost_in_log, plain_reason, read_plainly
+from pipeline.system.door import limits_of
 from pipeline.system.errors import InputError, require
 
 _NOT_DAMAGE = ("locked", "unable to open", "disk i/o", "readonly", "full", "permission", "out of memory", "busy")
@@ -198,16 +199,20 @@ def _mended(path: Path) -> Examined | None:
     """What is in a copy whose first bytes are made anew: they hold nothing of a journal's own; None if it is no use."""
     with suppress(*_ERRORS, OSError, InputError), tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
         copy, log = Path(folder) / path.name, Path(f"{path}-wal")
-        data = bytearray(read_plainly(path, path.read_bytes) or b"")
-        if len(data) < 512:
+        # A larger one is no journal of people's work, and would be copied for nothing.
+        length = path.stat().st_size
+        if not 512 <= length <= limits_of(path).bytes or not read_plainly(path, lambda: shutil.copyfile(path, copy)):
             return None
+        with open(copy, "r+b") as file:
+            data = bytearray(file.read(512))
         size = int.from_bytes(data[16:18], "big")
         size = size if size >= 512 and size & (size - 1) == 0 else 4_096
         data[:24] = struct.pack(">16sH6B", _MAGIC, size, *([2, 2] if log.exists() else [1, 1]), *_FIXED)
         # Pages, no free ones; a schema of format 4 without automatic vacuum, in UTF-8.
-        for at, values in ((24, (1, len(data) // size, 0, 0)), (44, (4, 0, 0, 1)), (64, (0,)), (92, (1,))):
+        for at, values in ((24, (1, length // size, 0, 0)), (44, (4, 0, 0, 1)), (64, (0,)), (92, (1,))):
             struct.pack_into(f">{len(values)}I", data, at, *values)
-        copy.write_bytes(data)
+        with open(copy, "r+b") as file:
+            file.write(data)
         if log.exists():
             shutil.copy(log, f"{copy}-wal")
         with read_only(copy, not log.exists()) as connection:

@@ -28,11 +28,15 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import DisconnectionError
 
+from pipeline.system.limits import shown
+
 BUSY_S = 60.0
 """How long a writer waits for its turn."""
 READING = "spatialviz_reading"
 GONE = "the journal's file is gone"
 _FILE = "spatialviz_file"
+LONGEST_LOG = 64 * 10**6
+"""Bytes; SQLite empties a log of a thousand pages into the file."""
 _ROOM = 1 << 17
 """Bytes that saving an edit may need, for pages of the log and its index."""
 _GUARD = Lock()
@@ -175,6 +179,9 @@ def lost_in_log(path: Path) -> str | None:
         Of the journal.
     """
     found, seen = None, b""
+    with suppress(OSError):
+        if Path(f"{path}-wal").stat().st_size > LONGEST_LOG:
+            return f"its write-ahead log is longer than {shown(LONGEST_LOG)} bytes"
     for _ in range(_TRIES):
         # The index first: what it says was saved is in a log that is read after it.
         index, log = _bytes(Path(f"{path}-shm")), _bytes(Path(f"{path}-wal"))
