@@ -6,6 +6,7 @@ import csv
 import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import fields
 from itertools import islice
 from pathlib import Path
@@ -21,15 +22,16 @@ from pipeline.evaluation.comparing import CHANGES, Comparison, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
 from pipeline.evaluation.querying import QueryRows, open_database
+from pipeline.evaluation.recorded import doubts_of
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run import EvalSpec, VlmOptions
-from pipeline.evaluation.run_folder import labels_of, manifest_of
+from pipeline.evaluation.run_folder import labels_of, manifest_of, open_run
 from pipeline.evaluation.search import find_failures
 from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
-from pipeline.evaluation.summary import RunSummary, need_verdicts, summarise_run, summary_tables
+from pipeline.evaluation.summary import RunSummary, cost_words, need_verdicts, summarise_run, summary_tables
 from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
 from pipeline.system.arrow import pa
@@ -188,11 +190,16 @@ def failures_of(
     shares, summary = shares_of_run(manifest, labels_of(command.run_folder)), summarise_run(records)
     cuts = [slice_by({name: records}, d, most=None if command.json else MOST_ROWS) for d in dimensions]
     comparison = None if second is None else compare(records, second)
+    doubts: tuple[str, ...] = ()
+    with suppress(InputError):
+        # A run of the first releases does not say what it was made of.
+        doubts = doubts_of(open_run(command.run_folder))
     shown = found.slice(0, command.limit).select([c for c in SHOWN if c in found.column_names])
     record = {
         "search": command.search,
         "system": name,
         "shares": [share.record() for share in shares],
+        "doubts": list(doubts),
         "found": found.num_rows,
         "failures": [{key: plain(value) for key, value in row.items()} for row in shown.to_pylist()],
         "summary": summary.record(),
@@ -201,7 +208,13 @@ def failures_of(
         "filters": rows.notes.filters,
         "comparison": None if comparison is None else comparison.record(),
     }
-    return record, lambda _: print_failures(command, name, shares, summary, cuts, found, comparison)
+
+    def show(_: dict[str, Any]) -> None:
+        print_failures(command, name, shares, summary, cuts, found, comparison)
+        for doubt in doubts:
+            say(doubt, style="yellow")
+
+    return record, show
 
 
 def run_query(command: Query) -> int:
@@ -358,6 +371,7 @@ def print_failures(
         for table in (*summary_tables({name: summary}), *(slice_table(s, intervals=False) for s in cuts)):
             print_table(with_caveats(table, {name: shares}), caveats=False)
             say()
+        say(cost_words(summary))
     if not command.search:
         _print_found(command, name, summary.expressions, found)
     for share in shares:

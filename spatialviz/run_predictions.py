@@ -8,9 +8,10 @@ from typing import Any
 from pipeline.evaluation.adapters import import_published
 from pipeline.evaluation.importing import export_run
 from pipeline.evaluation.job import PREDICTIONS_FILE, RunReport
+from pipeline.evaluation.judging_again import judge_again
 from pipeline.evaluation.run_folder import open_run
 from pipeline.language.counted import counted
-from spatialviz.cli_ask import ExportRun, ImportRun
+from spatialviz.cli_ask import ExportRun, ImportRun, JudgeAgain
 from spatialviz.options import warn
 from spatialviz.printing import rate_bar, say
 from spatialviz.run_eval import print_run, run_record
@@ -50,6 +51,15 @@ def print_imported(report: RunReport, imported: Mapping[str, Any]) -> None:
         more = f" and {lacks['lines'] - 1} more give" if lacks["lines"] > 1 else " gives"
         without = f"no {lacks['field']}, without which a verdict cannot name {_NAMED[lacks['field']]}"
         say(f"line {lacks['line']}{more} {without} [{report.folder / PREDICTIONS_FILE}]")
+
+
+def run_judge_again(command: JudgeAgain) -> None:
+    with rate_bar("judging", "steps") as advance:
+        record = judge_again(command.folder, command.out, workers=command.workers, progress=advance)
+    counted_ = "; ".join(record["changes"]) or "the same answer" if record["kind"] == "case" else ", ".join(
+        f"{record[what]:,} {what}" for what in ("expressions", "frames") if what in record
+    )  # fmt: skip
+    command.write(record, say, f"{record['kind']}: {counted_} -> {command.out}")
 
 
 def run_export_run(command: ExportRun) -> None:

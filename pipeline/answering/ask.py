@@ -21,7 +21,7 @@ from pipeline.language.expression import Reader, parse
 from pipeline.language.lexicon import wording
 from pipeline.language.naming import Synonyms
 from pipeline.language.tree import Attachment, Node, Query
-from pipeline.proposals.base import Detector, Proposals, is_final, told_by_ids, top_k
+from pipeline.proposals.base import Detector, Proposals, is_final, numbers_of, told_by_ids, top_k
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.relations.scorer import (
     BEYOND_PAIRS,
@@ -81,6 +81,9 @@ class Trace:
     detector, scorer : str
     exact : bool
         The objects are the dataset's own.
+    numbers : mapping of int to int
+        By identity the place of a thing among all that the detector finds in the frame, by which it is called; empty
+        where that is not known without looking.
     score_calibration : ScoreCalibration or None
         What made the candidates' scores of the detector's; None where they are its own.
     ranking : Ranking or None
@@ -106,6 +109,7 @@ class Trace:
     ranking: Ranking | None = None
     answered: str | None = None
     own_scores: bool = False
+    numbers: Mapping[int, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         pairs = 0 if self.ranking is None else len(self.ranking.pairs)
@@ -113,7 +117,8 @@ class Trace:
 
     def name(self, index: int) -> str:
         """An object as tables call it: "mug·4"."""
-        return self.objects[index].name(index, self.exact)
+        entry = self.objects[index]
+        return entry.name(self.numbers.get(entry.id, index), self.exact)
 
     def under(self, name: str, index: int) -> SceneObject:
         """An object with the label and the score that it has under one name of the question.
@@ -250,6 +255,7 @@ def ask(
         detector=detector.name,
         scorer=scorer.name,
         exact=detector.exact,
+        numbers=numbers_of(detector, context.frame),
         score_calibration=calibration,
     )
     return ranked(trace, config.rank, lambda objects: same_object(objects, told_by_ids(detector)))

@@ -71,6 +71,7 @@ class GivenDetector:
 
     final = True
     reads_annotations = False
+    lists_things = True
 
     def __init__(self, predictions: Predictions, line: Prediction | None = None, below: bool = False) -> None:
         self.predictions, self.line, self.below = predictions, line, below

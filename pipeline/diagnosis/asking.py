@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -36,6 +37,15 @@ from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError, ServerError, require
 
 
+class JudgedAs(Protocol):
+    """What of an `EvalSpec` its verdicts depend on."""
+
+    @property
+    def marks(self) -> Mapping[tuple[str, str], str]: ...
+    @property
+    def confidence(self) -> float | None: ...
+
+
 def known_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
     """What is true of a frame: by labels where they are given, else by its annotations; None without annotations.
 
@@ -59,6 +69,7 @@ def ask_and_judge(
     expressions: Sequence[str],
     labels: Labels | None = None,
     skipped: Skipped | None = None,
+    of_run: JudgedAs | None = None,
 ) -> Iterator[Answer]:
     """Every expression on every frame that `key` means, with verdicts; the truth of a frame is worked out once.
 
@@ -72,6 +83,8 @@ def ask_and_judge(
         What says what is true. By default the frame's annotations do.
     skipped : callable, optional
         Told of each broken frame among all frames.
+    of_run : EvalSpec, optional
+        Expressions are judged as in a run of this specification.
 
     Raises
     ------
@@ -86,7 +99,7 @@ def ask_and_judge(
                 trace = source.ask(context, text)
                 if n == 0:
                     truth = truth_or_reason(source, context, labels)
-                yield judged(trace, source, context, truth)
+                yield judged(trace, source, context, truth, of_run=of_run)
         except FrameUnusable as error:
             skip_or_raise(error, key, context.frame.id, skipped)
 
@@ -105,12 +118,19 @@ def judged(
     context: PreparedFrame,
     truth: FrameCases | str | None,
     rank: RankConfig | None = None,
+    of_run: JudgedAs | None = None,
 ) -> Answer:
-    """A trace as an answer with its verdict, or the reason for none; `rank` are the weights of an edited one."""
+    """A trace as an answer with its verdict, or the reason for none; `rank` are the weights of an edited one, `of_run`
+    the run whose marks and confidence it is judged with."""
     found: Diagnosis | str | None = None if isinstance(truth, FrameCases) else truth
     if isinstance(truth, FrameCases):
         try:
-            found = judge_trace(trace, source, context, truth, rank=rank)
+            case = labelled_case(truth, trace.query.text)
+            known: dict[str, Any] = {}
+            if of_run is not None:
+                mark = None if case is None else of_run.marks.get((truth.frame, case.id))
+                known = {"mark": mark, "confidence": of_run.confidence}
+            found = judge_trace(trace, source, context, truth, case=case, rank=rank, **known)
         except InputError as error:
             found = str(error)
     return _with_verdict(trace.query.text, trace, found)

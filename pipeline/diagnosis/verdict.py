@@ -34,6 +34,10 @@ VERDICTS: tuple[str, ...] = (
 predictions."""
 
 
+RULES_VERSION = 2
+"""Of the rules by which verdicts are found; another number where the same answer may have another verdict."""
+
+
 def shown_verdicts(occurring: Collection[str]) -> tuple[str, ...]:
     """VERDICTS; ATTRIBUTE and UNEXPLAINED only where they occur: plain expressions of our own cannot have them.
 

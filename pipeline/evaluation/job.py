@@ -12,6 +12,7 @@ from time import perf_counter
 from typing import Any
 
 from pipeline.answering.imported import ImportedPipeline
+from pipeline.diagnosis.verdict import RULES_VERSION
 from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_confusion, network_confusion
 from pipeline.evaluation.grounding_tables import (
@@ -215,6 +216,7 @@ def evaluate_dataset(
             {
                 "tool": "spatialviz",
                 "version": __version__,
+                "verdict_rules": RULES_VERSION,
                 "name": name,
                 "labels": {"config_hash": labels.manifest.config_hash, "content_hash": asked},
                 "detector": f"{detector.name}: {detector.fingerprint()}",

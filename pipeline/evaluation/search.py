@@ -46,13 +46,14 @@ Kind = Literal["text", "words", "number", "flag", "names"]
 
 ALIASES = {
     "class": "target", "size": "object_size", "distance": "object_distance", "occlusion": "object_occluded",
-    "pixels": "object_pixels",
+    "pixels": "object_pixels", "right": "set_correct",
 }  # fmt: skip
 """Short names of columns."""
 WORDS = ("text", "said", "problem")
 """Columns of sentences: a value must stand in them."""
 SORT = "sort"
-RIGHT = ("CORRECT",)
+FAILURES = "-right"
+"""What was not answered rightly. Of LABEL most was: by another thing that fits, too."""
 _ABOUT_RIGHT = {"verdict", "lucky", "correct", "strict_correct", "set_correct", "pair_correct", "reference_correct",
                 CHANGE, f"{SECOND}verdict", MARKS}  # fmt: skip
 
@@ -182,7 +183,7 @@ def terms_of(query: str, schema: pa.Schema) -> list[tuple[str, Term]]:
 
 
 def find_failures(records: pa.Table, query: str = "") -> pa.Table:
-    """The rows found without what is CORRECT, unless the search asks for a verdict or for what is right (`lucky`).
+    """The rows found of FAILURES, unless the search asks for a verdict or for what is right (`lucky`).
 
     Raises
     ------
@@ -192,7 +193,7 @@ def find_failures(records: pa.Table, query: str = "") -> pa.Table:
     need_verdicts(records)
     search = compile_search(query, records.schema)
     if not search.about_right:
-        search = compile_search(f"-verdict:{','.join(RIGHT)} {query}", records.schema)
+        search = compile_search(f"{FAILURES} {query}", records.schema)
     return records.take(_rows(records, search))
 
 

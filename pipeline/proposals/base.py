@@ -170,6 +170,18 @@ def told_by_ids(detector: Detector) -> bool:
     return bool(getattr(detector, "told_by_ids", detector.exact))
 
 
+def lists_things(detector: Detector) -> bool:
+    """Whether all that it finds in a frame is known without looking at the picture: simulated, or recorded."""
+    return bool(getattr(detector, "lists_things", False))
+
+
+def numbers_of(detector: Detector, frame: Frame) -> dict[int, int]:
+    """By identity the place of each thing among all that a detector lists for a frame; empty for one that looks."""
+    # In the order of the identities, as `all_objects` has them.
+    ids = np.sort(detector.detect(frame, None).ids).tolist() if lists_things(detector) else ()
+    return {number: place for place, number in enumerate(ids) if number >= 0}
+
+
 def unknown_class(label: str, names: Sequence[str], where: str, advice: str | None = None) -> UnknownClass:
     """The error for a class name that a detector of limited vocabulary does not know; `advice` says what else helps."""
     close = suggest(label, names)

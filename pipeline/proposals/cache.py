@@ -11,7 +11,7 @@ import numpy as np
 import xxhash
 
 from pipeline.geometry.frame import Frame
-from pipeline.proposals.base import Detector, Proposals, detect_expression, reads_annotations
+from pipeline.proposals.base import Detector, Proposals, detect_expression, lists_things, reads_annotations
 from pipeline.proposals.segmenter import Segmenter
 from pipeline.system.paths import cache_folder
 from pipeline.system.recent import Recent
@@ -32,7 +32,7 @@ class CachedDetector:
     def __init__(self, detector: Detector, folder: Path | None = None) -> None:
         self.detector = detector
         self.name, self.exact, self.vocabulary = detector.name, detector.exact, detector.vocabulary
-        self.reads_annotations = reads_annotations(detector)
+        self.reads_annotations, self.lists_things = reads_annotations(detector), lists_things(detector)
         self.folder = (folder or cache_folder()) / "proposals"
         self._recent: Recent[str, Proposals] = Recent(_IN_MEMORY)
 

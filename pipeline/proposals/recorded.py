@@ -166,6 +166,7 @@ class RecordedDetector:
 
     name = "recorded"
     exact = False
+    lists_things = True
     reads_annotations = False
 
     def __init__(

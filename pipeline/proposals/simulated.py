@@ -156,6 +156,7 @@ class SimulatedDetector:
 
     name = "simulated"
     exact = False
+    lists_things = True
 
     def __init__(
         self,

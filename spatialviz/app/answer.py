@@ -13,6 +13,7 @@ from pipeline.diagnosis.stages import failed_stages
 from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
 from pipeline.diagnosis.whatif.answer_view import BothAnswers, OtherAnswer
 from pipeline.diagnosis.whatif.changes import each_edit
+from pipeline.evaluation.recorded import Recorded, judged_by
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
@@ -76,6 +77,8 @@ def verdict_chip_of(judged: Diagnosis) -> Element:
 def verdict_html(state: State) -> Element | None:
     """The verdict; its chip opens the stage that failed, which has its sentence; where none did it stands here."""
     judged = state.judged
+    if state.recorded is not None and not state.recorded.is_that(judged):
+        return _recorded(state, state.recorded)
     if judged is None:
         return None
     if isinstance(judged, str):
@@ -88,6 +91,21 @@ def verdict_html(state: State) -> Element | None:
         None if state.other is None or state.trace is None else _second(state.other, state.other_pair),
         cls="verdict",
     )
+
+
+def _recorded(state: State, found: Recorded) -> Element:
+    """The verdict as the run has it, where it would be another now, and what would be."""
+    judged, run = state.judged, None if state.listing is None else state.listing.figures.run
+    by = "" if run is None else judged_by(run.manifest)
+    now: Child = verdict_chip_of(judged) if isinstance(judged, Diagnosis) else judged or "no verdict"
+    why = by or "labels, models or data are not those of the run any more"
+    return h.div(
+        h.button(verdict_chip(found.verdict, "lucky" if found.lucky else found.detail), cls="plain", id="verdict",
+                 do="stage:LABEL", title="as the run has it"),
+        h.p(found.said, cls="sentence"),
+        h.p("Judged now: ", now, f". The run: {why}.", cls="dim small"),
+        cls="verdict",
+    )  # fmt: skip
 
 
 def mend_button(state: State) -> Element | None:

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.evaluation.facets import with_value
 from pipeline.evaluation.figures import STANDS_IN, Listing, RunFigures, figures_of
 from pipeline.evaluation.run_notes import MARKS
-from pipeline.evaluation.search import complete
+from pipeline.evaluation.search import FAILURES, complete
 from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, Part, command, there
 from spatialviz.app.evaluate_html import (
@@ -29,9 +29,8 @@ from spatialviz.app.markup import Element
 from spatialviz.app.place import Place
 from spatialviz.app.run_pictures import pictures_of
 
-FIRST = ("-verdict:CORRECT,LABEL", "-verdict:CORRECT", "")
-"""What is listed first: the first of these that finds something. With LABEL the answer is right, too, or the label was
-marked as wrong."""
+FIRST = (FAILURES, "")
+"""What is listed first: the first of these that finds something."""
 OFFERED = 12
 """Words that are offered for one that is begun."""
 LONGEST_SEARCH = 2000

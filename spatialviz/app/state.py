@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from pipeline.corrections.label_view import LabelView
 from pipeline.diagnosis.offers import Offers
 from pipeline.diagnosis.whatif.answer_view import AnswerView
 from pipeline.evaluation.figures import Listing
+from pipeline.evaluation.recorded import Recorded, recorded
 from pipeline.geometry.measure import Measurement, measure
 from spatialviz.app.place import CameraMode, Place, Task
 
@@ -115,6 +117,16 @@ class State(AnswerView):
         """The id of the run's expression that is open, where it is the one that is asked."""
         at = None if self.listing is None else self.listing.at
         return at[1] if at is not None and (at[0], at[2]) == (self.frame_id, text) else None
+
+    @cached_property
+    def recorded(self) -> Recorded | None:
+        """The verdict that the run has on the expression, where that is what is asked and nothing is edited."""
+        expression = self.expression_id(self.text)
+        if self.listing is None or expression is None or self.edited is not None:
+            return None
+        rows = self.listing.figures.rows
+        number = rows.number(self.frame_id, expression)
+        return None if number is None else recorded(rows.read(np.array([number]))[0])
 
     @property
     def unasked(self) -> State:

@@ -298,6 +298,8 @@ class AnswerRoles:
         Index of a labelled object -> its role and itself: the labelled target and reference, where they are known.
     exact : bool
         The detections are the dataset's own.
+    numbers : mapping of int to int
+        As `Trace.numbers`.
     """
 
     objects: tuple[SceneObject, ...]
@@ -308,10 +310,11 @@ class AnswerRoles:
     labelled: dict[int, int]
     truth: dict[int, tuple[Role, SceneObject]]
     exact: bool
+    numbers: Mapping[int, int]
 
     def name(self, index: int) -> str:
         """An object as the tables call it."""
-        return self.objects[index].name(index, self.exact)
+        return self.objects[index].name(self.numbers.get(self.objects[index].id, index), self.exact)
 
 
 def answer_roles(answered: Answer) -> AnswerRoles:
@@ -337,4 +340,5 @@ def answer_roles(answered: Answer) -> AnswerRoles:
     return AnswerRoles(
         objects, None if best is None else best.target, None if best is None else best.reference,
         {} if best is None else roles_of(best), right, labelled, truth, trace is not None and trace.exact,
+        {} if trace is None else trace.numbers,
     )  # fmt: skip

@@ -28,7 +28,7 @@ from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import RunLength, mask_box
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.language.tree import Attachment
-from pipeline.proposals.base import is_final, told_by_ids, top_k_indices
+from pipeline.proposals.base import is_final, numbers_of, told_by_ids, top_k_indices
 from pipeline.relations import make_scorer
 from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
@@ -202,6 +202,7 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
         detector=detector.name,
         scorer=scorer.name,
         exact=detector.exact,
+        numbers=numbers_of(detector, context.frame),
         score_calibration=calibration,
     )
     rank_config = replace(config.rank, **edits.rank)

@@ -1,0 +1,91 @@
+"""What an earlier version judged, judged by this one: a run, labels or a case, into a new folder beside the old one."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pipeline.datasets.saved_case import MANIFEST as CASE_FILE
+from pipeline.diagnosis.cases.replay import replay_case
+from pipeline.diagnosis.cases.saving import open_case
+from pipeline.evaluation.importing import import_run
+from pipeline.evaluation.job import evaluate_dataset
+from pipeline.evaluation.run_folder import RUN_FILE, open_run
+from pipeline.labels.job import label_dataset
+from pipeline.labels.merge import SelectConfig
+from pipeline.labels.plan import load_plan
+from pipeline.labels.reading import open_labels
+from pipeline.labels.store import PLAN_FILE, Store
+from pipeline.system.errors import require
+from pipeline.system.whole_files import staged_folder
+
+
+def judge_again(
+    path: str | Path, out: str | Path, *, workers: int = 1, progress: Callable[[int, int], None] | None = None
+) -> dict[str, Any]:
+    """Judge a run, labels or a saved case again, by this version, into a new folder; the old one stays as it is.
+
+    Parameters
+    ----------
+    path : str or Path
+        A folder of `eval` or `import-run`, of `label`, or of `save-case`.
+    out : str or Path
+        Must not exist, or be empty.
+    workers : int
+        Processes, of a run or of labels.
+    progress : callable, optional
+        Called with (done, in all).
+
+    Returns
+    -------
+    dict
+        "kind" ("run", "labels" or "case"), "out", and what there is to count.
+
+    Raises
+    ------
+    InputError
+        It is none of these, its data or models are gone, or `out` is in use.
+    """
+    path, out = Path(path), Path(out)
+    if (path / CASE_FILE).is_file():
+        return {"kind": "case", "out": str(out), "changes": list(_case(path, out))}
+    if (path / RUN_FILE).is_file():
+        return {"kind": "run", "out": str(out), "expressions": _run(path, out, workers, progress)}
+    require(
+        (path / PLAN_FILE).is_file(), "nothing here says how it was made",
+        expected=f"a run ({RUN_FILE}), labels ({PLAN_FILE}) or a case ({CASE_FILE})", path=path,
+    )  # fmt: skip
+    plan, manifest = load_plan(Store(path)), open_labels(path).manifest
+    report = label_dataset(
+        plan.spec, out, plan.config, SelectConfig(**manifest.selection), workers=workers, progress=progress
+    )
+    return {"kind": "labels", "out": str(out), "frames": report.frames}
+
+
+def _run(path: Path, out: Path, workers: int, progress: Callable[[int, int], None] | None) -> int:
+    run = open_run(path)
+    options = dict(run.spec.options)
+    if (predictions := options.pop("predictions", None)) is not None:
+        require(
+            not options.pop("rescored", False), "the run was ranked again by a function, which no folder holds",
+            expected="import_run(..., rescore=...)", path=path,
+        )  # fmt: skip
+        options.pop("rescore", None)
+        report = import_run(
+            predictions, run.spec.dataset, run.spec.labels, out, name=run.name, workers=workers, progress=progress,
+            **options,
+        )  # fmt: skip
+    else:
+        report = evaluate_dataset(run.spec, out, name=run.name, workers=workers, progress=progress)
+    return report.expressions
+
+
+def _case(path: Path, out: Path) -> tuple[str, ...]:
+    with staged_folder(out, overwrite=False, mark=CASE_FILE) as folder:
+        shutil.copytree(path, folder, dirs_exist_ok=True)
+        opened = open_case(folder)
+        replay = replay_case(opened)
+        opened.expect(replay.record)
+    return replay.changes
