@@ -315,6 +315,8 @@ def cost_words(summary: RunSummary) -> str:
     shares = (f"{100 * share:.1f}" if 100 * share >= LEAST_SAID else "none" for share in (right, 1 - right))
     text = "Of 100 expressions {} are answered rightly, {} are not.".format(*shares)
     parts = {name: e.value for name, e in summary.loss.items() if name != "accuracy" and 100 * e.value >= LEAST_SAID}
+    if (unknown := parts.pop("unknown", 0.0)) > 0:
+        text += f" What {100 * unknown:.1f} of them cost by module cannot be worked out."
     worst = sorted(parts, key=lambda name: -parts[name])[:2]
     if worst:
         said = [f"{SHORT[name]}{_codes(name)} {100 * parts[name]:.1f}" for name in worst]

@@ -137,7 +137,7 @@ def test_costs_add_up_whatever_is_untold_and_the_sentence_agrees_with_the_verdic
     if not counts:
         return
     name, count = counts.most_common(1)[0]
-    said = re.search(r"(?:by|parts:) [\w ]+(?: \(([^)]*)\))? [\d.]+", words)
+    said = re.search(r"(?:them by|parts:) [\w ]+(?: \(([^)]*)\))? [\d.]+", words)
     first = said[1] if said else None
     verdicts = {"RECALL": "OPM-TARGET, OPM-REF", "CONF": "OPM-CONF, PRM"}.get(name, name)
     assert first == verdicts or f"Verdicts name {verdicts} most often ({count} of {counts.total()});" in words
