@@ -1,14 +1,17 @@
 """Who may ask the server of the page: foreign names, foreign pages and missing tokens are refused."""
 
+import asyncio
 import http
 from pathlib import Path
+from typing import Any
 
 import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from pipeline.system.errors import InputError
-from spatialviz.app.site import Access
+from spatialviz.app.site import Access, Site
+from spatialviz.app.view_strings import needs_file
 
 TOKEN = "a-token-of-24-characters"
 
@@ -89,3 +92,44 @@ def test_files_of_tokens_that_are_none(text: str, tmp_path: Path) -> None:
     file.write_text(text, "utf-8")
     with pytest.raises(InputError):
         Access.of("0.0.0.0", file)
+
+
+FILE = "network.onnx"
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_where_a_token_is_needed_no_file_is_a_network(there: bool, tmp_path: Path) -> None:
+    path = str(tmp_path / FILE)
+    if there:
+        (tmp_path / FILE).write_bytes(b"no network")
+    with pytest.raises(InputError) as refused:
+        needs_file(path, None, alone=False)
+    assert str(refused.value).replace(path, "") == (
+        "the view scores relations with a network that is not installed here; got ; expected rule, trained, or an "
+        "installed one (where a token is needed no other file is loaded)"
+    )
+    assert needs_file(path, None, alone=True), "who is alone is asked"
+
+
+def test_named_networks_and_that_of_the_owner_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPATIALVIZ_NETWORKS", str(tmp_path))
+    (tmp_path / "mine.onnx").write_bytes(b"")
+    for alone in (True, False):
+        assert not any(needs_file(name, None, alone) for name in (None, "rule", "trained", "mine"))
+    assert not needs_file("/some/network.onnx", "/some/network.onnx", alone=False)
+    for name in ("other", "mine.onnx", "../mine", "/some/else.onnx"):
+        with pytest.raises(InputError):
+            needs_file(name, "/some/network.onnx", alone=False)
+
+
+def test_every_document_has_a_policy() -> None:
+    class NoPages:
+        def __getattr__(self, name: str) -> object:
+            return lambda *_: False
+
+    site: Any = Site(Access("127.0.0.1"), NoPages(), NoPages())  # pyright: ignore[reportArgumentType]
+    for path in ("/", "/app/index.html", f"/scene/{'0' * 32}/"):
+        answer = asyncio.run(site.answer(None, request(path)))
+        if answer.headers["Content-Type"].startswith("text/html"):
+            assert "default-src 'none'" in answer.headers.get("Content-Security-Policy", ""), path
+    assert asyncio.run(site.answer(None, request("/"))).status_code == http.HTTPStatus.OK

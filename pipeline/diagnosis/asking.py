@@ -32,6 +32,7 @@ from pipeline.labels.reading import Labels
 from pipeline.language.naming import match, spelt
 from pipeline.language.tree import Query
 from pipeline.proposals.annotations import AnnotationDetector
+from pipeline.relations.installed import is_named
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError, ServerError, require
@@ -247,10 +248,10 @@ def pathless_edits(edits: Edited) -> Edits:
     """Edits of JSON that open no file; raises as `edited_trace`."""
     read = read_edits(dict(edits))
     require(
-        read.scorer in (None, "rule", "trained"),
+        is_named(read.scorer),
         "the edits name a relation network by its path",
         got=read.scorer,
-        expected="--srm FILE",
+        expected="rule, trained, or an installed one (--srm FILE takes a path)",
     )
     return read
 

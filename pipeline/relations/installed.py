@@ -53,6 +53,11 @@ def installed_network(name: str) -> Path | None:
     return path if path.is_file() else None
 
 
+def is_named(scorer: str | None) -> bool:
+    """Whether a relation scorer is told by a name that is known here: None, rule, trained, or an installed network."""
+    return scorer in (None, *TAKEN) or (scorer is not None and installed_network(scorer) is not None)
+
+
 def install_network(network: Path, name: str, *, overwrite: bool = False) -> InstalledNetwork:
     """Copy a network, with its card and its vectors where it has them, to where `--srm NAME` finds it.
 

@@ -54,6 +54,8 @@ class Shared:
     first_view : ViewState or None
         What is shown first.
     dark : bool
+    alone : bool
+        Nobody else reaches the server, so that whoever opens the page may have it load a file.
     """
 
     store: FrameStore
@@ -65,6 +67,7 @@ class Shared:
     opened_by: tuple[str, ...] = ()
     first_view: ViewState | None = None
     dark: bool = True
+    alone: bool = True
 
     @cached_property
     def pictures(self) -> FramePictures:

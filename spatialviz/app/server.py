@@ -93,11 +93,11 @@ def start(
     _check_address(host, port)
     return_freed_memory()
     store = FrameStore(sources, answering)
+    access = access or Access.of(host)
     shared = Shared(
         store, runs or {}, others or {}, labels or {}, journals or {}, author, tuple(opened_by),
-        first_view, dark,
+        first_view, dark, access.open,
     )  # fmt: skip
-    access = access or Access.of(host)
     pages = Pages(shared, access, max_clients)
     try:
         with served_by(Site(access, pages, shared.pictures)), redirect_stdout(io.StringIO()):

@@ -1,5 +1,4 @@
-"""What the server answers to a browser: our page at `/`, viser's client as its frame, and who may ask at all.
-"""
+"""What the server answers to a browser: our page at `/`, viser's client as its frame, and who may ask at all."""
 
 from __future__ import annotations
 
@@ -128,7 +127,7 @@ class Site:
         data, kind, more = None, Path(name).suffix, dict[str, str]()
         match folder:
             case "" if not name:
-                data, kind, more = self._files["index.html"], ".html", {"Content-Security-Policy": PAGE_POLICY}
+                data, kind = self._files["index.html"], ".html"
             case "/app":
                 data = self._files.get(name)
             case "/app/image":
@@ -315,5 +314,6 @@ def response(status: http.HTTPStatus, body: bytes, suffix: str = "", more: Mappi
     """An answer with what every one says; `suffix` is that of the file, `more` are headers of its own."""
     kind = KINDS.get(suffix, "application/octet-stream" if status == http.HTTPStatus.OK else "text/plain")
     headers = {"Content-Type": f"{kind}; charset=utf-8" if kind.startswith("text") else kind, **SAFE}
+    headers |= {"Content-Security-Policy": PAGE_POLICY} if kind == KINDS[".html"] else {}
     headers |= {"Cache-Control": "no-cache", "Content-Length": str(len(body)), **(more or {})}
     return Response(status, status.phrase, Headers(headers), body)

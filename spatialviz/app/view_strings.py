@@ -20,6 +20,7 @@ from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState, decode, encode
 from pipeline.evaluation.shared_makers import shares_of_answer
 from pipeline.language.counted import counted
+from pipeline.relations.installed import is_named
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.markup import BAD, Element, h, note
@@ -102,7 +103,8 @@ class ViewStrings(Part):
         require(view.dataset in sources, what, got=view.dataset, expected=opened)
         ids = sources[view.dataset].dataset.frame_ids
         require(view.frame in ids, f"{view.dataset} has no such frame", got=view.frame)
-        if view.edits.scorer not in SHIPPED_SCORERS and not confirmed:
+        first = self.ctx.shared.first_view
+        if needs_file(view.edits.scorer, first and first.edits.scorer, self.ctx.shared.alone) and not confirmed:
             self._waiting = view
             self.ctx.dialog.show(
                 "This view wants to load a file",
@@ -163,7 +165,30 @@ BEGINS = re.compile(r"\s*sv[0-9]{1,6}:")
 CAMERA, FOV, POINTS = "camera view", "field of view", "point size"
 """Names of toggles: from where one looks ("sensor", "orbit", "top"), in radians how wide a turned camera sees, and the
 factor by which points are drawn larger."""
-SHIPPED_SCORERS = (None, "rule", "trained")
+
+
+def needs_file(scorer: str | None, first: str | None, alone: bool) -> bool:
+    """Whether a relation scorer of a view is a file that whoever opens the page has to agree to.
+
+    Parameters
+    ----------
+    scorer, first : str or None
+        Of the view, and of the one that the server was started with.
+    alone : bool
+        See `Shared`.
+
+    Raises
+    ------
+    InputError
+        Others reach the server, and it is not installed here: whether there is such a file they are not told.
+    """
+    named = is_named(scorer)
+    require(
+        named or alone or scorer == first, "the view scores relations with a network that is not installed here",
+        got=scorer, expected="rule, trained, or an installed one",
+        cause="where a token is needed no other file is loaded",
+    )  # fmt: skip
+    return not named and (alone or scorer != first)
 
 
 def view_of(

@@ -18,7 +18,7 @@ from pipeline.diagnosis.whatif.placement import box_numbers, grown, labelled_mas
 from pipeline.diagnosis.whatif.rerun import Baseline, rerun
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.relations.installed import installed_network
+from pipeline.relations.installed import is_named
 from pipeline.system.errors import InputError, as_input_error, needed, require
 
 PROFILE_SETTINGS = ("cone", "doubtful_cone", "dead_zone", "dead_zone_depth")
@@ -183,9 +183,8 @@ def _setting(edits: Edits, source: Pipeline, name: str, value: str) -> Edits:
     """One setting; a value that is that of the source is no edit."""
     match name:
         case "scorer":
-            known = value in ("own", "rule", "trained") or installed_network(value) is not None
             expected = "rule, trained, or an installed one"
-            require(known, "there is no such relation scorer", got=value, expected=expected)
+            require(value == "own" or is_named(value), "there is no such relation scorer", got=value, expected=expected)
             return edits.with_scorer(None if value == "own" else value)
         case "aggregate":
             return edits.with_settings("rank", aggregate=value)
