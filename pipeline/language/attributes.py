@@ -198,6 +198,8 @@ def attribute(words: str) -> Attribute | None:
     tokens = [token for token in tokens if token]
     while len(tokens) > 1 and tokens[0] in _INTENSIFIERS:
         tokens = tokens[1:]
+    if tokens[-1:] == ["ish"]:
+        tokens = [*tokens[:-2], "".join(tokens[-2:])]
     if not tokens:
         return None
     whole = _TABLE.get("-".join(tokens)) or _TABLE.get("".join(tokens))

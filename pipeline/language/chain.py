@@ -130,7 +130,10 @@ class ChainReader(NounReader):
         return Span(self.tokens[where[0]].start, self.tokens[where[1] - 1].end, role, number)
 
     def _modifier_spans(self, phrase: Phrase, number: int) -> None:
-        self.chain.spans += [Span(start, end, role, number) for start, end, role in phrase.modifiers]
+        for start, end, role in phrase.modifiers:
+            lacking = number > 0 and bool(phrase.lacks) and self.text[start:end].lower().startswith(("not", "non"))
+            why = "how a thing of a relation does not look is not judged" if lacking else ""
+            self.chain.spans.append(Span(start, end, "unused" if lacking else role, 0 if lacking else number, why))
 
     def _relation_span(self, token: Token) -> None:
         self.chain.spans.append(Span(token.start, token.end, "relation", len(self.chain.clauses)))
@@ -150,9 +153,9 @@ class ChainReader(NounReader):
     def _forget(self) -> None:
         self.joined = self.linked = self.negated = False
 
-    def _unused(self, at: int, why: str | InputError) -> int:
-        """Words up to the next part that cannot be used."""
-        end = at + 1
+    def _unused(self, at: int, why: str | InputError, size: int = 1) -> int:
+        """Words up to the next part that cannot be used, so many of them at least."""
+        end = at + size
         if self._starts_noun(end):
             end = max(self.noun(end)[1], end)
         self.problems.append(why if isinstance(why, InputError) else Unsupported(why, got=f"'{self.words(at, end)}'"))

@@ -75,9 +75,11 @@ def _meant_first(tokens: list[Token], text: str) -> list[Token]:
     return tokens
 
 
+PART = "parts and what a thing has are left to the detector"
 _NOT_JUDGED = (
     (lexicon.DEIXIS, "words that point to a place say nothing without a pointer"),
     (lexicon.DOING, "what somebody does with a thing is not judged"),
+    (lexicon.PURPOSE, "what a thing is for is not judged"),
 )
 
 
@@ -159,7 +161,7 @@ class _Reader(ReferenceReader):
             return self._alternative(at)
         if word == "whose" and self.chain.nouns:
             end = next((k for k in range(at + 1, len(self.tokens)) if self.breaks[k] or self._relates(k)), None)
-            self._note(at, end or len(self.tokens), "parts and what a thing has are left to the detector")
+            self._note(at, end or len(self.tokens), PART)
             return end or len(self.tokens)
         if word in lexicon.AND or word in ("or", "nor", "plus"):
             self.joined = True
@@ -244,7 +246,11 @@ class _Reader(ReferenceReader):
             if not (opens or self.asks_what or self.linked or self.joined):
                 raise self._no_target()
             self._add_noun(Phrase(label="thing"), "target", (at, at))
-        scene = self._scene(at + 1) if token.relation in choices.OF_THE_SCENE else None
+        # Below the picture on the wall is another thing than at the bottom of the picture.
+        sided = token.relation in choices.OF_THE_SCENE and (
+            token.relation in ("left", "right", "between") or token.text.split()[0] in ("on", "at", "in", "to")
+        )
+        scene = self._scene(at + 1) if sided or self._scene(at + 1, whole=True) else None
         if scene is not None:
             order = lexicon.SCENE_ORDER.get(str(token.relation))
             if order is None:
@@ -272,15 +278,17 @@ class _Reader(ReferenceReader):
 
     def _with(self, at: int) -> int:
         """`table with a lamp on top`: the relation holds from the lamp to the table. Else it tells of a part."""
-        phrase, end = self.noun(at + 1)
+        without = at + 1 < len(self.tokens) and self.tokens[at + 1].plain == "no"
+        self.negated = self.negated or without
+        phrase, end = self.noun(at + 1 + without)
         after = self.tokens[end] if end < len(self.tokens) else None
         while after is not None and after.plain in lexicon.LINKING and after.plain not in DETERMINERS:
             end += 1
             after = self.tokens[end] if end < len(self.tokens) else None
         tail = None if after is None or phrase is None else self._with_tail(end)
         if phrase is None or after is None or tail is None:
-            lacks = "what a thing does not have is not judged"
-            return self._unused(at, lacks if self.negated else "parts and what a thing has are left to the detector")
+            told = "what a thing does not have is not judged" if self.negated else PART
+            return self._unused(at, told, 1 + without)
         if phrase.head_word == "nothing":
             phrase, self.negated = replace(phrase, label="thing", head=""), True
         self._relation_span(self.tokens[at])

@@ -81,6 +81,7 @@ LYING = _words(
 )
 STACKS = _words("stack pile heap")
 SCENE = _words("room picture image photo photograph scene view frame screen shot")
+PICTURES = _words("picture image photo photograph frame screen shot")
 """What holds all of the frame: its sides are those of the picture."""
 
 WITH = frozenset({"with", "has", "have", "having", "got"})
@@ -149,8 +150,14 @@ DOING = re.compile(
     r"(?: (?:on|in|at|with|to|against|for))?(?= |$)"
 )
 """What somebody does with a thing."""
+PURPOSE = re.compile(
+    r"(?:(?:i|you|we|one|they|people|someone|somebody) (?:(?:can|could|may|might|want to|would) )?"
+    r"|to (?!the |a |an |my |your |our |his |her |its |left|right))"
+    r"\w+(?: (?:on|in|from|with|at|into|out of|up))?(?= |$)"
+)
+"""What a thing is for: `to sit on`, `you can drink from`."""
 
-CLOSING = _words("please thanks is are there now asap where located")
+CLOSING = _words("please thanks is are there now asap where located gone")
 CLOSING_PHRASES = _phrases(
     "for me, for us, would you, will you, could you, can you, if you can, if you could, if you please, thank you, "
     "do you see it, can you see it, if possible, if you don't mind, right now, right away, thank you so much, "
@@ -172,7 +179,7 @@ FILLER = re.compile(
     r"|of (?:the |these |those )?(?:two|three|four|five|six|\d+|them|all|both|lot|bunch)"
     r"|(?:(?:high|low|way) )?(?:up|down|over|out|off)|(?:all the way|in place|by itself|here|located)"
     r"|(?:you|i|we) (?:can |could )?see"
-    r"|in (?:colou?r|size|shape)) ?(?= |$)"
+    r"|in (?:colou?r|size|shape)|of (?:any|whatever|some) (?:colou?r|size|shape|kind|sort|type)) ?(?= |$)"
 )
 """A distance or a direction before a relation, which no relation judges: `a few feet to the left of`."""
 

@@ -75,11 +75,16 @@ class LooksReader(Cursor):
             text = " ".join(self._text(k) for k in range(at, at + size)).strip()
             if (size == 2 and " " not in text) or not text:
                 continue
-            if size == 1 and text.startswith("non ") and (other := attribute(text[4:])):
-                draft.lacks.append((other, text[4:]))
+            if size == 1 and " and " in text and all(looks := [attribute(part) for part in text.split(" and ")]):
+                draft.attributes += [look for look in looks if look is not None]
+                draft.words += text.split(" and ")
                 draft.modifiers.append((self.tokens[at].start, self.tokens[at].end, "attribute"))
                 return at + 1
-            found = attribute(text) or _superlative_of(text)
+            if size == 1 and text.startswith("non ") and (other := attribute(text[4:])):
+                draft.lacks.append((other, text[4:]))
+                draft.modifiers.append((self.tokens[at].start, self.tokens[at].end, "choice"))
+                return at + 1
+            found = attribute(text) or _degree_of(text)
             if found is None and size == 1 and (meant := self._meant(at, draft)):
                 found, text = attribute(meant), meant
                 self.respelled[at] = self.tokens[at].start, self.tokens[at].end, meant
@@ -158,11 +163,14 @@ class LooksReader(Cursor):
         return named and (is_packed(following) or is_name(f"{word} {following}"))
 
 
-def _superlative_of(word: str) -> Attribute | None:
-    """`darkest` as dark: how a thing looks is judged by degrees."""
+def _degree_of(word: str) -> Attribute | None:
+    """`darkest`, `most dark` and `darker` as dark: how a thing looks is judged by degrees."""
     if word.startswith("most "):
         return attribute(word[5:])
-    stems = (word[:-3], word[:-2], word[:-4], f"{word[:-4]}y") if word.endswith("est") and len(word) > 5 else ()
+    size = 3 if word.endswith("est") else 2 if word.endswith("er") and word not in known_words() else 0
+    if not size or len(word) < size + 3:
+        return None
+    stems = (word[:-size], word[: 1 - size], word[: -size - 1], f"{word[: -size - 1]}y")
     return next((found for stem in stems if (found := attribute(stem)) is not None), None)
 
 

@@ -11,10 +11,13 @@ from pipeline.language.cursor import MODALS
 from pipeline.language.looks import Draft, LooksReader
 from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.relation_names import MIRRORED
+from pipeline.language.spelling import is_known
 from pipeline.language.tokens import Token, label_of
 from pipeline.language.tree import Choice, Role
 
-QUANTIFIERS = frozenset({"all", "both", "each", "every", "same", "whichever", "whatever", "either", "only"})
+QUANTIFIERS = frozenset(
+    {"all", "both", "each", "every", "same", "whichever", "whatever", "either", "only", "several", "few", "many"}
+)
 _JUST = frozenset({"just", "directly", "right", "immediately", "slightly", "exactly", "straight", "almost", "very"})
 _LONGEST_CHOICE = 3
 ALTERNATIVES = "of alternatives only the first is judged"
@@ -110,7 +113,7 @@ class NounReader(LooksReader):
         name, cut = "thing", end
         if head:
             cut = next((k for k, t in enumerate(head) if k and t.plain in lexicon.WITH), len(head))
-            name = head[0].text if head[0].text in lexicon.ANYTHING and cut == 1 else label_of(self.text, head)
+            name = head[0].text if head[0].text in lexicon.ANYTHING and len(head) == 1 else label_of(self.text, head)
         label = " ".join([*draft.words, name])
         alone = label_of(self.text, head[:cut]) if head and cut < len(head) else name
         return Phrase(
@@ -167,16 +170,19 @@ class NounReader(LooksReader):
             superlative = at + 1 < len(self.tokens) and self.tokens[at + 1].text in lexicon.BEFORE_NOUNS
             if end is None and token.plain in choices.NUMBERS and (superlative or not self._ends(at + 1)):
                 draft.count, end = choices.NUMBERS[token.plain], at + 1
+            if end is None and token.plain == "one" and at == start and self._starts_noun(at + 1):
+                counts = not self._ends(at + 1) and self.tokens[at + 1].plain not in ("of", *choices.ORDINALS)
+                end = at + 1 if counts else None
             following = attribute(self._text(at + 1))
             if end is None and token.plain in ("and", "&") and draft.attributes and following:
                 end = at + 1
             if end is None and token.plain == "or" and draft.attributes and following:
                 end = at + 2
                 self.left_out[at] = token.start, self.tokens[at + 1].end, ALTERNATIVES
-            if end is None and token.plain == "not" and following:
+            if end is None and token.plain == "not" and following and at == start:
                 end = at + 2
                 draft.lacks.append((following, self._text(at + 1)))
-                draft.modifiers.append((token.start, self.tokens[at + 1].end, "attribute"))
+                draft.modifiers.append((token.start, self.tokens[at + 1].end, "choice"))
             if end is None or (at > start and self.breaks[at] and not draft.attributes):
                 break
             at = end
@@ -299,6 +305,9 @@ class NounReader(LooksReader):
             or (end > at and self._color_after(end) is not None)
         ):
             return True
+        if end > at and word.endswith("ed") and not is_known(word) and end + 1 < len(self.tokens):
+            # `flanked by`
+            return self.tokens[end + 1].relation is not None
         if word in _JUST:
             return self._ends(end + 1)
         if word in MODALS:

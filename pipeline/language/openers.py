@@ -30,7 +30,8 @@ _AFTER = _phrases(
 _SPEAKING = _phrases("i, we, you, i'd, we'd, i would, we would, i will, i'll, i really, i just, i also, i only")
 _WANTING = _phrases(
     "want, need, like, love, mean, meant, see, seek, require, wish, have, prefer, want to, need to, like to, love to, "
-    "have to, wish to, want you to, need you to, like you to, would like, would like to, lost, forgot, left, take"
+    "have to, wish to, want you to, need you to, like you to, would like, would like to, lost, forgot, left, take, "
+    "to have, like to have, would like to have, can't find, cannot find, can't see, couldn't find, don't see"
 )
 _KNOWING = _phrases(
     "do you, do you happen to, can you, could you, would you, you, does anyone, did you, have you, do we, i, i do not, "
@@ -58,6 +59,8 @@ _ASKING = frozenset(
     )
 )
 _FRAMES = _phrases(
+    "can't find, cannot find, couldn't find, can't see, have you seen, has anyone seen, where has, where have, "
+    "where did, "
     "isn't, aren't, wasn't, isn't there, aren't there, can't you see, "
     "where, know, know where, to know, to know where, wanna know, want to know where, please, now, ok, okay, hey, "
     "hello, robot, just, then, hi, so, well, oh, um, also, and, maybe, perhaps, alright, yes, dear robot, hey "

@@ -63,7 +63,7 @@ class ReferenceReader(RegionReader):
             self._choice(Choice(order, rank, f"{token.text} {self.words(at, end)}"), at, end)  # type: ignore[arg-type]
             self.chain.spans.append(Span(token.start, token.end, "choice", 0))
             return end
-        if self.words(at, end).lower() in lexicon.RECIPROCAL:
+        if self.words(at, end).lower() in lexicon.RECIPROCAL or phrase.name in ("other", "others"):
             phrase = replace(phrase, label=self.chain.nouns[0].label, head=self.chain.nouns[0].head)
         phrase = self._whole(at, self._resolved(phrase))
         first = self._add_noun(phrase, "reference", phrase.where)
@@ -132,7 +132,8 @@ class ReferenceReader(RegionReader):
         root = self.chain.nouns[0]
         if self.negated:
             where = phrase.where
-            if root.anything and root.head_word == "one" and not phrase.anything:
+            implied = root.anything and root.where[0] == root.where[1]
+            if root.anything and (root.head_word == "one" or implied) and not phrase.anything:
                 bare = replace(phrase, attributes=(), words=(), modifiers=(), choices=())
                 self._merge(bare, named=True)
                 where = (end, end)

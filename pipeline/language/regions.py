@@ -100,11 +100,20 @@ class RegionReader(ChainReader):
             self.chain.spans.append(span)
         self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
 
-    def _scene(self, at: int, *, named: bool = False) -> int | None:
-        """Past `the room`, where the scene itself is the reference; None where a thing is."""
+    def _scene(self, at: int, *, named: bool = False, whole: bool = False) -> int | None:
+        """Past `the room`, where the scene itself is the reference; None where a thing is.
+
+        Parameters
+        ----------
+        at : int
+        named : bool
+            The word may be a class too.
+        whole : bool
+            It is no picture, which may be a thing of the scene.
+        """
         at += at < len(self.tokens) and self.tokens[at].plain in DETERMINERS
         word = self.tokens[at].plain or (self.tokens[at].text if named else None) if at < len(self.tokens) else None
-        if word in lexicon.SCENE and self._ends(at + 1):
+        if word in (lexicon.SCENE - lexicon.PICTURES if whole else lexicon.SCENE) and self._ends(at + 1):
             return at + 1
         return None
 

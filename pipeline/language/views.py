@@ -97,7 +97,7 @@ def _among_removed(tokens: list[Token]) -> list[Token]:
 
 
 def thing_first(tokens: list[Token], text: str) -> list[Token]:
-    """`a mug on the desk` of `on the desk is a mug`, of `on the desk, find a mug`, of `see the desk? On it is a mug`."""
+    """`a mug on the desk` of `on the desk is a mug`, `on the desk, find a mug` and `see the desk? On it is a mug`."""
     it = next((k for k in range(1, len(tokens) - 2) if tokens[k].relation and tokens[k + 1].plain == "it"), None)
     if it and any(c in text[tokens[it - 1].end : tokens[it].start] for c in ",;:.?"):
         turned = thing_first([tokens[it], *tokens[:it], *tokens[it + 2 :]], text)
