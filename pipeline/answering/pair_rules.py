@@ -223,7 +223,7 @@ class PairRule:
         return SCALES[self.scale][0](scores)
 
     def _modelled(self, ids: np.ndarray, factors: np.ndarray) -> np.ndarray:
-        return np.zeros(factors.shape[:-1]) if self.model is None else self.model(ids, factors)
+        return self.model(ids, factors) if self.model is not None and ids.size else np.zeros(factors.shape[:-1])
 
     def scores(self, target: Side, ends: Sequence[Side], p: np.ndarray, regular: bool = False) -> np.ndarray:
         """S of a table of pairs, of the shape of `p` with all axes of scenes.
@@ -240,7 +240,8 @@ class PairRule:
         if regular:
             return sums
         places, known, scores, before = self._known
-        at = np.array([places.get((a, b), -1) for a, b in ids.reshape(-1, 2).tolist()]).reshape(ids.shape[:-1])
+        found = [places.get((a, b), -1) for a, b in ids.reshape(-1, 2).tolist()]
+        at = np.array(found, np.int64).reshape(ids.shape[:-1])
         # Of a pair that the line does not have it is told what one like it would score, as its pairs do.
         rest = [float(np.median(scores - before)) if len(scores) else 0.0]
         missing = np.full((1, 3), np.nan)

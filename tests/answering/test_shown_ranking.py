@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from slow_cases import mostly_slow
 
-from pipeline.answering import GivenAnswer, Header, Prediction, Proposal, RunRules, Scale, ShownRanking
+from pipeline.answering import GivenAnswer, Header, Prediction, Proposal, RunRules, Scale, ShownRanking, side
 from pipeline.answering.pair_rules import line_rule
 from pipeline.answering.shown_ranking import SCALES, Compared
 from pipeline.answering.shown_scorer import described
@@ -169,6 +169,18 @@ def test_the_pair_that_was_answered_stands_first(
     if ranking == "pair_scores":
         # Nothing but the one that was answered is moved.
         assert all(given[p] == s for p, s in zip(pairs, scores, strict=True) if p != first)
+
+
+def test_a_line_that_had_nothing_to_rank_scores_what_the_truth_adds() -> None:
+    shown = ShownRanking.of(lines(lambda f: f[:, 2] + (f[:, 0] == f[:, 0].max())))
+    assert shown is not None
+    line = Prediction("1", "cup left of box", problem="no cup", proposals={"cup": ()}, relations={"left": ()})
+    rule = line_rule(RunRules(shown, (0.9, 0.1)), Header(1, ranking="pair_scores"), line, None)
+    assert rule is not None
+    nothing, missing = (side(np.zeros(n, np.int64), np.full(n, 0.5), 1.0) for n in (0, 1))
+    assert rule.scores(nothing, [nothing], np.zeros((0, 0))).shape == (0, 0)
+    low, high = (float(rule.scores(missing, [missing], np.full((1, 1), p))[0, 0]) for p in (0.1, 0.9))
+    assert low < high
 
 
 def test_weights_of_fewer_curves_still_say_what_they_said() -> None:
