@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     from pipeline.evaluation.figures import STANDS_IN, Listing, RunFigures, figures_of
     from pipeline.evaluation.importing import export_run, import_run
     from pipeline.evaluation.job import RunReport, evaluate_dataset
+    from pipeline.evaluation.judging_again import judge_again
     from pipeline.evaluation.paper_tables import tables_of_run
     from pipeline.evaluation.querying import open_database
+    from pipeline.evaluation.recorded import Recorded, doubts_of, judged_by, recorded_verdict
     from pipeline.evaluation.records import read_records
     from pipeline.evaluation.relation_cases import RelationSpec
     from pipeline.evaluation.robospatial import Question, published_right, read_question_answers, read_questions

@@ -23,7 +23,12 @@ from pipeline.system.whole_files import staged_folder
 
 
 def judge_again(
-    path: str | Path, out: str | Path, *, workers: int = 1, progress: Callable[[int, int], None] | None = None
+    path: str | Path,
+    out: str | Path,
+    *,
+    workers: int = 1,
+    plots: bool = True,
+    progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Judge a run, labels or a saved case again, by this version, into a new folder; the old one stays as it is.
 
@@ -35,6 +40,8 @@ def judge_again(
         Must not exist, or be empty.
     workers : int
         Processes, of a run or of labels.
+    plots : bool
+        Draw those of a run.
     progress : callable, optional
         Called with (done, in all).
 
@@ -52,19 +59,24 @@ def judge_again(
     if (path / CASE_FILE).is_file():
         return {"kind": "case", "out": str(out), "changes": list(_case(path, out))}
     if (path / RUN_FILE).is_file():
-        return {"kind": "run", "out": str(out), "expressions": _run(path, out, workers, progress)}
+        return {"kind": "run", "out": str(out), "expressions": _run(path, out, workers, plots, progress)}
     require(
         (path / PLAN_FILE).is_file(), "nothing here says how it was made",
         expected=f"a run ({RUN_FILE}), labels ({PLAN_FILE}) or a case ({CASE_FILE})", path=path,
     )  # fmt: skip
     plan, manifest = load_plan(Store(path)), open_labels(path).manifest
+    count, ids = len(plan.frames), plan.spec.open(plan.config).dataset.frame_ids
+    require(
+        plan.frames == ids[:count], "these labels are of some of the dataset's splits only",
+        expected="spatialviz label with the same --frames-of", path=path,
+    )  # fmt: skip
     report = label_dataset(
-        plan.spec, out, plan.config, SelectConfig(**manifest.selection), workers=workers, progress=progress
+        plan.spec, out, plan.config, SelectConfig(**manifest.selection), workers=workers, limit=count, progress=progress
     )
     return {"kind": "labels", "out": str(out), "frames": report.frames}
 
 
-def _run(path: Path, out: Path, workers: int, progress: Callable[[int, int], None] | None) -> int:
+def _run(path: Path, out: Path, workers: int, plots: bool, progress: Callable[[int, int], None] | None) -> int:
     run = open_run(path)
     options = dict(run.spec.options)
     if (predictions := options.pop("predictions", None)) is not None:
@@ -74,11 +86,11 @@ def _run(path: Path, out: Path, workers: int, progress: Callable[[int, int], Non
         )  # fmt: skip
         options.pop("rescore", None)
         report = import_run(
-            predictions, run.spec.dataset, run.spec.labels, out, name=run.name, workers=workers, progress=progress,
-            **options,
+            predictions, run.spec.dataset, run.spec.labels, out, name=run.name, workers=workers, plots=plots,
+            progress=progress, **options,
         )  # fmt: skip
     else:
-        report = evaluate_dataset(run.spec, out, name=run.name, workers=workers, progress=progress)
+        report = evaluate_dataset(run.spec, out, name=run.name, workers=workers, plots=plots, progress=progress)
     return report.expressions
 
 

@@ -43,7 +43,7 @@ class Recorded:
         )  # fmt: skip
 
 
-def recorded(row: Mapping[str, Any]) -> Recorded | None:
+def recorded_verdict(row: Mapping[str, Any]) -> Recorded | None:
     """The verdict of a row of a run's records; None where it has none."""
     if row.get("verdict") is None:
         return None

@@ -14,7 +14,7 @@ from pipeline.corrections.label_view import LabelView
 from pipeline.diagnosis.offers import Offers
 from pipeline.diagnosis.whatif.answer_view import AnswerView
 from pipeline.evaluation.figures import Listing
-from pipeline.evaluation.recorded import Recorded, recorded
+from pipeline.evaluation.recorded import Recorded, recorded_verdict
 from pipeline.geometry.measure import Measurement, measure
 from spatialviz.app.place import CameraMode, Place, Task
 
@@ -126,7 +126,7 @@ class State(AnswerView):
             return None
         rows = self.listing.figures.rows
         number = rows.number(self.frame_id, expression)
-        return None if number is None else recorded(rows.read(np.array([number]))[0])
+        return None if number is None else recorded_verdict(rows.read(np.array([number]))[0])
 
     @property
     def unasked(self) -> State:
