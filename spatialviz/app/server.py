@@ -11,7 +11,7 @@ import sys
 import threading
 import warnings
 import webbrowser
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 
 import viser
@@ -20,7 +20,7 @@ from viser._messages import ShareUrlDisconnect, ShareUrlRequest
 from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
-from pipeline.datasets.demo import DEMO_NAME
+from pipeline.datasets.demo import demo_path
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
@@ -176,7 +176,7 @@ def serve(
 def announce(
     server: viser.ViserServer,
     access: Access,
-    sources: Iterable[str],
+    sources: Mapping[str, Pipeline],
     host: str,
     port: int,
     open_browser: bool,
@@ -187,8 +187,11 @@ def announce(
     address = f"http://{shown}:{server.get_port()}"
     if port and server.get_port() != port:
         print(f"spatialviz: port {port} is taken, using {server.get_port()}", file=sys.stderr)
-    names = ", ".join("the built-in demo" if n == DEMO_NAME else n for n in sources)
-    print(f"spatialviz: {names} at {address} ({stop} stops)", flush=True)
+    built_in = demo_path().resolve()
+    named = (
+        "the built-in demo" if source.dataset.root.resolve() == built_in else name for name, source in sources.items()
+    )
+    print(f"spatialviz: {', '.join(named)} at {address} ({stop} stops)", flush=True)
     if access.unnamed:
         address = f"{address}/?token={access.unnamed}"
         print(f"spatialviz: others reach this machine, so a token is needed: {address}", flush=True)
