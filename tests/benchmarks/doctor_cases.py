@@ -36,7 +36,7 @@ RECORDINGS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 UNALIGNED = ("7-scenes",)
 """Colour and depth of these are of two cameras as they are published."""
-SEEDS, HELD_OUT = (1, 2), (101, 102, 103)
+SEEDS, HELD_OUT = (1, 2), (101, 102)
 NOTHING = Planted("")
 OTHERS = [name for name in CONVENTIONS if name != STANDARD]
 POSED = (
