@@ -312,8 +312,11 @@ def untold_words(summary: RunSummary, said: str | None = None) -> str:
 def cost_words(summary: RunSummary) -> str:
     """Where the accuracy goes, in sentences that say no other module than the verdicts do without saying why."""
     right = summary.accuracy.value
-    shares = (f"{100 * share:.1f}" if 100 * share >= LEAST_SAID else "none" for share in (right, 1 - right))
-    text = "Of 100 expressions {} are answered rightly, {} are not.".format(*shares)
+    shares = tuple(f"{100 * share:.1f}" if 100 * share >= LEAST_SAID else "none" for share in (right, 1 - right))
+    labelled = summary.verdicts["CORRECT"].estimate.value
+    by = (f"{100 * labelled:.1f} by the labelled thing", f"{100 * (right - labelled):.1f} by another that fits too")
+    how = f" ({', '.join(by)})" if 100 * (right - labelled) >= LEAST_SAID else ""
+    text = f"Of 100 expressions {shares[0]} are answered rightly{how}, {shares[1]} are not."
     parts = {name: e.value for name, e in summary.loss.items() if name != "accuracy" and 100 * e.value >= LEAST_SAID}
     if (unknown := parts.pop("unknown", 0.0)) > 0:
         text += f" What {100 * unknown:.1f} of them cost by module cannot be worked out."

@@ -12,6 +12,8 @@ from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.comparing import CHANGES, Comparison
 from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
 from pipeline.evaluation.figures import STANDS_IN, RunFigures
+from pipeline.evaluation.recorded import doubts_of
+from pipeline.evaluation.search import FAILURES
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.shared_makers import Share, title_of
 from pipeline.evaluation.slices import Slice, Slices
@@ -43,7 +45,7 @@ def summary_html(figures: RunFigures) -> Element:
     summary = figures.summary
     name = h.h2(h.b(figures.run.name), h.span(figures.run.folder.name if isinstance(summary, str) else
                                              counted(summary.expressions, "expression")), cls="runhead")  # fmt: skip
-    shares = shares_html(figures.run.shares)
+    shares = [shares_html(figures.run.shares), *map(note, doubts_of(figures.run))]
     if isinstance(summary, str):
         return panel(name, shares, note(summary))
     return panel(name, shares, _waterfall(summary), _verdicts(summary))
@@ -111,8 +113,8 @@ def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
         said = f"{_named(name)}: {hint(word)}\nFair share {e.formatted(signed=True)} points."
         if single is not None:
             said += f" With it alone {100 * (base + single.value):.1f} in place of {100 * base:.1f}."
-        query = {"PARSE": "verdict:PARSE", "residual": _causes(summary), "unknown": "-set_correct -untold:none"}.get(
-            name, f"-verdict:CORRECT,LABEL mends:{name}"
+        query = {"PARSE": "verdict:PARSE", "residual": _causes(summary), "unknown": f"{FAILURES} -untold:none"}.get(
+            name, f"{FAILURES} mends:{name}"
         )
         rows.append(
             h.button(
@@ -131,12 +133,18 @@ def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
         h.span(), h.span("share", cls="n", title=hint("Shapley")), h.span("alone", cls="n", title=hint("alone")),
         h.span(ends, cls="track"), cls="fall axis",
     )  # fmt: skip
-    return heading("Where the accuracy goes", "% right, of all expressions"), _in_words(summary), h.div(
+    return heading("Where the accuracy goes", _over(summary)), _in_words(summary), h.div(
         axis, rows, cls="falls"
     ), h.p(
         "Each bar is a module's fair share of what is lost; all add up to 100. ",
         h.u(cls="key"), " the accuracy with this module alone replaced by the truth.", cls="small dim",
     )  # fmt: skip
+
+
+def _over(summary: RunSummary) -> Element:
+    """What figures are counted over."""
+    title = "The figures are those of the whole run; a search changes the list alone."
+    return h.span(f"% of all {counted(summary.expressions, 'expression')}, whatever is searched", title=title)
 
 
 def _in_words(summary: RunSummary) -> Element:
@@ -178,7 +186,7 @@ def _verdicts(summary: RunSummary) -> tuple[Child, ...]:
                 h.span(between(e), cls="n dim"), cls="vrow", title=said, **searches(f"verdict:{verdict}"),
             )
         )  # fmt: skip
-    unit = h.span(f"% · 95 % over {summary.unit}s", title=hint("interval"))
+    unit = h.span(f"% of all · 95 % over {summary.unit}s", title=hint("interval"))
     return heading("Verdicts", unit), rows
 
 
