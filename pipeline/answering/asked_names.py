@@ -108,28 +108,32 @@ def without_strangers(query: Query, detector: Detector, synonyms: Synonyms | Non
         best = meanings(node.name, detector.vocabulary, synonyms)[:1]
         words = normal_form(node.name).split()
         strangers = [words[k] for k in best[0].left] if best and asked is not None else []
-        spans = _marked(query.text, spans, node.mention, [*strangers, *tail])
+        if strangers or tail:
+            spans = _marked(query.text, spans, node.mention, strangers, len(tail))
     return replace(query, spans=spans)
 
 
-def _marked(text: str, spans: Sequence[Span], mention: int, words: Sequence[str]) -> tuple[Span, ...]:
-    """The spans, those of one noun cut where the words stand, which are not used."""
+def _marked(text: str, spans: Sequence[Span], mention: int, words: list[str], after: int) -> tuple[Span, ...]:
+    """The spans, those of one noun cut where some words and so many last ones stand, which are not used."""
     found: list[Span] = []
-    wanted = [w for w in words if w not in SMALL and w not in DETERMINERS]
     for span in spans:
-        if span.role not in ("target", "reference") or span.index != mention or not wanted:
+        if span.role not in ("target", "reference") or span.index != mention:
             found.append(span)
             continue
-        at = span.start
-        for word in re.finditer(r"[^\s,;]+", text[span.start : span.end]):
-            start, end = span.start + word.start(), span.start + word.end()
+        at, said = span.start, list(re.finditer(r"[^\s,;]+", text[span.start : span.end]))
+        for n, word in enumerate(said):
             plain = normal_form(word[0])
-            hit = next((w for w in wanted if w in (plain, word[0].lower()) or singular(w) == plain), None)
-            if hit is not None:
-                wanted.remove(hit)
-                found += [replace(span, start=at, end=start)] if text[at:start].strip() else []
-                found.append(Span(start, end, "unused", 0, STRANGER, unknown=True))
-                at = end
+            hit = next((w for w in words if w in (plain, word[0].lower()) or singular(w) == plain), None)
+            if hit is not None and n < len(said) - after:
+                words.remove(hit)
+            elif n < len(said) - after:
+                continue
+            if word[0].lower() in SMALL or word[0].lower() in DETERMINERS:
+                continue
+            start, end = span.start + word.start(), span.start + word.end()
+            found += [replace(span, start=at, end=start)] if text[at:start].strip() else []
+            found.append(Span(start, end, "unused", 0, STRANGER, unknown=True))
+            at = end
         found += [replace(span, start=at)] if text[at : span.end].strip() else []
     return tuple(found)
 

@@ -183,9 +183,11 @@ class _Reader(ReferenceReader):
         if self.chain.nouns and not self.opened and not self._predicative(at):
             for pattern, why in _NOT_JUDGED:
                 if (found := self.match(pattern, at)) and self._goes_on(found[1]):
-                    self.problems.append(Unsupported(why, got=f"'{self.words(at, found[1])}'"))
-                    self._note(at, found[1], why)
-                    return found[1]
+                    # In `that I put on the table` the table says where it is.
+                    end = found[1] - (self.tokens[found[1] - 1].relation is not None and self._starts_noun(found[1]))
+                    self.problems.append(Unsupported(why, got=f"'{self.words(at, end)}'"))
+                    self._note(at, end, why)
+                    return end
         if self._links(at):
             if word in lexicon.HOW_EXACTLY and self.chain.nouns and self._relates(at + 1):
                 self._note(at, at + 1, NOT_EXACT)

@@ -233,7 +233,8 @@ VERBS = _words("that which who whose is are was were has have should where")
 TELLING = _words(
     "left right top front behind above below under underneath beneath beside between near nearer nearest nearby next "
     "close closer closest farther farthest further furthest distant far higher lower inside outside within atop "
-    "adjacent alongside middle center centre ahead most opposite without except excluding same"
+    "adjacent alongside middle center centre ahead most opposite without except excluding same "
+    "apart aside instead rather"
 )
 """Words that tell things apart wherever they stand: left out of all parts, they are told."""
 
@@ -293,6 +294,7 @@ GRAMMAR_WORDS = (
     | VERBS
     | ACTIONS
     | ANYTHING
+    | {"apart", "aside", "instead", "rather"}
     | frozenset(word for phrase in LEADING for word in phrase.split())
 )
 """Words that are never taken for misspelt ones."""

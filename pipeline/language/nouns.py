@@ -85,6 +85,7 @@ class NounReader(LooksReader):
 
     asks_what = False
     stop: int | None = None
+    negated = False
 
     # ---- one noun phrase -------------------------------------------------------------------------------------------
 
@@ -176,7 +177,7 @@ class NounReader(LooksReader):
             following = attribute(self._text(at + 1))
             if end is None and token.plain in ("and", "&") and draft.attributes and following:
                 end = at + 1
-            if end is None and token.plain == "or" and draft.attributes and following:
+            if end is None and token.plain == "or" and draft.attributes and following and not self.negated:
                 end = at + 2
                 self.left_out[at] = token.start, self.tokens[at + 1].end, ALTERNATIVES
             if end is None and token.plain == "not" and following and at == start:

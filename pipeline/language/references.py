@@ -144,8 +144,13 @@ class ReferenceReader(RegionReader):
                 self.at_root = True
                 return end
             implied = phrase.where[0] == phrase.where[1]
-            number = self._add_noun(self._resolved(phrase, root, implied=implied), "reference", where)
-            self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
+            listed = self.joined or any(self.breaks[k] for k in range(at + 1, end))
+            each = list(zip(phrase.attributes, phrase.words, strict=True)) if implied and listed else []
+            # `neither red, green nor blue` is none of them, `not the small red one` not what is both.
+            several = [replace(phrase, label=f"{w} thing", attributes=(a,), words=(w,)) for a, w in each] or [phrase]
+            for one in several:
+                number = self._add_noun(self._resolved(one, root, implied=implied), "reference", where)
+                self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
             self.negated, self.at_root = False, True
             return end
         clauses = self.chain.clauses

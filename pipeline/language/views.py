@@ -114,5 +114,6 @@ def thing_first(tokens: list[Token], text: str) -> list[Token]:
         if any(c in text[tokens[k - 1].end : tokens[k].start] for c in ",;:."):
             rest, _ = leading_removed(tokens[k:])
             if rest[0].plain in DETERMINERS - lexicon.RELATIVE or len(rest) < len(tokens) - k:
-                return rest + tokens[:k]
+                among = tokens[0].relation == "between" and all(t.plain not in lexicon.AND for t in tokens[:k])
+                return tokens[1:k] + rest if among else rest + tokens[:k]
     return tokens
