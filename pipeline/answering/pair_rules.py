@@ -229,8 +229,11 @@ class PairRule:
         """S of a table of pairs, of the shape of `p` with all axes of scenes.
 
         What the line gives, and as much more or less as the model says of other factors; `regular` is by the model
-        alone, on its scale. Parameters else as for `pair_table`; one end at most.
+        alone, on its scale. Parameters else as for `pair_table`; of two ends it is known which target was answered.
         """
+        if len(ends) > 1:
+            own = np.isin(self.ids[target.index], [a for a, _ in self.given])
+            return np.broadcast_to(1.0 * own[:, None, None], p.shape)
         shape = np.broadcast_shapes(p.shape, (*target.scores.shape, 1) if ends else target.scores.shape)
         t = target.scores[..., :, None] if ends else target.scores
         r = ends[0].scores[..., None, :] if ends else 1.0
@@ -303,11 +306,12 @@ def line_rule(run: RunRules, header: Header, line: Prediction, rescore: Rescore 
     told = _told_scores(header, line, factors)
     # Of a sentence of more than two names no factors are known, and so nothing of what another truth would score.
     rule = replace(known, factors=factors, model=model if factors else None, first=first)
-    if header.ranking == "pair_scores":
+    of_three = any(len(row) > 3 for rows in (line.relations or {}).values() for row in rows)
+    if header.ranking == "pair_scores" and not (of_three and first):
         return replace(rule, given=_unscored_last(told, factors), scored=True)
     if first is None:
         return None
-    if 1.0 not in told.values():
+    if of_three or 1.0 not in told.values():
         return replace(rule, **_unranked(header, line), model=None, told=True, first=None)
     if rule.model is None:
         return replace(rule, given=told, first=None)

@@ -205,7 +205,7 @@ def pair_table(
         Pixels of the mask of every object; the larger target wins a tie.
     config : RankConfig
     """
-    if config.rule is not None and len(ends) < 2:
+    if config.rule is not None and (len(ends) < 2 or config.rule.answered is not None):
         log_score = np.where(forbidden, -np.inf, config.rule.scores(target, ends, p))
         return PairTable(target, tuple(ends), p, log_score, sizes, config)
     # The same order of sums everywhere, so that S is the same to the last bit.

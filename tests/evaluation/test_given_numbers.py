@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -237,6 +238,30 @@ def test_which_line_tells_of_an_object_does_not_matter(
     for line in file.lines.values():
         for p in (p for found in (line.proposals or {}).values() for p in found):
             assert p.box == world().boxes[p.id]
+
+
+SENTENCES = [
+    ("potted plant closest to the desk", ("potted plant", "desk"), "closest"),
+    ("book between the laptop and the bookshelf", ("book", "laptop", "bookshelf"), "between"),
+    ("red book left of the laptop", ("book", "laptop"), "left"),
+]
+
+
+@pytest.mark.parametrize(("text", "names", "relation"), SENTENCES)
+@pytest.mark.parametrize("ranking", ["product", "pair_scores", "none"])
+def test_what_was_answered_to_a_sentence_stands(text: str, names: tuple[str, ...], relation: str, ranking: str) -> None:
+    w = world()
+    things = {n: [a.index for a in w.context.frame.annotations if a.label == n and a.index in w.boxes] for n in names}
+    proposals = {n: tuple(Proposal(i, 0.8, w.boxes[i]) for i in found) for n, found in things.items()}
+    rows: Any = {relation: tuple((*row, 0.5) for row in product(*things.values()))}
+    pairs = tuple((*row[:2], 1.0) for row in product(*list(things.values())[:2])) if ranking == "pair_scores" else None
+    for i in things[names[0]][:3]:
+        line = Prediction(
+            w.truth.frame, text, GivenAnswer(i), proposals=proposals, relations=rows, pairs=pairs, boxes_3d={}
+        )
+        trace = opened(Header(ranking=ranking), line).ask(w.context, text)  # type: ignore[arg-type]
+        answer = trace_record(trace)["answer"]
+        assert answer["target"]["id"] == i
 
 
 def test_what_stands_twice_is_refused(tmp_path: Path) -> None:
