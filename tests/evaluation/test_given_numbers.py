@@ -254,10 +254,16 @@ def test_what_was_answered_to_a_sentence_stands(text: str, names: tuple[str, ...
     things = {n: [a.index for a in w.context.frame.annotations if a.label == n and a.index in w.boxes] for n in names}
     proposals = {n: tuple(Proposal(i, 0.8, w.boxes[i]) for i in found) for n, found in things.items()}
     rows: Any = {relation: tuple((*row, 0.5) for row in product(*things.values()))}
-    pairs = tuple((*row[:2], 1.0) for row in product(*list(things.values())[:2])) if ranking == "pair_scores" else None
+    pairs: Any = tuple((*row[:2], 1.0) for row in product(*list(things.values())[:2]))
     for i in things[names[0]][:3]:
         line = Prediction(
-            w.truth.frame, text, GivenAnswer(i), proposals=proposals, relations=rows, pairs=pairs, boxes_3d={}
+            w.truth.frame,
+            text,
+            GivenAnswer(i),
+            proposals=proposals,
+            relations=rows,
+            boxes_3d={},
+            pairs=pairs if ranking == "pair_scores" else None,
         )
         trace = opened(Header(ranking=ranking), line).ask(w.context, text)  # type: ignore[arg-type]
         answer = trace_record(trace)["answer"]
