@@ -48,7 +48,7 @@ def summary_html(figures: RunFigures) -> Element:
     shares = [shares_html(figures.run.shares), *map(note, doubts_of(figures.run))]
     if isinstance(summary, str):
         return panel(name, shares, note(summary))
-    return panel(name, shares, _waterfall(summary), _verdicts(summary))
+    return panel(name, shares, _waterfall(summary, "untold" in figures.run.records.column_names), _verdicts(summary))
 
 
 def shares_html(shares: Sequence[Share]) -> Element | None:
@@ -84,7 +84,7 @@ def _along(start: float, width: float) -> dict[str, str]:
     return {"left": f"{start:.2%}", "width": f"{width:.2%}"}
 
 
-def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
+def _waterfall(summary: RunSummary, told: bool) -> tuple[Child, ...]:
     """From the accuracy as it is, module by module, to 100: each bar begins where the one above ends."""
     if summary.deltas is None:
         return heading("Where the accuracy goes", ""), _in_words(summary)
@@ -113,7 +113,8 @@ def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
         said = f"{_named(name)}: {hint(word)}\nFair share {e.formatted(signed=True)} points."
         if single is not None:
             said += f" With it alone {100 * (base + single.value):.1f} in place of {100 * base:.1f}."
-        query = {"PARSE": "verdict:PARSE", "residual": _causes(summary), "unknown": f"{FAILURES} -untold:none"}.get(
+        unknown = f"{FAILURES} -untold:none" if told else FAILURES
+        query = {"PARSE": "verdict:PARSE", "residual": _causes(summary), "unknown": unknown}.get(
             name, f"{FAILURES} mends:{name}"
         )
         rows.append(
@@ -133,18 +134,13 @@ def _waterfall(summary: RunSummary) -> tuple[Child, ...]:
         h.span(), h.span("share", cls="n", title=hint("Shapley")), h.span("alone", cls="n", title=hint("alone")),
         h.span(ends, cls="track"), cls="fall axis",
     )  # fmt: skip
-    return heading("Where the accuracy goes", _over(summary)), _in_words(summary), h.div(
+    return heading("Where the accuracy goes", f"% of all {summary.expressions:,}"), _in_words(summary), h.div(
         axis, rows, cls="falls"
     ), h.p(
         "Each bar is a module's fair share of what is lost; all add up to 100. ",
-        h.u(cls="key"), " the accuracy with this module alone replaced by the truth.", cls="small dim",
+        h.u(cls="key"), " the accuracy with this module alone replaced by the truth. ",
+        "All figures are of the whole run; a search changes the list alone.", cls="small dim",
     )  # fmt: skip
-
-
-def _over(summary: RunSummary) -> Element:
-    """What figures are counted over."""
-    title = "The figures are those of the whole run; a search changes the list alone."
-    return h.span(f"% of all {counted(summary.expressions, 'expression')}, whatever is searched", title=title)
 
 
 def _in_words(summary: RunSummary) -> Element:
