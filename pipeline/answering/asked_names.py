@@ -123,10 +123,8 @@ def _marked(text: str, spans: Sequence[Span], mention: int, words: list[str], af
         at, said = span.start, list(re.finditer(r"[^\s,;]+", text[span.start : span.end]))
         for n, word in enumerate(said):
             plain = normal_form(word[0])
-            hit = next((w for w in words if w in (plain, word[0].lower()) or singular(w) == plain), None)
-            if hit is not None and n < len(said) - after:
-                words.remove(hit)
-            elif n < len(said) - after:
+            hit = any(w in (plain, word[0].lower()) or singular(w) == plain for w in words)
+            if not hit and n < len(said) - after:
                 continue
             if word[0].lower() in SMALL or word[0].lower() in DETERMINERS:
                 continue

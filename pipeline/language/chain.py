@@ -198,10 +198,11 @@ class ChainReader(NounReader):
         """Words about a noun that come later: `the mug ... , the red one`, `the mug is the leftmost object`."""
         noun = self.chain.nouns[number]
         words, name = (*noun.words, *phrase.words), phrase.name if named else noun.name
+        tail = "" if named else noun.label.partition(noun.name)[2]
         self.chain.nouns[number] = replace(
             noun,
-            label=" ".join([*words, name]),
-            head=name if words else "",
+            label=" ".join([*words, name + tail]),
+            head=name if words or tail else "",
             words=words,
             attributes=(*noun.attributes, *phrase.attributes),
             choices=(*noun.choices, *phrase.choices),
