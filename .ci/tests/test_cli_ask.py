@@ -23,9 +23,12 @@ def test_version_and_help() -> None:
     assert "usage: spatialviz" in spatialviz(0, "--help").out
 
 
-def test_the_doctor_finds_the_demo_well() -> None:
-    found = spatialviz(0, "doctor", "demo", "--json").record
+def test_the_doctor_finds_the_demo_well(tmp_path: Path) -> None:
+    found = spatialviz(0, "doctor", "demo", "--overlay", tmp_path / "edges.png", "--json").record
     assert {opinion["about"]: opinion["state"] for opinion in found["opinions"]}["poses"] == "fine"
+    picture = cv2.imread(str(tmp_path / "edges.png"))
+    assert picture is not None
+    assert picture.shape == (4 * 480, 2 * 640, 3)
 
 
 def test_every_frame_of_the_demo_is_fine() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -36,7 +37,7 @@ class Planted:
     """
 
     about: str
-    by: float | str | tuple[float, ...] = ""
+    by: Any = ""
 
     @property
     def subjects(self) -> set[str]:
@@ -46,7 +47,6 @@ class Planted:
     def read(self, frames: Sequence[Frame]) -> list[Frame]:
         """A recording as it is read with the error; what is declared of its world is right, and carried by poses."""
         if self.about == "time":
-            assert isinstance(self.by, int)
             return [_posed(f, frames[min(max(k + self.by, 0), len(frames) - 1)].camera.T_world_camera)
                     for k, f in enumerate(frames)]  # fmt: skip
         return [self._read(frame) for frame in frames]
@@ -61,44 +61,42 @@ class Planted:
             wrong = np.array(by, np.float64)
             return replace(frame, camera=camera.with_up(camera.T_world_camera[:3, :3].T @ wrong, "declared"))
         if self.about == "registration":
-            f, *shift, tx, ty = by  # pyright: ignore[reportGeneralTypeIssues]
+            f, *shift, tx, ty = by
             back = Registration(camera.fx / f, camera.fy / f, camera.cx - shift[0], camera.cy - shift[1], -tx, -ty)
             return replace(frame, depth=registered(frame.depth, camera, back)[0])
         if self.about == "focal length":
-            K[[0, 1], [0, 1]] *= float(by)  # pyright: ignore[reportArgumentType]
+            K[[0, 1], [0, 1]] *= float(by)
         elif self.about == "picture size":
             K[:2] *= by
         elif self.about == "principal point":
             K[:2, 2] = K[1::-1, 2] if by == "swapped" else K[:2, 2] + np.array(by)
         return replace(frame, camera=replace(camera, K=K))
 
-    def undone(self, found: Examination, frames: Sequence[Frame]) -> bool:
-        """Whether what is said to mend it does; `frames` are the true ones."""
+    def undone(self, found: Examination, frames: Sequence[Frame], read: Sequence[Frame]) -> bool:
+        """Whether what is said to mend it does; `frames` are the true ones, `read` those with the error."""
         mends, truth = found.mends, frames[0].camera
         if self.about == "depth scale":
-            return abs(mends["depth_scale"] / (UNITS * float(self.by)) - 1) < SCALE_WITHIN  # pyright: ignore
+            return abs(mends["depth_scale"] / (UNITS * float(self.by)) - 1) < SCALE_WITHIN
         if self.about == "poses":
             return mends["poses"] == self.by
         if self.about == "time":
-            return mends["pose_shift"] == -int(self.by)  # pyright: ignore[reportArgumentType]
+            return mends["pose_shift"] == -int(self.by)
         if self.about == "up":
             return np.allclose([float(n) for n in mends["up"].partition(":")[2].split(",")], (0, 0, 1))
         if self.about == "registration":
-            return warp_left(found, frames) < WARP_WITHIN
+            return warp_left(found, frames, read) < WARP_WITHIN
         fx, _, cx, cy = mends["intrinsics"]
         off = max(abs(cx - truth.cx), abs(cy - truth.cy))
         near = CENTER_WITHIN if self.by in ("swapped", 0.5, 2.0) else 2 * CENTER_WITHIN
         return abs(fx / truth.fx - 1) < FOCAL_WITHIN and off < near * truth.width
 
 
-def warp_left(found: Examination, frames: Sequence[Frame]) -> float:
-    """By how many of the pixels that what is read is off, what is mended still is; 0 is mended, above 1 is harm.
-
-    Measured where depth as mended should be: how far its steps are from those of the true depth, within frames.
-    """
-    true = {frame.id: frame for frame in frames}
-    mended, read = (np.mean([_misfit(f, true[f.id]) for f in some]) for some in (found.mended, found.as_read))
-    return float(mended / max(read, 1e-9))
+def warp_left(found: Examination, frames: Sequence[Frame], read: Sequence[Frame]) -> float:
+    """How many of the pixels that are read with a wrong depth have one with the mend: 0 is mended, above 1 is harm."""
+    warp = Registration(*found.mends["registration"])
+    mended = [replace(f, depth=registered(f.depth, f.camera, warp)[0]) for f in read]
+    left, first = (np.mean([_misfit(f, t) for f, t in zip(some, frames, strict=True)]) for some in (mended, read))
+    return float(left / max(first, 1e-9))
 
 
 def _misfit(frame: Frame, true: Frame) -> float:
@@ -133,23 +131,26 @@ def judge(
 ) -> Judged:
     """Plant an error and see what is said; `read` is the recording with it, `passed` subjects are wrong anyway."""
     try:
-        dataset = InMemoryDataset(read or planted.read(frames))
+        read = read or planted.read(frames)
+        dataset = InMemoryDataset(read)
         found = examine_frames(dataset, chosen_frames(dataset), UNITS)
     except InputError as error:
         return Judged(recording, planted, "refused", None, str(error))
     wrong = {o.about for o in found.wrong} - set(passed)
     told = [o for o in found.opinions if o.about in wrong | planted.subjects]
     said = " | ".join(f"{o.about}: {o.text} {o.option or ''}" for o in told)
-    return Judged(recording, planted, outcome_of(found, wrong, planted, frames), found, said)
+    return Judged(recording, planted, outcome_of(found, wrong, planted, frames, read), found, said)
 
 
-def outcome_of(found: Examination, wrong: set[str], planted: Planted, frames: Sequence[Frame]) -> str:
+def outcome_of(
+    found: Examination, wrong: set[str], planted: Planted, frames: Sequence[Frame], read: Sequence[Frame]
+) -> str:
     """One of `OUTCOMES`; "right" too where nothing is planted and nothing is found."""
     if not planted.about or not wrong <= planted.subjects:
         return "false alarm" if wrong else "right"
     if wrong:
         if not any(o.mend for o in found.wrong if o.about in wrong):
             return "named"
-        return "right" if planted.undone(found, frames) else "wrong mend"
+        return "right" if planted.undone(found, frames, read) else "wrong mend"
     states = {found.of(about).state for about in planted.subjects}
     return "abstains" if "unknown" in states else "missed"

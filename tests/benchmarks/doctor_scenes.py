@@ -93,7 +93,7 @@ def walk(seed: int, count: int = 26, width: int = 256) -> list[Rendered]:
     focus = room.focuses[int(rng.integers(len(room.focuses)))]
     t = np.cumsum(0.4 + np.abs(np.convolve(rng.normal(0, 1.0, count + 6), np.ones(4) / 4, "same"))[:count])
     waves = [rng.uniform(0.1, 0.35, 3) * w for w in rng.normal(0, 1, (5, 1))]
-    sways = [sum(np.sin(f * t / (j + 1) + rng.uniform(0, 6.3)) for j, f in enumerate(wave)) for wave in waves]
+    sways = [np.sum([np.sin(f * t / (j + 1) + rng.uniform(0, 6.3)) for j, f in enumerate(w)], axis=0) for w in waves]
     heading = focus.heading + 0.16 * sways[0]
     away = np.clip(0.5 * (focus.near + focus.far) + 0.12 * sways[1], 1.2, None)
     pitch, roll = np.deg2rad(20) + 0.06 * sways[2], 0.03 * sways[3]
@@ -146,7 +146,7 @@ def _put_arms(layout: Layout, camera: Camera, rng: Rng) -> None:
     T = pose_of(camera)
     for side in (-1, 1):
         far, near = (side * rng.uniform(0.4, 0.55), 0.6, 1), (side * rng.uniform(0.2, 0.35), 0.4, 1)
-        start, end = (T[:3, 3] + z * T[:3, :3] @ np.array(p) for p, z in ((far, 0.5), (near, 0.58)))
+        start, end = (tuple(T[:3, 3] + z * T[:3, :3] @ np.array(p)) for p, z in ((far, 0.5), (near, 0.58)))
         parts = [rod(start, end, 0.055, WHITE), ball(0.06, end, STEEL)]
         corners = np.concatenate([part.vertices for part in parts])
         middle = (corners.min(axis=0) + corners.max(axis=0)) / 2

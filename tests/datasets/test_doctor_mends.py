@@ -177,7 +177,8 @@ def test_a_warp_after_a_declared_one_is_both(room: list[Frame]) -> None:
     then = Registration(own.fx, own.fy, own.cx - 4, own.cy + 2, -0.01, 0.0, 0.005)
     u, v, z = np.array([100.0, 300.0, 500.0]), np.array([80.0, 240.0, 400.0]), np.array([1.0, 2.0, 3.0])
     _, between = registered(room[0].depth, own, first)
-    in_turn = then.pixels(*first.pixels(u, v, z, own), between)
+    columns, rows, far = first.pixels(u, v, z, own)
+    in_turn = then.pixels(columns, rows, far, between)
     np.testing.assert_allclose(in_turn, then.after(first).pixels(u, v, z, own))
 
 
