@@ -27,6 +27,7 @@ from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge, labelled_truth
 from pipeline.diagnosis.offers import offers_of
+from pipeline.diagnosis.verdict import shown_verdict
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import open_run
 from pipeline.geometry.measure import Measurement, measure
@@ -239,7 +240,7 @@ def print_answer(answer: Answer, trace: Trace) -> None:
     say(f"{stages} · {made}", style="dim")
     if answer.diagnosis is not None:
         found = answer.diagnosis
-        name = " ".join(word for word in (found.verdict, found.detail, "LUCKY" if found.lucky else None) if word)
+        name = shown_verdict(found.verdict, found.detail, found.lucky)
         style = "bold green" if found.correct else "bold yellow"
         say(("verdict ", "dim"), (name, style), f"  {found.text}")
     elif answer.unjudged is not None:

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.diagnosis.marks import read_marks
-from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.comparing import CHANGES, Comparison, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
@@ -383,7 +383,7 @@ def _print_found(command: Failures, name: str, expressions: int, found: pa.Table
     of = counted(expressions, "expression")
     say((f"{what}: {found.num_rows} of {of}", "bold"), (f"  in {name}", "dim"))
     for row in found.slice(0, command.limit).to_pylist():
-        verdict = "CORRECT LUCKY" if row["lucky"] else " ".join(filter(None, (row["verdict"], row["detail"])))
+        verdict = shown_verdict(row["verdict"], row["detail"], bool(row["lucky"]))
         changed = ""
         if row.get("change") not in (None, "same"):
             changed = f"  {CHANGES[row['change']]}: {row['second_verdict']}"

@@ -34,6 +34,19 @@ VERDICTS: tuple[str, ...] = (
 predictions."""
 
 
+def shown_detail(detail: str | None, lucky: bool = False) -> str:
+    """What a verdict says more, as people read it; modules by the names that verdicts have: `SRM+CONF` is
+    SRM+OPM-CONF."""
+    if lucky:
+        return "LUCKY"
+    return "+".join({"RECALL": "OPM", "CONF": "OPM-CONF"}.get(part, part) for part in (detail or "").split("+"))
+
+
+def shown_verdict(verdict: str, detail: str | None, lucky: bool = False) -> str:
+    """A verdict in a line: `OPM-TARGET RANK`, `CORRECT LUCKY`."""
+    return f"{verdict} {shown_detail(detail, lucky)}".strip()
+
+
 RULES_VERSION = 2
 """Of the rules by which verdicts are found; another number where the same answer may have another verdict."""
 

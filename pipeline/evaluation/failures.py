@@ -10,6 +10,7 @@ from typing import Any, overload
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import answer, labelled_truth
 from pipeline.diagnosis.opened import Opened
+from pipeline.diagnosis.verdict import shown_verdict
 from pipeline.evaluation.browsing import SHOWN, RunRows
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.search import find_failures
@@ -41,7 +42,7 @@ class Failure(InNotebook):
     @property
     def verdict(self) -> str:
         """With its detail: "OPM-TARGET RANK"."""
-        return " ".join(filter(None, (self.row["verdict"], self.row["detail"])))
+        return shown_verdict(self.row["verdict"], self.row["detail"], bool(self.row["lucky"]))
 
     @cached_property
     def answer(self) -> Answer:

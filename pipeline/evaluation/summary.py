@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.diagnosis.oracles import NAMED_BY, ORACLES, shown_oracle
-from pipeline.diagnosis.verdict import VERDICTS, shown_verdicts
+from pipeline.diagnosis.verdict import VERDICTS, shown_detail, shown_verdicts
 from pipeline.evaluation.costs import EVERY, Deltas, KnownOracles, oracle_deltas, shapley_weights
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate, ratio
@@ -243,7 +243,7 @@ def verdict_table(systems: Mapping[str, RunSummary]) -> Table:
     for verdict in shown_verdicts({v for s in found for v in s.verdicts}):
         rows.append(Row(verdict, _cells([s.verdicts.get(verdict) for s in found])))
         rows += [
-            Row(f"{verdict}: {detail}", _cells([s.details.get((v, detail)) for s in found]))
+            Row(f"{verdict}: {shown_detail(detail)}", _cells([s.details.get((v, detail)) for s in found]))
             for v, detail in sorted(pairs, key=str)
             if v == verdict
         ]

@@ -10,7 +10,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.diagnosis.stages import failed_stages
-from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
+from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis, shown_detail
 from pipeline.diagnosis.whatif.answer_view import BothAnswers, OtherAnswer
 from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.evaluation.recorded import Recorded, judged_by
@@ -71,7 +71,7 @@ def before_html(state: State, edited: BothAnswers) -> Element:
 
 def verdict_chip_of(judged: Diagnosis) -> Element:
     """The verdict in its colour, with what it says more."""
-    return verdict_chip(judged.verdict, "lucky" if judged.lucky else judged.detail)
+    return verdict_chip(judged.verdict, judged.detail, judged.lucky)
 
 
 def verdict_html(state: State) -> Element | None:
@@ -100,7 +100,7 @@ def _recorded(state: State, found: Recorded) -> Element:
     now: Child = verdict_chip_of(judged) if isinstance(judged, Diagnosis) else judged or "no verdict"
     why = by or "labels, models or data are not those of the run any more"
     return h.div(
-        h.button(verdict_chip(found.verdict, "lucky" if found.lucky else found.detail), cls="plain", id="verdict",
+        h.button(verdict_chip(found.verdict, found.detail, found.lucky), cls="plain", id="verdict",
                  do="stage:LABEL", title="as the run has it"),
         h.p(found.said, cls="sentence"),
         h.p("Judged now: ", now, f". The run: {why}.", cls="dim small"),
@@ -252,7 +252,8 @@ def _named_here(state: State, entry: SceneObject) -> str:
     return state.shown.names[int(overlap.argmax())] if overlap.max() >= 0.5 else entry.label
 
 
-def verdict_chip(verdict: str, detail: str | None = None) -> Element:
+def verdict_chip(verdict: str, detail: str | None = None, lucky: bool = False) -> Element:
     """A verdict in its colour, with its detail."""
-    more = (" ", h.i(detail.lower().replace("_", " "))) if detail else None
+    said = shown_detail(detail, lucky)
+    more = (" ", h.i(said.lower().replace("_", " "))) if said else None
     return h.span(verdict, more, cls="vd", css={"--c": hex_color(VERDICTS[verdict])}, title=hint_of(verdict))

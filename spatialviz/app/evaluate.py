@@ -81,8 +81,10 @@ class Evaluate(Part):
     def _asked(self) -> int | None:
         """Where the expression that is asked now is in the list; None where it is no row of it."""
         state, listing = self.state, self.state.listing
-        if listing is None or state.expression_id(state.text) is not None:
-            return None if listing is None else listing.place
+        if listing is None:
+            return None
+        if listing.at is not None and (listing.at[0], listing.at[2]) == (state.frame_id, state.text):
+            return listing.place
         return listing.place_of(listing.figures.rows.asked(state.frame_id, state.text))
 
     def _begin(self) -> None:

@@ -222,7 +222,7 @@ def heads_html(query: str, second: bool) -> Element:
 
 def row_html(row: Mapping[str, Any], view: str) -> Element:
     """One expression as a card of the grid, or as a line of the table."""
-    verdict = verdict_chip(row["verdict"], "lucky" if row["lucky"] else row["detail"])
+    verdict = verdict_chip(row["verdict"], row["detail"], bool(row["lucky"]))
     marks = [h.span(f"#{name}", cls="tagged") for name in row[MARKS]]
     image = h.img(alt="", decoding="async", draggable="false")
     margin = "" if row["margin"] is None else f"{row['margin']:+.2f}".replace("-", "−")
@@ -257,7 +257,7 @@ def _second(row: Mapping[str, Any]) -> Element | None:
         return None
     if row["second_verdict"] is None:
         return h.span("not in the second run", cls="dim")
-    return h.span("→ ", verdict_chip(row["second_verdict"], "lucky" if row["second_lucky"] else row["second_detail"]))
+    return h.span("→ ", verdict_chip(row["second_verdict"], row["second_detail"], bool(row["second_lucky"])))
 
 
 def _hint(row: Mapping[str, Any]) -> str:

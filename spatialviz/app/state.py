@@ -114,9 +114,14 @@ class State(AnswerView):
         return "label" if self.labels is not None else "evaluate" if self.evaluating else "explain"
 
     def expression_id(self, text: str) -> str | None:
-        """The id of the run's expression that is open, where it is the one that is asked."""
-        at = None if self.listing is None else self.listing.at
-        return at[1] if at is not None and (at[0], at[2]) == (self.frame_id, text) else None
+        """The id of the run's expression with these words: the one that is open, else the first of the frame."""
+        if self.listing is None:
+            return None
+        at, rows = self.listing.at, self.listing.figures.rows
+        if at is not None and (at[0], at[2]) == (self.frame_id, text):
+            return at[1]
+        number = rows.asked(self.frame_id, text)
+        return None if number is None else rows.keys[number][1]
 
     @cached_property
     def recorded(self) -> Recorded | None:

@@ -17,7 +17,7 @@ from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.cases.manifest import PROPOSALS
 from pipeline.diagnosis.cases.saving import OpenedCase
-from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.verdict import Diagnosis, shown_verdict
 from pipeline.diagnosis.whatif.edits import Edits, read_edits
 from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.evaluation.shared_makers import Share, shares_of_answer, title_of
@@ -104,7 +104,7 @@ def _header(answered: Answer, subject: Subject, cast: AnswerRoles) -> str:
     if d is None:
         chip = '<span class="verdict none">NO VERDICT</span>'
     else:
-        text = " · ".join(x for x in (d.verdict, d.detail, "LUCKY" if d.lucky else None) if x)
+        text = shown_verdict(d.verdict, d.detail, d.lucky).replace(" ", " · ", 1)
         chip = f'<span class="verdict{" correct" if d.correct else ""}">{escape(text)}</span>'
     first, *rest = re.split(r"(?<=[.!]) +(?=[A-Z])", headline(answered), maxsplit=1)
     lead = f'<p class="lead">{escape(rest[0])}</p>' if rest else ""
