@@ -42,6 +42,23 @@ def test_an_answer_is_printed_and_saved_as_a_picture(tmp_path: Path) -> None:
     assert cv2.imread(str(tmp_path / "answer.png")) is not None
 
 
+def test_a_run_answers_in_the_shell_as_in_the_page() -> None:
+    told = spatialviz(0, "ask", "demo", 0, TEXT, "--run", "demo").out
+    assert "mug·3 left of laptop·10" in told
+    assert "CORRECT LUCKY" in told
+    assert "--run demo" in spatialviz(0, "ask", "demo", 0, TEXT).out
+    misused("ask", "demo", 0, TEXT, "--run", "demo", "--detector", "annotations")
+
+
+def test_without_an_answer_or_with_words_left_out_nothing_is_called_true() -> None:
+    tied = spatialviz(1, "ask", "demo", 0, "mug", "--json").record
+    assert (tied["answer"], tied["verdict"]) == (None, None)
+    dropped = spatialviz(1, "ask", "demo", 0, "the laptop to the right of the unicorn", "--json").record
+    assert (dropped["answer"]["holds"], dropped["answer"]["relation_probability"]) == (None, None)
+    assert "unicorn" in dropped["verdict_reason"]
+    assert "not all of it was used" in spatialviz(1, "ask", "demo", 0, "the laptop to the right of the unicorn").out
+
+
 def test_words_are_completed() -> None:
     offered = spatialviz(0, "ask", "demo", 0, "mug l", "--complete", "--json").records
     assert ("left of", "relation") in {(offer["text"], offer["kind"]) for offer in offered}

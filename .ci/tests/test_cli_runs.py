@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from command_line import Folder, label_three_frames, spatialviz
+from command_line import Folder, label_three_frames, misused, spatialviz
 
 SENTENCES = (
     {"frame": 0, "sentence": "the mug left of the laptop", "targets": [3], "kind": "relation"},
@@ -128,3 +128,12 @@ def test_sentences_are_audited(sentences: Path, tmp_path: Path) -> None:
     assert len((tmp_path / "audit.csv").read_text(encoding="utf-8").splitlines()) == 4
     assert spatialviz(0, *words, "--json", "--limit", 1).records
     assert "--dataset" in spatialviz(2, "audit", sentences).err
+
+
+def test_a_run_is_judged_again_into_a_new_folder(run: Path, tmp_path: Path) -> None:
+    new = tmp_path / "again"
+    found = spatialviz(0, "judge-again", run, "--out", new, "--workers", 1, "--json").record
+    assert found["kind"] == "run"
+    (old, now) = (spatialviz(0, "failures", folder, "--json").record for folder in (run, new))
+    assert (old["summary"], old["doubts"]) == (now["summary"], [])
+    misused("judge-again", run, "--out", new)
