@@ -72,8 +72,9 @@ def _opened(command: Ask) -> tuple[Pipeline, Labels | None, EvalSpec | None]:
     """What answers, by what it is judged, and the run that is asked."""
     labels = None if command.labels is None else open_labels(command.labels)
     if command.run_folder is None:
-        if command.dataset == DEMO_NAME and command.source == SourceOptions() and not command.json:
-            say("by the demo's annotations; --run demo answers as `view` does", style="dim")
+        if command.dataset == DEMO_NAME and not command.json:
+            by = "by the demo's annotations; " if command.source == SourceOptions() else ""
+            say(f"{by}--run demo answers as `view` does", style="dim")
         return command.source.open(command.dataset, command.frame, labels), labels, None
     require(command.source == SourceOptions(), "--run brings its own detector and relation scorer")
     built_in = str(command.run_folder) == DEMO_NAME and not command.run_folder.exists()
