@@ -188,6 +188,13 @@ class _Reader(ReferenceReader):
                     self.problems.append(Unsupported(why, got=f"'{self.words(at, end)}'"))
                     self._note(at, end, why)
                     return end
+        if (
+            word in ("high", "low")
+            and at
+            and self.tokens[at - 1].plain in lexicon.POSTURES | lexicon.LYING | {"hanging"}
+        ):
+            self._note(at, at + 1, NOT_EXACT)
+            return at + 1
         if self._links(at):
             if word in lexicon.HOW_EXACTLY and self.chain.nouns and self._relates(at + 1):
                 self._note(at, at + 1, NOT_EXACT)

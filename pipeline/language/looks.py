@@ -84,7 +84,8 @@ class LooksReader(Cursor):
                 draft.lacks.append((other, text[4:]))
                 draft.modifiers.append((self.tokens[at].start, self.tokens[at].end, "choice"))
                 return at + 1
-            found = attribute(text) or _degree_of(text)
+            than = at + size < len(self.tokens) and self.tokens[at + size].plain == "than"
+            found = attribute(text) or (None if than else _degree_of(text))
             if found is None and size == 1 and (meant := self._meant(at, draft)):
                 found, text = attribute(meant), meant
                 self.respelled[at] = self.tokens[at].start, self.tokens[at].end, meant

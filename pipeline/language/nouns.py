@@ -317,7 +317,12 @@ class NounReader(LooksReader):
             # `tv stands` are things; `the tv stands` is one that does.
             verb = any(self.tokens[k].plain in DETERMINERS for k in range(max(at - 3, 0), at))
             verb = verb or (self.asks_what and at < 3)
-            return verb and self._ends(end + 1) and not is_compound([self.tokens[end - 1].text, singular(word)])
+            after = self.tokens[end + 1].plain if end + 1 < len(self.tokens) else None
+            return (
+                verb
+                and (self._ends(end + 1) or after in ("high", "low"))
+                and not is_compound([self.tokens[end - 1].text, singular(word)])
+            )
         if word in ("it", "this") or self.match(choices.EXTREME_AT_SIDE, end) or self._filler(end):
             return True
         if (bare := self.match(choices.BARE_SIDE, end)) is not None and self._ends(bare[1]):

@@ -51,11 +51,13 @@ class ReferenceReader(RegionReader):
             # Of a stack the thing on top of it is the highest.
             token = self.opened[-1].token
             self._choice(Choice("high", 1, f"{token.text} {self.words(at, end)}"), at, end)
+            self.chain.spans.append(Span(token.start, token.end, "choice", 0))
             return end
         token, root = self.opened[-1].token, self.chain.nouns[0]
         order = lexicon.SCENE_ORDER.get(str(token.relation))
         again = singular(phrase.head_word) == singular(root.head_word) and not phrase.attributes
-        several = phrase.name in choices.NUMBERS or (phrase.count and again)
+        others = any(t.plain in lexicon.OTHER for t in self.tokens[at:end])
+        several = not others and (phrase.name in choices.NUMBERS or (phrase.count and again))
         ends = end >= len(self.tokens) or self.breaks[end]
         if order is not None and several and ends and " of" in token.text and not self.chain.clauses:
             # `the mug on the left of the two (mugs)`

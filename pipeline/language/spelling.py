@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from functools import lru_cache
+from itertools import pairwise
 
 from pipeline.language import choices
 from pipeline.language.attributes import SINGLE_WORDS, attribute
@@ -83,6 +84,8 @@ def look_meant(word: str) -> str | None:
     away = {w for w in one_letter_away(word) if w[0] == word[0]}
     longer = {w for w in away if len(w) > len(word)}
     shorter = {w for w in away if len(w) < len(word) and (w != word[:-1] or word[-1] == word[-2])}
+    if len(word) == 4:
+        shorter = {w for w in shorter if any(a == b for a, b in pairwise(word))}
     other = {w for w in away if len(w) == len(word) and w[-1] == word[-1]}
     for near in (swapped | longer, shorter, other if len(word) > 4 else frozenset[str]()):
         meant = sorted(near & SINGLE_WORDS)

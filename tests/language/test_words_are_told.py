@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import pytest
 from hypothesis import given, settings
@@ -40,8 +41,9 @@ OPENERS = [
 THINGS = ["mug", "laptop", "lamp", "coffee mug", "table", "cushion", "chair", "thing", "one", "chiar", "something"]
 LOOKS = ["red", "pruple", "wodden", "small", "dark blue", "not red", "wooden", "striped", "bigger", "second", "top"]
 RELATIONS = [
-    "left of", "to the rigth of", "on", "next to", "that is behind", "closer to", "not on", "in front of", "farthest from",
-    "between the mug and", "and near", "or under", "which stands by", "instead of", "with", "without", "from",
+    "left of", "to the rigth of", "on", "next to", "that is behind", "closer to", "not on", "in front of",
+    "farthest from", "between the mug and", "and near", "or under", "which stands by", "instead of", "with", "without",
+    "from",
 ]  # fmt: skip
 TAILS = [
     "",
@@ -137,7 +139,7 @@ class Open:
 
     name, exact, vocabulary, segments = "open", False, None, False
 
-    def detect(self, frame: Frame, classes: list[str] | None = None) -> Proposals:
+    def detect(self, frame: Frame, labels: Sequence[str] | None = None) -> Proposals:
         return TRUTH.detect(frame, ["mug"])
 
     def fingerprint(self) -> str:
