@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,7 +24,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.store import Store
 from pipeline.language.counted import counted
 from pipeline.system.errors import require
-from pipeline.system.whole_files import check_target
+from pipeline.system.whole_files import check_target, scratch_folder
 from spatialviz.cli_labels import Export, Import
 from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, warn
 from spatialviz.printing import rate_bar, say
@@ -81,7 +80,7 @@ def _labels(command: Export, automatic: Labels) -> Iterator[Labels]:
         path=command.labels,
     )
     check_target(command.out, overwrite=command.overwrite, mark=MARK)
-    with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
+    with scratch_folder() as folder:
         where = Path(folder) / "corrected"
         with command.journal.open(automatic, must_exist=True) as journal:
             dataset = DatasetOptions(dataset=command.dataset).open(automatic)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -40,6 +39,7 @@ from pipeline.relations.features import CLI_FEATURES
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, MissingExtra, needed, require
 from pipeline.system.onnx_session import use_execution
+from pipeline.system.whole_files import scratch_folder
 from pipeline.training.train import TrainConfig, need_torch
 from spatialviz.cli_labels import Review
 from spatialviz.options import FINE, NO, warn, warn_skipped
@@ -49,7 +49,7 @@ from spatialviz.printing import figure, print_rows, progress_bars, say
 def run_review(command: Review) -> int:
     _check(command)
     labels = open_labels(command.labels)
-    with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
+    with scratch_folder() as folder:
         reviewed = _reviewed(command, labels, Path(folder) / "labels")
         if command.agreement:
             pairs = pair_agreements(reviewed.judgements, setting_of(labels).inverse)

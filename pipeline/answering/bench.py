@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from pipeline.geometry.lifting import depth_edges, lift
 from pipeline.proposals.cache import CachedDetector, CachedSegmenter
 from pipeline.relations.features import Appearance
 from pipeline.system.errors import InputError, require
+from pipeline.system.whole_files import scratch_folder
 
 MAX_FRAMES = 8
 
@@ -163,7 +163,7 @@ def run_endurance(
     resident: list[float] = []
     every = max(count // SAMPLES, 1)
     detections, seconds = 0, 0.0
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         caches = [(cache, cache.folder) for cache in _caches(detector)]
         for cache, _ in caches:
             cache.folder = Path(folder)

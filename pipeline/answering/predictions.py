@@ -32,7 +32,7 @@ from pipeline.language.relation_names import RELATIONS
 from pipeline.system.door import opened, parse_json, read_bytes
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
-from pipeline.system.whole_files import sha256_of
+from pipeline.system.whole_files import sha256_of, whole_file
 
 __all__ = [
     "VERSION",
@@ -426,7 +426,8 @@ class PredictionWriter:
 
 def write_predictions(path: str | Path, header: Header, lines: Iterable[Prediction]) -> None:
     """Write a new file; raises as `PredictionWriter`."""
-    with PredictionWriter(path, header) as writer:
+    require(not Path(path).exists(), "the file exists", expected="another name", path=path)
+    with whole_file(Path(path), "the predictions") as temporary, PredictionWriter(temporary, header) as writer:
         for line in lines:
             writer.write(line)
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,7 +20,7 @@ from pipeline.geometry.masks import encode_run_length
 from pipeline.proposals.base import Detector, Proposals, top_k
 from pipeline.proposals.recorded import MADE_BY, MADE_BY_FILE
 from pipeline.system.errors import InputError, UnknownClass, require
-from pipeline.system.whole_files import text_file
+from pipeline.system.whole_files import temporary_folder, text_file, whole_file
 
 
 @dataclass(frozen=True)
@@ -174,24 +172,18 @@ def detection_record(frame: Frame, finding: Finding, segmented: bool = False) ->
 def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Finding]], None]]:
     """A JSON file that is written frame by frame and appears when all are."""
     require(not out.is_dir(), "the recording would replace a folder", expected="the name of a file", path=out)
-    temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with text_file(temporary) as file:
-            file.write(f'{{"{MADE_BY}": {json.dumps(made_by)}, "frames": {{')
-            lines = 0
+    with whole_file(out, "the recording") as temporary, text_file(temporary) as file:
+        file.write(f'{{"{MADE_BY}": {json.dumps(made_by)}, "frames": {{')
+        lines = 0
 
-            def write(frame: Frame, found: list[Finding]) -> None:
-                nonlocal lines
-                entries = json.dumps([detection_record(frame, f) for f in found], allow_nan=False)
-                file.write(f"{',' if lines else ''}\n{json.dumps(frame.id)}: {entries}")
-                lines += 1
+        def write(frame: Frame, found: list[Finding]) -> None:
+            nonlocal lines
+            entries = json.dumps([detection_record(frame, f) for f in found], allow_nan=False)
+            file.write(f"{',' if lines else ''}\n{json.dumps(frame.id)}: {entries}")
+            lines += 1
 
-            yield write
-            file.write("\n}}\n")
-        os.replace(temporary, out)
-    finally:
-        temporary.unlink(missing_ok=True)
+        yield write
+        file.write("\n}}\n")
 
 
 @contextmanager
@@ -202,18 +194,12 @@ def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Findi
         "the folder for the recording is not empty",
         path=out,
     )
-    out.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".partial", dir=out.parent))
-    try:
+    with temporary_folder(out) as partial:
         yield lambda frame, found: _write_arrays(partial, frame, found)
         (partial / MADE_BY_FILE).write_text(json.dumps({MADE_BY: made_by}), encoding="utf-8")
-        partial.chmod(0o755)
         if out.exists():
             out.rmdir()
         os.replace(partial, out)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
 
 
 def _write_arrays(folder: Path, frame: Frame, found: list[Finding]) -> None:

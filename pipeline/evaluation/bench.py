@@ -7,7 +7,6 @@ processes and their memory. What is scaled to the sizes of the goal is marked as
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,6 +34,7 @@ from pipeline.language.relation_names import VOCABULARIES
 from pipeline.system.arrow import pa
 from pipeline.system.errors import MissingExtra, require
 from pipeline.system.peak_memory import PeakMemory
+from pipeline.system.whole_files import scratch_folder
 from pipeline.training.label_data import pair_set, read_label_data
 from pipeline.training.train import TrainConfig, train_pairs
 
@@ -124,7 +124,7 @@ def bench_evaluation(
 @contextmanager
 def _inputs(dataset: str, labels: Path | None, recording: Path | None) -> Iterator[EvalSpec]:
     """What is evaluated; what was not given is made in a folder that is thrown away."""
-    with tempfile.TemporaryDirectory(prefix="spatialviz-bench-") as folder:
+    with scratch_folder() as folder:
         if labels is None:
             labels = Path(folder) / "labels"
             label_dataset(SourceSpec(dataset), labels)

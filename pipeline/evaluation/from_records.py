@@ -16,6 +16,7 @@ from pipeline.answering.tracing import plain
 from pipeline.evaluation.importing import import_run
 from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.system.errors import InputError, require
+from pipeline.system.whole_files import scratch_folder
 
 Record = Prediction | Mapping[str, Any]
 
@@ -79,7 +80,7 @@ def _judged(
         header = first
     else:
         rest = chain([first], rest)
-    with tempfile.TemporaryDirectory(prefix="spatialviz-") as place:
+    with scratch_folder() as place:
         file = Path(place) / "records.jsonl"
         try:
             if not isinstance(header, Header):

@@ -6,7 +6,6 @@ machine disturbs them little; ratios hold on any machine.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -28,6 +27,7 @@ from pipeline.labels.profiles import judge_viewer_cone
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.relations.relations import directional_states
 from pipeline.system.errors import MissingExtra, require
+from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.training_data import MIN_PIXELS, degraded
 
@@ -235,7 +235,7 @@ def pairs_per_second(repeat: int = 3) -> dict[str, int]:
 
 def bench_job(spec: SourceSpec, workers: int) -> dict[str, Any]:
     """Label a dataset from its files to merged tables, and scale to the 1,500 frames of the paper."""
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         report = label_dataset(spec, f"{folder}/labels", LabelConfig(), workers=workers)
     rate = report.frames / report.seconds
     assert report.manifest is not None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -21,6 +20,7 @@ from pipeline.labels.schema import TABLES
 from pipeline.system.errors import InputError, require
 from pipeline.system.limits import LIMITS_OPTION, current_limits, shown, shown_above
 from pipeline.system.sql import COMMAND
+from pipeline.system.whole_files import scratch_folder
 
 RECORDS = "records"
 LABELS = "labels_"
@@ -52,9 +52,9 @@ class RunDatabase:
         Where the labels of the run were.
     """
 
-    def __init__(self, tables: Mapping[str, Path], spill: str, labels: str | None) -> None:
+    def __init__(self, tables: Mapping[str, Path], spill: Path, labels: str | None) -> None:
         self.views, self.labels = tuple(tables), labels
-        self._opening = (dict(tables), (RECORDS,), spill)
+        self._opening = (dict(tables), (RECORDS,), str(spill))
         self._process: subprocess.Popen[bytes] | None = None
         self._last = object()
 
@@ -172,7 +172,7 @@ def open_database(run: Path) -> Iterator[RunDatabase]:
             tables[f"{LABELS}{name}"] = root / f"{name}.parquet"
             # Reads the footer alone, and checks it.
             read_table(root / f"{name}.parquet", name, [])
-    with tempfile.TemporaryDirectory(prefix="spatialviz-") as spill:
+    with scratch_folder() as spill:
         database = RunDatabase(tables, spill, None if root is None else str(root))
         try:
             yield database

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.system.errors import InputError, require
+from pipeline.system.whole_files import clear_abandoned, temporary_folder
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 TAKEN = ("rule", "trained")
@@ -87,7 +87,8 @@ def install_network(network: Path, name: str, *, overwrite: bool = False) -> Ins
     companions = (network.with_suffix(".json"), vectors_path(network))
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".install-") as staging:
+        clear_abandoned(folder)
+        with temporary_folder(target) as staging:
             # The network last: one that is there has its card and its vectors.
             for source in (*(f for f in companions if f.is_file()), network):
                 suffix = source.name.removeprefix(network.stem)

@@ -11,7 +11,6 @@ import os
 import pickle
 import signal
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from pipeline.system.door import read_parquet
 from pipeline.system.errors import InputError, kind_and_text
 from pipeline.system.limits import LIMITS_OPTION, current_limits, shown, shown_above
+from pipeline.system.whole_files import scratch_folder
 
 if sys.platform == "linux":
     import resource
@@ -57,8 +57,8 @@ def bounded_database() -> Iterator[duckdb.DuckDBPyConnection]:
     import duckdb
 
     with (
-        tempfile.TemporaryDirectory(prefix="spatialviz-") as spill,
-        duckdb.connect(":memory:", config=database_settings(spill)) as connection,
+        scratch_folder() as spill,
+        duckdb.connect(":memory:", config=database_settings(str(spill))) as connection,
     ):
         yield connection
 

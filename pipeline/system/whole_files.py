@@ -19,7 +19,7 @@ from typing import IO, Any, TextIO
 from uuid import uuid4
 
 from pipeline.system.door import opened
-from pipeline.system.errors import InputError, require
+from pipeline.system.errors import InputError, as_input_error, require
 
 if sys.platform != "win32":
     import fcntl
@@ -36,22 +36,31 @@ def temporary_sibling(path: Path) -> Path:
     return path.with_name(f".{path.name}.{host}.{os.getpid()}.{uuid4().hex[:8]}.tmp")
 
 
-def clear_abandoned(folder: Path) -> None:
-    """Remove what killed writers left in a folder; what another process is writing stays."""
+def clear_abandoned(folder: Path, ours: bool = True) -> None:
+    """Remove what killed writers left in a folder; what another process is writing stays.
+
+    In a folder that is not `ours` only what bears the number of a process of this machine is known to be left.
+    """
     for left in folder.glob(".*.tmp"):
-        if not is_abandoned(left):
+        if not (ours or _of_this_machine(left)) or not is_abandoned(left):
             continue
-        if left.is_dir():
+        if left.is_dir() and not left.is_symlink():
             shutil.rmtree(left, ignore_errors=True)
         else:
-            left.unlink(missing_ok=True)
+            with suppress(OSError):
+                left.unlink(missing_ok=True)
+
+
+def _of_this_machine(temporary: Path) -> re.Match[str] | None:
+    found = _TEMPORARY.fullmatch(temporary.name)
+    return found if found is not None and found["host"] == socket.gethostname().replace(".", "-") else None
 
 
 def is_abandoned(temporary: Path) -> bool:
     """Whether nobody writes under this temporary name any more: its process is gone, or it is a day old."""
-    found = _TEMPORARY.fullmatch(temporary.name)
+    found = _of_this_machine(temporary)
     # On Windows os.kill would end the process instead of asking for it.
-    if os.name == "posix" and found is not None and found["host"] == socket.gethostname().replace(".", "-"):
+    if os.name == "posix" and found is not None:
         try:
             os.kill(int(found["pid"]), 0)
         except ProcessLookupError:
@@ -108,10 +117,40 @@ def write_synced(path: Path, data: bytes) -> None:
 
 
 @contextmanager
-def temporary_folder(path: Path) -> Iterator[Path]:
+def whole_file(path: Path, what: str) -> Iterator[Path]:
+    """A hidden name beside a new file, which takes the file's name when the block ends well, and is removed if not.
+
+    Raises
+    ------
+    InputError
+        `what` cannot be written.
+    """
+    temporary = temporary_sibling(path)
+    with as_input_error(f"{what} cannot be written", OSError, got=lambda error: error.strerror, path=path):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            os.replace(temporary, path)
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """A new folder of one's own where the system keeps temporary files; what killed processes left there is removed."""
+    place = Path(tempfile.gettempdir()) / "spatialviz"
+    clear_abandoned(place.parent, ours=False)
+    with temporary_folder(place, 0o700) as folder:
+        yield folder
+
+
+@contextmanager
+def temporary_folder(path: Path, mode: int = 0o777) -> Iterator[Path]:
     """A new folder under a hidden name beside `path`; what is left of it at the end of the block is removed."""
     folder = temporary_sibling(path)
-    folder.mkdir(parents=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode)
     try:
         yield folder
     finally:
@@ -161,10 +200,10 @@ def staged_folder(out: Path, *, overwrite: bool, mark: str) -> Iterator[Path]:
     """
     check_target(out, overwrite=overwrite, mark=mark)
     final = out.absolute()
-    staging = final.with_name(f".{final.name}.{os.getpid()}.tmp")
+    staging = temporary_sibling(final)
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(staging, ignore_errors=True)
+        clear_abandoned(final.parent, ours=False)
         staging.mkdir()
     except OSError as error:
         raise InputError("the folder cannot be made", got=error.strerror, path=out) from error

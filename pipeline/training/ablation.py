@@ -6,7 +6,6 @@ robot's cameras, as the training rooms are, and from other heights, tilts and ro
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from pipeline.relations.features import FEATURES, cli_features
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import require
+from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import results_of
 from pipeline.training.card import save_onnx
 from pipeline.training.label_data import PairSet
@@ -213,7 +213,7 @@ def measure_variant(views: AblationViews, features: str, pairs: int, config: Abl
             drawn = np.random.default_rng([seed, 29]).choice(len(everything), pairs, replace=False)
             chosen = everything.take(np.sort(drawn))
         model = train_pairs(chosen, replace(config.train, features=features, seed=seed))
-        with tempfile.TemporaryDirectory() as folder:
+        with scratch_folder() as folder:
             save_onnx(Path(folder) / "network.onnx", model)
             scorer = OnnxScorer(Path(folder) / "network.onnx")
         counts += _counts(views, config.labels, lambda frame, s=scorer: s.probabilities(frame.rows[features]))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import platform
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -36,6 +35,7 @@ from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import file_hash, require_onnx
 from pipeline.system.plugins import versions_of
+from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.train import TrainConfig, TrainedModel, check_room_config, require_training, train_srm
 from pipeline.training.training_data import (
@@ -118,7 +118,7 @@ def train_on_rooms(
     learnt = with_other_sizes(with_wrong_names(train, rooms.seed), rooms.seed)
     model = train_srm(learnt, config, lambda done, loss: tell("epochs", done, config.epochs))
     out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         uncalibrated = Path(folder) / "uncalibrated.onnx"
         save_onnx(uncalibrated, model)
         plain = OnnxScorer(uncalibrated)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geo
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import file_hash
+from pipeline.system.whole_files import clear_abandoned, temporary_folder
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.card import evaluate, evaluate_classes, network_path, rounded, save_onnx, versions
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set, read_label_data, trained_on
@@ -129,7 +129,8 @@ def train_on_labels(
     kept = [data.vocabulary.index(relation) for relation in model.vocabulary]
     test, validation = ([replace(f, states=f.states[..., kept]) for f in frames] for frames in (test, validation))
     out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".train-") as folder:
+    clear_abandoned(out.parent, ours=False)
+    with temporary_folder(out) as folder:
         made = Path(folder) / out.name
         save_onnx(made, model)
         calibration = _calibrate(OnnxScorer(made), validation, data)

@@ -6,7 +6,6 @@ import json
 import shutil
 import sqlite3
 import struct
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -32,6 +31,7 @@ from pipeline.corrections.journal.chain import (
 from pipeline.corrections.journal.sqlite_file import connected, lost_in_log, plain_reason, read_plainly
 from pipeline.system.door import limits_of
 from pipeline.system.errors import InputError, require
+from pipeline.system.whole_files import scratch_folder
 
 _NOT_DAMAGE = ("locked", "unable to open", "disk i/o", "readonly", "full", "permission", "out of memory", "busy")
 """Words of SQLite's errors that say nothing of the file."""
@@ -197,7 +197,7 @@ def _examine(path: Path, alone: bool) -> Examined:
 
 def _mended(path: Path) -> Examined | None:
     """What is in a copy whose first bytes are made anew: they hold nothing of a journal's own; None if it is no use."""
-    with suppress(*_ERRORS, OSError, InputError), tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
+    with suppress(*_ERRORS, OSError, InputError), scratch_folder() as folder:
         copy, log = Path(folder) / path.name, Path(f"{path}-wal")
         # A larger one is no journal of people's work, and would be copied for nothing.
         length = path.stat().st_size

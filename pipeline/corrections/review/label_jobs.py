@@ -7,8 +7,8 @@ before, and a run is made again with the mended labels, once with its own relati
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
@@ -40,7 +40,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.system.background import SharedJob
 from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError, require
-from pipeline.system.whole_files import staged_folder
+from pipeline.system.whole_files import scratch_folder, staged_folder
 from pipeline.training.label_data import read_label_data
 
 Step = tuple[str, int, int]
@@ -127,7 +127,7 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
         torch is not installed, and networks are to be asked.
     """
     labels = open_labels(job.labels)
-    with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
+    with scratch_folder() as folder:
         reviewed, last = _reviewed(job, labels, Path(folder) / "labels")
         config = QueueConfig(DoubtConfig() if job.networks else None)
         name, seen = _seen(job, labels, reviewed.labels, report)
@@ -250,8 +250,8 @@ class LabelJobs:
         job_for : callable
             Gives the job for a file that it is to write, which does not stay.
         """
-        folder = tempfile.TemporaryDirectory(prefix="spatialviz-")
-        job = job_for(Path(folder.name) / "queue.parquet")
+        folder = ExitStack()
+        job = job_for(folder.enter_context(scratch_folder()) / "queue.parquet")
         now = job if self.queue.seen.work is not None else replace(job, networks=False, detector=None)
 
         def ended(seen: QueueProgress, record: Any, problem: str) -> QueueProgress:
@@ -262,7 +262,7 @@ class LabelJobs:
             except InputError as error:
                 problem = str(error)
             finally:
-                folder.cleanup()
+                folder.close()
             return replace(seen, problem=problem)
 
         def then() -> None:
@@ -274,7 +274,7 @@ class LabelJobs:
             heard=lambda seen, step: replace(seen, step=step), ended=ended, then=then,
         )  # fmt: skip
         if not started:
-            folder.cleanup()
+            folder.close()
         return started
 
     def train(self, job: RetrainingJob) -> bool:

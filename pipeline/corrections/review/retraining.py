@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +26,7 @@ from pipeline.relations.features import LANGUAGE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import U, letter
 from pipeline.system.errors import require
+from pipeline.system.whole_files import clear_abandoned, temporary_folder
 from pipeline.training.card import network_path, rounded
 from pipeline.training.label_data import LabelData, LabelledFrame, read_label_data
 from pipeline.training.label_training import LabelTraining, train_on_labels
@@ -207,7 +207,8 @@ def retrain(
     was, now = (read_label_data(labels, config.train.features, vocabulary) for labels in (before, after))
     plan = shared_split(was, now, config)
     out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".retrain-") as folder:
+    clear_abandoned(out.parent, ours=False)
+    with temporary_folder(out) as folder:
         files = Path(folder) / "before" / out.name, Path(folder) / out.name
         cards = []
         for labels, file, name in ((before, files[0], "before"), (after, files[1], "after")):

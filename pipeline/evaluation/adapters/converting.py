@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from pipeline.answering.opening import open_pipeline
@@ -24,6 +23,7 @@ from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_file
 from pipeline.system.door import opened
 from pipeline.system.errors import FrameUnusable, InputError, needed, require
 from pipeline.system.plugins import load_plugins
+from pipeline.system.whole_files import scratch_folder
 
 ENTRY_POINT_GROUP = "spatialviz.predictions"
 """Entry points of this group name a PredictionFormat, and so add a format."""
@@ -164,7 +164,7 @@ def import_published(
         return import_run(path, dataset, labels, out, **more)
     camera = {name: more[name] for name in ("intrinsics", "depth_scale", "up", "level_at") if name in more}
     opened = open_pipeline(dataset, **camera).dataset
-    with TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         converted = convert_predictions(
             path, Path(folder) / path.name, dataset=opened, labels=open_labels(labels), format=format, key=key
         )
