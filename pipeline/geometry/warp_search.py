@@ -40,21 +40,30 @@ class Fitted:
     bounded: bool
 
 
-def estimated(outlines: Outlines) -> Fitted:
-    """The warp under which most outlines of depth lie on edges of colour, region by region; one for all frames."""
+def estimated(outlines: Outlines, regions: np.ndarray | None = None, near: Registration | None = None) -> Fitted:
+    """The warp under which most outlines of depth lie on edges of colour, region by region; one for all frames.
+
+    Parameters
+    ----------
+    regions : (R,) bool, optional
+        Those that count, by default all.
+    near : Registration, optional
+        Where to look, beside no warp; by default everywhere.
+    """
     told = Registration.none(outlines.camera)
     own = {(near, every): outlines.near(told, near, every) for _, near, every in (*LOOKING, *SETTLING)}
 
     def gain(warp: Registration, tolerance: float, every: int) -> float:
         # What leaves the picture is taken to lie as it did.
         gained = np.nan_to_num(outlines.near(warp, tolerance, every) - own[tolerance, every])
-        return mean_known(outlines.by_region(gained, every))
+        by_region = outlines.by_region(gained, every)
+        return mean_known(by_region if regions is None else by_region[regions])
 
     starts = [
         replace(told, fx=told.fx * f, fy=told.fy * f, tx=tx, ty=ty)
         for f in FOCALS for tx in SHIFTS_M for ty in SHIFTS_M[1:-1]
     ]  # fmt: skip
-    begun = sorted(starts, key=lambda warp: -gain(warp, *LOOKING[0][1:]))[:BEGUN]
+    begun = [told, near] if near else sorted(starts, key=lambda warp: -gain(warp, *LOOKING[0][1:]))[:BEGUN]
     climbed = [_climbed(warp, gain, LOOKING) for warp in begun]
     best = _climbed(max(climbed, key=lambda warp: gain(warp, *LOOKING[-1][1:])), gain, SETTLING)
     center = max(abs(best.cx - told.cx), abs(best.cy - told.cy)) / outlines.away.shape[3]

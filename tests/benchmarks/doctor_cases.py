@@ -48,7 +48,11 @@ POSED = (
     *(Planted("poses", name) for name in OTHERS),
 )
 WARPS = ((1.0, 12.0, -4.0, 0.0, 0.0), (0.9, 2.0, 0.0, 0.03, 0.0), (1.12, 0.0, 3.0, -0.025, 0.004))
-PICTURES = (Planted("principal point", "swapped"), *(Planted("registration", warp) for warp in WARPS))
+PICTURES = (
+    Planted("principal point", "swapped"),
+    *(Planted("picture size", factor) for factor in (0.5, 2.0)),
+    *(Planted("registration", warp) for warp in WARPS),
+)
 TIMES = tuple(Planted("time", k) for k in (-6, -3, -1, 2, 3, 5))
 UPS = (Planted("up", (0.0, 1.0, 0.0)), Planted("up", (0.0, 0.0, -1.0)))
 
@@ -98,7 +102,7 @@ def recordings(seeds: Sequence[int], keep: Path, only: Sequence[str]) -> Iterato
 def planted_in(frames: Sequence[Frame], rng: np.random.Generator | None) -> tuple[Planted, ...]:
     """What is planted in a recording: fixed errors, or drawn ones of the same kinds."""
     posed = frames[0].camera.T_world_camera is not None
-    known = (*POSED, *PICTURES[1:], *TIMES, *UPS) if posed else PICTURES
+    known = (*POSED, *PICTURES[3:], *TIMES, *UPS) if posed else PICTURES
     if len(frames) < 20:
         known = tuple(p for p in known if p.about != "time")
     if frames[0].camera.up is None:

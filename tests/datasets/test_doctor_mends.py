@@ -15,7 +15,7 @@ from benchmarks.doctor_plants import Planted, judge
 from benchmarks.doctor_scenes import Rendered, shelf_scan, table_top, walk
 
 from pipeline.datasets import InMemoryDataset, demo_path, open_dataset, overlay
-from pipeline.datasets.doctor.causes import causes
+from pipeline.datasets.doctor.causes import Cause, causes
 from pipeline.datasets.doctor.examine import Examination, examine_frames
 from pipeline.datasets.doctor.seen import Seen
 from pipeline.datasets.doctor.trying import Measured, Opinion, diagnosed
@@ -100,6 +100,18 @@ def test_every_cause_is_what_is_mended(room: list[Frame]) -> None:
     half = [replace(f, camera=replace(f.camera, K=K)) for f in room]
     (cause,) = [cause for cause in causes(seen_of(half)) if "0.5 times as large" in cause.words]
     np.testing.assert_allclose(seen_of(half).mended(cause.mend).frames[0].camera.K, room[0].camera.K)
+
+
+def test_a_cause_that_is_added_is_weighed_against_the_others(
+    room: list[Frame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One more entry in the list is judged; where a scale alone does as well, neither is guessed."""
+    added = Cause("meaning", "depth is in quarters", {"depth_scale": 4000.0})
+    monkeypatch.setattr("pipeline.datasets.doctor.search.causes", lambda seen: (*causes(seen), added))
+    read = [replace(frame, depth=frame.depth * np.float32(4)) for frame in room]
+    found = examine_frames(InMemoryDataset(read), read, 1000.0)
+    assert (found.of("meaning").state, found.mends) == ("unknown", {})
+    assert "depth is in quarters or depth 0.2" in found.of("meaning").text
 
 
 # Up

@@ -12,8 +12,9 @@ from pipeline.datasets.doctor.hypotheses import Hypothesis
 from pipeline.datasets.doctor.principal_point import center_by_middle
 from pipeline.datasets.doctor.search import FINE, Range, Search
 from pipeline.datasets.doctor.seen import Seen
-from pipeline.datasets.doctor.trying import Measured, Opinion
+from pipeline.datasets.doctor.trying import SUBJECTS, Measured, Opinion
 from pipeline.datasets.doctor.units import UNITS, only_unit
+from pipeline.datasets.settings import FILE_NAME
 from pipeline.geometry.pose_convention import STANDARD
 from pipeline.language.counted import counted
 
@@ -26,7 +27,7 @@ SHARP, NEAR_UNIT = 0.25, 0.45
 """How far a number that is wrong may be off, as a share, to be mended; and a scale, where one known unit is as near.
 The ranges are wide: in all that was planted on public recordings the numbers themselves were right to 4 %."""
 OFF_UNIT = 0.06
-"""A scale is a known unit's where it is no farther from it, as a share."""
+"""A scale is a known unit's where it is no farther from it, as a share; and what was read is right."""
 FINE_SCALE, FINE_FOCAL = 0.3, 0.12
 """How far one that was read may be off to be called fine."""
 NEAR_TOLD = 0.04
@@ -54,7 +55,8 @@ class OfLanding:
         pairs = len(search.fine.pairs)
         if pairs >= LEAST_PAIRS and search.at(search.best) >= LEAST_SCORE:
             found = [_poses(search), _time(search), _scale(search, seen.units), _focal(search), _center(search)]
-            return _with_intrinsics(found, search.best, search)
+            others = dict.fromkeys(c.about for c in search.causes if c.about not in ("", *SUBJECTS))
+            return [*(_caused(about, search) for about in others), *_with_intrinsics(found, search.best, search)]
         if pairs >= LEAST_PAIRS:
             best = f"at best {search.at(search.best):.0%} of the points land"
             why = f"nothing that was tried makes {pairs} pairs agree ({best}): are the poses of other frames?"
@@ -110,6 +112,24 @@ def _poses(search: Search) -> Opinion:
     return Opinion("poses", "wrong", text, dict(cause.mend), f'--poses "{best}"', evidence)
 
 
+def _caused(about: str, search: Search) -> Opinion:
+    """Of a subject that is nothing but its causes."""
+    best = search.best
+
+    def own(h: Hypothesis) -> bool:
+        return h.cause.about == about
+
+    rivals = search.as_good(lambda h: own(h) != own(best))
+    lands, evidence = _against(search, lambda h: own(h) != own(best), Hypothesis())
+    if rivals:
+        return _either(about, search, rivals)
+    if not own(best):
+        return Opinion(about, "fine", lands, evidence=evidence)
+    text = f"{lands} where {best.cause.words}, else {evidence['otherwise']:.0%}"
+    option = ", ".join(f"{key} = {value}" for key, value in best.cause.mend.items())
+    return Opinion(about, "wrong", text, dict(best.cause.mend), f"{option} in {FILE_NAME}", evidence)
+
+
 def _time(search: Search) -> Opinion:
     late, best = search.late, search.best
     if not late:
@@ -144,18 +164,18 @@ def _between(found: Range) -> str:
 
 def _scale(search: Search, units: float | None) -> Opinion:
     def left(h: Hypothesis) -> bool:
-        return abs(h.scale - 1) < NEAR_TOLD
+        return abs(np.log(h.scale)) < OFF_UNIT
 
     found = search.range_of("scale", "focal")
     otherwise = replace(search.best, scale=1.25) if left(search.best) else replace(search.best, scale=1.0)
     lands, evidence = _against(search, lambda h: left(h) != left(search.best), otherwise)
     evidence |= {"value": found.value, "low": found.low, "high": min(found.high, 1e9)}
-    if found.holds(1.0):
+    if found.holds(1.0) or left(search.best):
         if found.sharp <= FINE_SCALE:
             return Opinion("depth scale", "fine", f"{lands}; {_between(found)} it would do", evidence=evidence)
         text = f"the frames are too close together: {_between(found)} the depth as read lands as well"
         return Opinion("depth scale", "unknown", text, evidence=evidence)
-    if not left(search.best) and (rivals := search.as_good(left)):
+    if rivals := search.as_good(left):
         return _either("depth scale", search, rivals)
     unit = None if units is None else _known_unit(units, found)
     if units is None or (unit is None and found.sharp > SHARP):

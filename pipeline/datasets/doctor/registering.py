@@ -10,16 +10,18 @@ from pipeline.datasets.doctor.seen import Seen
 from pipeline.datasets.doctor.trying import MOST_LOSS, Measured, Opinion
 from pipeline.geometry.outlines import REGIONS, WIDE, Outlines, mean_known
 from pipeline.geometry.registration import Registration
-from pipeline.geometry.warp_search import estimated
+from pipeline.geometry.warp_search import Fitted, estimated
 
 LEAST_FRAMES = 2
-LEAST_REGIONS = REGIONS[0] * REGIONS[1] // 2
+LEAST_REGIONS = REGIONS[0] * REGIONS[1] // 2 + 1
 """In fewer regions of the picture outlines say nothing of the whole: a robot's arms at its border are no witness."""
 LEAST_GAIN, LEAST_GAIN_ABOVE = 0.1, 0.07
 """The warp must bring so much more of the outlines onto edges, and more than chance does."""
 GAINING_FRAMES = 0.8
 LEAST_PEAK, REGION_PEAK = 0.06, 0.12
 """What is registered falls by so much when one picture is moved by a few pixels; and in a region alone."""
+LEAST_ELSEWHERE = 0.05
+"""And what is found without a row of regions must bring so much more of that row's onto edges."""
 KEPT = 0.03
 """What a region that is registered as it is may lose by a warp."""
 WORTH_PX = 3.0
@@ -60,14 +62,18 @@ def _opinion(seen: Seen) -> Opinion:
     edges = mean_known(own)
     evidence = {"edges": round(edges, 4), "edges_warped": round(edges + gained, 4), "border_px": round(off, 1)}
     gaining = float(np.mean(by_frame[np.isfinite(by_frame)] > 0))
-    if gained >= LEAST_GAIN and gaining >= GAINING_FRAMES and off >= WORTH_PX and fitted.bounded:
-        text = "outlines of depth miss edges of colour; the search for a colour camera of its own ended at its bound"
-        return Opinion("registration", "unknown", text, evidence=evidence)
     if gained >= LEAST_GAIN and gaining >= GAINING_FRAMES and off >= WORTH_PX:
+        what = "outlines of depth miss edges of colour"
+        if fitted.bounded:
+            text = f"{what}; the search for a colour camera of its own ended at its bound"
+            return Opinion("registration", "unknown", text, evidence=evidence)
+        if not _holds_elsewhere(outlines, fitted):
+            text = f"{what}, those of one part of the picture by another warp than the rest"
+            return Opinion("registration", "unknown", text, evidence=evidence)
         warp = fitted.warp
         numbers = tuple(round(float(n), 4) for n in (warp.fx, warp.fy, warp.cx, warp.cy, warp.tx, warp.ty, warp.tz))
         text = (
-            f"outlines of depth miss edges of colour ({evidence['edges']:.0%} agree, {evidence['edges_warped']:.0%} "
+            f"{what} ({evidence['edges']:.0%} agree, {evidence['edges_warped']:.0%} "
             f"with a colour camera of its own): off by {off:.0f} pixels"
         )
         line = f"--registration {','.join(f'{n:g}' for n in numbers)}"
@@ -77,6 +83,18 @@ def _opinion(seen: Seen) -> Opinion:
     already = ", by the warp that is declared" if seen.settings.registration else ""
     text = f"{evidence['edges']:.0%} of the outlines of depth lie on edges of colour{already}; no warp does much better"
     return Opinion("registration", "fine", text, evidence=evidence)
+
+
+def _holds_elsewhere(outlines: Outlines, fitted: Fitted) -> bool:
+    """Whether a warp that is found without a row of regions is also that row's, for each."""
+    near = outlines.near(Registration.none(outlines.camera))
+    for row in np.arange(REGIONS[0] * REGIONS[1]).reshape(REGIONS):
+        others = ~np.isin(np.arange(REGIONS[0] * REGIONS[1]), row)
+        warp = estimated(outlines, others, fitted.warp).warp
+        gain = outlines.by_region(np.nan_to_num(outlines.near(warp) - near))[row]
+        if np.isfinite(gain).any() and mean_known(gain) < LEAST_ELSEWHERE:
+            return False
+    return True
 
 
 def displacement(warp: Registration, outlines: Outlines) -> float:

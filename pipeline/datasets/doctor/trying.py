@@ -107,7 +107,8 @@ def diagnosed(seen: Seen, suspicions: Sequence[Suspicion]) -> tuple[list[Opinion
             found = found if why is None else [withdrawn(opinion, why) for opinion in found]
             seen = mended if why is None else seen
         known = [o for o in known if o.about not in {one.about for one in found}] + found
-    return sorted(known, key=lambda opinion: SUBJECTS.index(opinion.about)), seen
+    order = [*SUBJECTS, *(opinion.about for opinion in known)]
+    return sorted(known, key=lambda opinion: order.index(opinion.about)), seen
 
 
 def mends_of(opinions: Sequence[Opinion]) -> dict[str, Any]:
