@@ -312,9 +312,12 @@ def untold_words(summary: RunSummary, said: str | None = None) -> str:
 def cost_words(summary: RunSummary) -> str:
     """Where the accuracy goes, in sentences that say no other module than the verdicts do without saying why."""
     right = summary.accuracy.value
-    shares = tuple(f"{100 * share:.1f}" if 100 * share >= LEAST_SAID else "none" for share in (right, 1 - right))
     labelled = summary.verdicts["CORRECT"].estimate.value
-    by = (f"{100 * labelled:.1f} by the labelled thing", f"{100 * (right - labelled):.1f} by another that fits too")
+    shares = tuple(
+        f"{100 * share:.1f}" if 100 * share >= LEAST_SAID else "none"
+        for share in (right, 1 - right, labelled, right - labelled)
+    )
+    by = f"{shares[2]} by the labelled thing", f"{shares[3]} by another that fits too"
     how = f" ({', '.join(by)})" if 100 * (right - labelled) >= LEAST_SAID else ""
     text = f"Of 100 expressions {shares[0]} are answered rightly{how}, {shares[1]} are not."
     parts = {name: e.value for name, e in summary.loss.items() if name != "accuracy" and 100 * e.value >= LEAST_SAID}
