@@ -25,7 +25,7 @@ from pipeline.language.references import NO_RANK, ReferenceReader
 from pipeline.language.tokens import Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice, Span
 from pipeline.language.unreadable import FORM, NOT_EXACT, not_known, unreadable
-from pipeline.language.views import closing_removed, leading_removed, thing_first, without_view
+from pipeline.language.views import address_removed, closing_removed, leading_removed, thing_first, without_view
 from pipeline.system.errors import InputError, Unsupported
 
 
@@ -87,7 +87,7 @@ class _Reader(ReferenceReader):
     """One pass over one expression, adding to its chain."""
 
     def __init__(self, text: str, tokens: list[Token], own: Collection[str] = ()) -> None:
-        tokens = closing_removed(tokens)
+        tokens = closing_removed(address_removed(tokens, text))
         tokens = without_view(tokens, text)
         tokens, self.asks_what = leading_removed(tokens)
         if tokens and tokens[0].plain in lexicon.NEGATIONS:
@@ -217,7 +217,7 @@ class _Reader(ReferenceReader):
                 expected=FORM,
                 cause="not a known relation or name",
             )
-        if word in lexicon.UNKNOWN_RELATIONS or (word in lexicon.ACTIONS and self.chain.nouns):
+        if word in lexicon.UNKNOWN_RELATIONS or (word in lexicon.ACTIONS and self.chain.nouns and not self.opened):
             return self._unused(at, not_known(self.tokens, at, self.text))
         return self._noun(at)
 

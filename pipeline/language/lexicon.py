@@ -157,6 +157,11 @@ PURPOSE = re.compile(
 )
 """What a thing is for: `to sit on`, `you can drink from`."""
 
+ADDRESS = _words(
+    "yo hey hi hello look listen hmm hm ah oh ok okay right well so robot computer assistant alexa siri google dude "
+    "man guys folks mate friend buddy sir please quick hurry now then actually"
+)
+"""Words before a comma at the start that call for attention."""
 CLOSING = _words("please thanks is are there now asap where located gone")
 CLOSING_PHRASES = _phrases(
     "for me, for us, would you, will you, could you, can you, if you can, if you could, if you please, thank you, "

@@ -101,8 +101,13 @@ class LooksReader(Cursor):
 
     def _meant(self, at: int, draft: Draft) -> str | None:
         """The word for a look that a misspelt one is, where a thing follows or it is said of one: `pruple chair`."""
-        token = self.tokens[at]
-        if token.plain is None or token.text in self.own or (self._ends(at + 1) and not draft.predicate):
+        token = self.tokens[at] if at < len(self.tokens) else None
+        if (
+            token is None
+            or token.plain is None
+            or token.text in self.own
+            or (self._ends(at + 1) and not draft.predicate)
+        ):
             return None
         meant = look_meant(token.text)
         following = self.tokens[at + 1].text if at + 1 < len(self.tokens) else ""

@@ -273,17 +273,20 @@ def _variants(query: str, table: Synonyms) -> Iterator[str]:
 def respelled(query: str, known: KnownNames) -> str | None:
     """The query with its misspelt words mended, None where there are none: words of five letters and more that
     neither the known names nor the table have, and of which one word that they have is one letter away; of
-    four letters only two of a known name may have changed places."""
+    three and four letters only two of a known name may have changed places, or of four one be forgotten."""
     words = query.split()
     mended = [_mended(word, known.words, known.table) for word in words]
     return " ".join(mended) if mended != words else None
 
 
 def _mended(word: str, words: frozenset[str], table: Synonyms) -> str:
-    if len(word) < 4 or not word.isalpha() or word in words or word in table.words or singular(word) in table.words:
+    if len(word) < 3 or not word.isalpha() or word in words or word in table.words or singular(word) in table.words:
         return word
-    short = len(word) == 4
+    short = len(word) < 5
+    # A short word may be many others by a letter: only a letter forgotten, or two exchanged, and of the known names.
     near = two_swapped(word) if short else one_letter_away(word)
+    if len(word) == 4:
+        near |= {w for w in one_letter_away(word) if len(w) > len(word)}
     for among in (words,) if short else (words, table.words):
         candidates = [n for n in near if n in among]
         kept = [c for c in candidates if c[0] == word[0]] or candidates

@@ -174,7 +174,7 @@ class NounReader(LooksReader):
             if end is None and token.plain == "one" and at == start and self._starts_noun(at + 1):
                 counts = not self._ends(at + 1) and self.tokens[at + 1].plain not in ("of", *choices.ORDINALS)
                 end = at + 1 if counts else None
-            following = attribute(self._text(at + 1))
+            following = attribute(self._text(at + 1)) or attribute(self._meant(at + 1, draft) or "")
             if end is None and token.plain in ("and", "&") and draft.attributes and following:
                 end = at + 1
             if end is None and token.plain == "or" and draft.attributes and following and not self.negated:

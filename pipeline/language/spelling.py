@@ -19,7 +19,7 @@ _CHOICE_WORDS = {
 _OFTEN = (
     "left right behind front between beside besides under above below next near bottom middle closest nearest farthest "
     "furthest leftmost rightmost inside beneath underneath infront against across corner standing sitting hanging "
-    "lying neither without something anything which where"
+    "lying neither without something anything which where thing things object objects item camera viewer stack"
 )
 _MISSPELT = tuple(dict.fromkeys([*_OFTEN.split(), *sorted(_CHOICE_WORDS)]))
 """Words of the grammar that are taken for what a misspelt word should be."""

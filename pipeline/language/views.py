@@ -49,6 +49,13 @@ def without_view(tokens: list[Token], text: str) -> list[Token]:
     return tokens
 
 
+def address_removed(tokens: list[Token], text: str) -> list[Token]:
+    """Without `look,` or `robot,` before all the rest."""
+    while len(tokens) > 1 and tokens[0].plain in lexicon.ADDRESS and "," in text[tokens[0].end : tokens[1].start]:
+        tokens = tokens[1:]
+    return tokens
+
+
 def closing_removed(tokens: list[Token]) -> list[Token]:
     """Without `please`, `for me` and the like at the end, as long as something is left."""
     while tokens:
