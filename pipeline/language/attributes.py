@@ -177,7 +177,9 @@ _LIGHT = _words("light: lighter pale pastel soft faded sky baby powder ice lemon
 _DARK = _words("dark: darker deep forest hunter army bottle midnight blood brick chocolate")
 _SHADES: dict[str, Shade] = {**dict.fromkeys(_LIGHT, "light"), **dict.fromkeys(_DARK, "dark")}
 """Words that before a colour say how light it is: "sky blue", "forest green"."""
-_INTENSIFIERS = frozenset(_words("very: really quite rather somewhat fairly extremely super so too kind of sort"))
+INTENSIFIERS = frozenset(
+    _words("very: really quite rather somewhat fairly extremely super so too kind of sort kinda sorta bit")
+)
 _VIVID = frozenset(_words("bright: vivid neon hot electric royal solid plain mostly all metallic jet snow off"))
 """Words before a colour that leave its name and its shade as they are."""
 SINGLE_WORDS = frozenset(_TABLE)
@@ -196,7 +198,7 @@ def attribute(words: str) -> Attribute | None:
     """
     tokens = [t if t in _TABLE else _SUFFIX.sub("", t) for t in re.split(r"[\s\-_]+", words.strip().lower())]
     tokens = [token for token in tokens if token]
-    while len(tokens) > 1 and tokens[0] in _INTENSIFIERS:
+    while len(tokens) > 1 and tokens[0] in INTENSIFIERS:
         tokens = tokens[1:]
     if tokens[-1:] == ["ish"]:
         tokens = [*tokens[:-2], "".join(tokens[-2:])]
@@ -236,7 +238,7 @@ def _qualified(before: list[str], color: Attribute) -> Attribute | None:
             shade = _SHADES[word]
         elif word in _SHADED:
             shade = _SHADED[word][1]
-        elif word not in _VIVID and word not in _INTENSIFIERS:
+        elif word not in _VIVID and word not in INTENSIFIERS:
             other = _single(word)
             if other is None or other.kind != "color":
                 return None

@@ -17,6 +17,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import replace
 
 from pipeline.language import choices, lexicon
+from pipeline.language.attributes import attribute
 from pipeline.language.chain import Attach, Chain, Clause, Opened
 from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
@@ -206,7 +207,13 @@ class _Reader(ReferenceReader):
             return self._relation(at)
         if word in lexicon.WITH and self.chain.nouns and not self.opened:
             return self._with(at)
-        if self.chain.nouns and not self.opened and word in ("left", "right") and at + 1 < len(self.tokens):
+        if (
+            self.chain.nouns
+            and not self.opened
+            and word in ("left", "right")
+            and not self.negated
+            and at + 1 < len(self.tokens)
+        ):
             side_token = replace(token, relation=word)
             self.opened.append(Opened(side_token, self._take_negation(), self._attach()))
             return at + 1
@@ -217,9 +224,15 @@ class _Reader(ReferenceReader):
                 expected=FORM,
                 cause="not a known relation or name",
             )
-        if word in lexicon.UNKNOWN_RELATIONS or (word in lexicon.ACTIONS and self.chain.nouns and not self.opened):
+        if word in lexicon.UNKNOWN_RELATIONS or self._acts(at):
             return self._unused(at, not_known(self.tokens, at, self.text))
         return self._noun(at)
+
+    def _acts(self, at: int) -> bool:
+        """Whether a word behind a thing is a command, and says not how it is: `that is open`."""
+        word = self.tokens[at].plain
+        acts = word in lexicon.ACTIONS and bool(self.chain.nouns) and not self.opened
+        return acts and not (self._predicative(at) and attribute(word or "") is not None)
 
     def _alternative(self, at: int) -> int:
         """Past `or` and what follows it, which is not judged."""

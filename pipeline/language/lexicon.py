@@ -50,7 +50,7 @@ NEARER = {"closer": "closest", "nearer": "closest", "farther": "farthest", "furt
 """Comparatives before a noun that may be a relation of it: `the closer chair to the door`."""
 BEFORE_NOUNS = SUPERLATIVES | NEARER.keys()
 
-ANYTHING = _words("thing things object objects item items one ones stuff something anything")
+ANYTHING = _words("thing things object objects item items one ones stuff something anything everything")
 """Heads that say no more than that it is a thing."""
 
 VIEWERS = _words("me you us camera viewer observer photographer robot i yourself myself")
@@ -103,7 +103,7 @@ PRONOUNS = _words("it them itself themselves they he she him her me you somethin
 PLACE_PRONOUNS = frozenset({"it", "them", "itself", "themselves"})
 
 AMONG_FIRST = re.compile(
-    r"(?:(?:out )?of|amongst?|from among) (?:all )?(?=(?:the|these|those|my|all|\w+ \w+s) )"
+    r"(?:(?:out )?of|among(?:st)?|from among) (?:all )?(?=(?:the|these|those|my|all|\w+ \w+s) )"
     r"|in (?:the|this|that|a) (?:group|row|line|set|pair|bunch|cluster|collection) of (?=\w)"
 )
 """Words at the start that say among which things the one meant is."""
@@ -113,7 +113,7 @@ LINKING = _words(
     "immediately just right straight exactly slightly somewhere still currently located positioned placed "
     "situated standing stood sitting seated lying laying laid resting hanging hung leaning mounted kept found put "
     "parked the a an can could may should would might must will shall seen visible propped stored stacked "
-    "arranged displayed perched tucked nestled almost nearly very quite closely pictured appears seems "
+    "arranged displayed perched tucked nestled almost nearly very quite closely pictured appears seems looks "
     "approximately about does do did hidden partially partly attached fixed connected wedged tossed thrown stuck "
     "draped built hanged nailed pinned suspended supposed lieing siting sited"
 )
@@ -126,7 +126,7 @@ COPULAS = _words("does do did that which who is are was were be been being that'
 
 SEEMS = re.compile(r"what (?:appears|seems|looks|look|appear|seem) (?:to be|like)(?= |$)")
 """Words before a noun that say only that its name is a guess."""
-BE = _words("is are was were be being been isn't aren't wasn't weren't it's that's which's who's they're")
+BE = _words("is are was were be being been isn't aren't wasn't weren't it's that's which's who's they're looks seems")
 DEGREES = _words("also very quite just rather or nor really both mostly all")
 """What may stand between `is` and an adjective."""
 

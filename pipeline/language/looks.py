@@ -69,11 +69,11 @@ class LooksReader(Cursor):
         return False
 
     def _attribute(self, at: int, draft: Draft) -> int | None:
-        for size in (2, 1):
-            if at + size > len(self.tokens) or (size == 2 and self.breaks[at + 1]):
+        for size in (3, 2, 1):
+            if at + size > len(self.tokens) or any(self.breaks[at + 1 : at + size]):
                 continue
             text = " ".join(self._text(k) for k in range(at, at + size)).strip()
-            if (size == 2 and " " not in text) or not text:
+            if (size > 1 and text.count(" ") < size - 1) or not text or (size == 3 and self._text(at + 1) != "of"):
                 continue
             if size == 1 and " and " in text and all(looks := [attribute(part) for part in text.split(" and ")]):
                 draft.attributes += [look for look in looks if look is not None]
@@ -91,7 +91,7 @@ class LooksReader(Cursor):
                 self.respelled[at] = self.tokens[at].start, self.tokens[at].end, meant
             if found is None or (size == 1 and (self._compound(at) or self._is_the_thing(at, draft, found))):
                 continue
-            if self._is_content(at + size - 1, found) or (size == 2 and self._compound(at + 1)):
+            if self._is_content(at + size - 1, found) or (size > 1 and self._compound(at + size - 1)):
                 continue
             draft.attributes.append(found)
             draft.words.append(text)

@@ -157,6 +157,9 @@ class NounReader(LooksReader):
                 draft.modifiers.append((token.start, token.end, "choice"))
                 at = self._determiners(found[1])
                 continue
+            if token.plain == "very" and self._text(at + 1) in choices.ORDINALS:
+                at += 1
+                continue
             if found := self.match(choices.FROM_LAST, at):
                 draft.ordinal = -choices.ORDINALS.get(found[0]["rank"] or "second", 2), found[0][0].strip()
                 draft.modifiers.append((token.start, self.tokens[found[1] - 1].end, "choice"))
@@ -261,6 +264,13 @@ class NounReader(LooksReader):
             return self._before(self._determiners(found[1]), draft)
         if at >= len(self.tokens) or self.tokens[at].plain != "of":
             return at
+        if self._filler(at) and (found := self.match(lexicon.FILLER, at)):
+            return found[1]
+        if draft.choices and all(c.rank is None for c in draft.choices):
+            # `the back of the chair` is a part of it, `the middle of the chairs` one of them.
+            whole, _ = self.noun(at + 1)
+            if whole is None or not (whole.count or singular(whole.head_word) != whole.head_word):
+                return at
         return self._before(self._determiners(at + 1), draft)
 
     def _head_end(self, at: int, draft: Draft, *, stop_at_and: bool) -> int:
@@ -278,6 +288,8 @@ class NounReader(LooksReader):
     def _stops(self, end: int, at: int, word: str, before: str | None, stop_at_and: bool) -> bool:
         if word in DETERMINERS:
             return end > at and before not in lexicon.ARTICLE_BEARING
+        if word == "of" and end > at and self._sided(end + 1):
+            return True
         if word in ("of", "with") and end > at and (self._color_after(end) is not None or self._filler(end)):
             return True
         if word in lexicon.WITH:
@@ -342,6 +354,13 @@ class NounReader(LooksReader):
             word in lexicon.LINKING or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
             or word in lexicon.VERBS
         )  # fmt: skip
+
+    def _sided(self, at: int) -> bool:
+        """Whether `the left one` begins here, which is no word of a name."""
+        at += at < len(self.tokens) and self.tokens[at].plain in DETERMINERS
+        return (
+            self._text(at) in ("left", "right", *choices.ORDINALS) and not self._ends(at + 1) and not self._compound(at)
+        )
 
     def _orders(self, at: int) -> bool:
         """Whether an order follows an ordinal: `(second) from the left`, `(second) closest`."""

@@ -59,6 +59,7 @@ _ASKING = frozenset(
     )
 )
 _FRAMES = _phrases(
+    "whatever is, whatever's, you'll find, you'll see, you will find, you will see, you find, you can find, "
     "can't find, cannot find, couldn't find, can't see, have you seen, has anyone seen, where has, where have, "
     "where did, "
     "isn't, aren't, wasn't, isn't there, aren't there, can't you see, "

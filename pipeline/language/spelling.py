@@ -7,7 +7,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 from pipeline.language import choices
-from pipeline.language.attributes import SINGLE_WORDS, attribute
+from pipeline.language.attributes import INTENSIFIERS, SINGLE_WORDS, attribute
 from pipeline.language.lexicon import CONTRACTIONS, GRAMMAR_WORDS, SHORTHAND, phrase_table
 from pipeline.language.name_lookup import one_letter_away, two_swapped
 from pipeline.language.naming import known_words, singular
@@ -68,6 +68,7 @@ def heard(words: Sequence[str]) -> list[str]:
 def is_known(word: str) -> bool:
     """Whether a word in lower case stands in the grammar, among the words for looks or in a name of the table."""
     grammar = word in _PHRASE_WORDS or word in _MISSPELT or word in GRAMMAR_WORDS or word in choices.NUMBERS
+    grammar = grammar or word in INTENSIFIERS or word in choices.ORDINALS
     return grammar or word in known_words() or singular(word) in known_words() or attribute(word) is not None
 
 

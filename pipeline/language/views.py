@@ -118,7 +118,8 @@ def thing_first(tokens: list[Token], text: str) -> list[Token]:
             related = tokens[k - 1].plain in lexicon.RELATIVE or tokens[after].plain in lexicon.RELATIVE
             starts = tokens[after].plain in DETERMINERS | choices.NUMBERS.keys() if after < len(tokens) else False
             return tokens[after:] + tokens[:k] if starts and not related else tokens
-        if any(c in text[tokens[k - 1].end : tokens[k].start] for c in ",;:."):
+        seen = tokens[k].plain in ("you", "you'll", "i", "we", "one")
+        if seen or any(c in text[tokens[k - 1].end : tokens[k].start] for c in ",;:."):
             rest, _ = leading_removed(tokens[k:])
             if rest[0].plain in DETERMINERS - lexicon.RELATIVE or len(rest) < len(tokens) - k:
                 among = tokens[0].relation == "between" and all(t.plain not in lexicon.AND for t in tokens[:k])
