@@ -133,8 +133,8 @@ SCENES: dict[str, Callable[[int], list[Rendered]]] = {
 
 
 def _table(palette: Palette, rng: Rng) -> Model:
-    """A board, plain or of wood, that fills most of the picture."""
-    w, d = rng.uniform(0.85, 1.1), rng.uniform(0.6, 0.75)
+    """A plain board, often larger than the picture, so that only what lies on it and the arms have outlines."""
+    w, d = rng.uniform(0.9, 1.9), rng.uniform(0.7, 1.4)
     color = paint(palette.accents[int(rng.integers(len(palette.accents)))])
     legs = [block((0.05, 0.05, 0.68), (x, y, 0), STEEL, 0.002) for x in (-0.3, 0.3) for y in (-0.2, 0.2)]
     top = Surface(0.72, -w / 2, w / 2, -d / 2, d / 2)

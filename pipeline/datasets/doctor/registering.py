@@ -20,8 +20,8 @@ LEAST_GAIN, LEAST_GAIN_ABOVE = 0.1, 0.07
 GAINING_FRAMES = 0.8
 LEAST_PEAK, REGION_PEAK = 0.06, 0.12
 """What is registered falls by so much when one picture is moved by a few pixels; and in a region alone."""
-LEAST_ELSEWHERE = 0.05
-"""And what is found without a row of regions must bring so much more of that row's onto edges."""
+LEAST_ELSEWHERE = 0.02
+"""And what is found without a row or column of regions must bring so much more of theirs onto edges."""
 KEPT = 0.03
 """What a region that is registered as it is may lose by a warp."""
 WORTH_PX = 3.0
@@ -86,12 +86,12 @@ def _opinion(seen: Seen) -> Opinion:
 
 
 def _holds_elsewhere(outlines: Outlines, fitted: Fitted) -> bool:
-    """Whether a warp that is found without a row of regions is also that row's, for each."""
+    """Whether a warp that is found without a row or column of regions is also theirs, for each."""
     near = outlines.near(Registration.none(outlines.camera))
-    for row in np.arange(REGIONS[0] * REGIONS[1]).reshape(REGIONS):
-        others = ~np.isin(np.arange(REGIONS[0] * REGIONS[1]), row)
-        warp = estimated(outlines, others, fitted.warp).warp
-        gain = outlines.by_region(np.nan_to_num(outlines.near(warp) - near))[row]
+    grid = np.arange(REGIONS[0] * REGIONS[1]).reshape(REGIONS)
+    for left_out in (*grid, *grid.T):
+        warp = estimated(outlines, ~np.isin(grid.ravel(), left_out), fitted.warp).warp
+        gain = outlines.by_region(np.nan_to_num(outlines.near(warp) - near))[left_out]
         if np.isfinite(gain).any() and mean_known(gain) < LEAST_ELSEWHERE:
             return False
     return True
