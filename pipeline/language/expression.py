@@ -86,8 +86,10 @@ def parse(
 def _told_mended(text: str, known: Vocabulary, chain: Chain) -> tuple[tuple[str, str], ...]:
     """The misspelt words that were mended, in order; a name keeps its own."""
     names = [s for s in chain.spans if s.role in ("target", "reference")]
-    inside = {m for m in mended(text, known) if any(s.start <= m[0] and m[1] <= s.end for s in names)}
-    told = sorted((set(mended(text, known)) - inside) | set(chain.mended))
+    read = set(mended(text, known))
+    inside = {m for m in read if any(s.start <= m[0] and m[1] <= s.end for s in names)}
+    anything = {m for m in inside if m[2] in lexicon.ANYTHING and any(n.name == m[2] for n in chain.nouns)}
+    told = sorted((read - inside) | anything | set(chain.mended))
     return tuple((text[start:end], meant) for start, end, meant in told)
 
 

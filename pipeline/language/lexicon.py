@@ -181,7 +181,7 @@ NEGATIONS = _words(
 FILLER = re.compile(
     r"(?:(?:(?:only|just|about) )?(?:a |one |two |three |several |some )?(?:few |couple of |couple |little |bit )?"
     r"(?:feet|foot|inch|inches|meters|metres|centimeters|steps|bit|little|ways?)(?: away| off| over| back| up| down)?"
-    r"|of (?:the |these |those )?(?:two|three|four|five|six|\d+|them|all|both|lot|bunch)"
+    r"|of (?:the |these |those )?(?:two|three|four|five|six|\d+|them all|them|all|both|lot|bunch)"
     r"|(?:(?:high|low|way) )?(?:up|down|over|out|off)|(?:all the way|in place|by itself|here|located)"
     r"|(?:you|i|we) (?:can |could )?see"
     r"|in (?:colou?r|size|shape)|of (?:any|whatever|some) (?:colou?r|size|shape|kind|sort|type)) ?(?= |$)"

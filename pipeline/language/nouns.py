@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -346,7 +347,7 @@ class NounReader(LooksReader):
                 return True
         if word in ("left", "right"):
             return not self._compound(end - 1)
-        if self.match(choices.AT_SIDE, end) is not None or self.match(choices.FROM_SIDE, end) is not None:
+        if self.match(choices.AT_SIDE, end) is not None or self._counts_from(end) is not None:
             return True
         if before in lexicon.ARTICLE_BEARING and word.endswith("ed") and not self._ends(end + 1):
             return False
@@ -354,6 +355,11 @@ class NounReader(LooksReader):
             word in lexicon.LINKING or word in lexicon.NEGATIONS or word in lexicon.UNKNOWN_RELATIONS
             or word in lexicon.VERBS
         )  # fmt: skip
+
+    def _counts_from(self, at: int) -> tuple[re.Match[str], int] | None:
+        """Where an ordinal begins to count; `on the top` of `on the top shelf` is none."""
+        found = self.match(choices.FROM_SIDE, at)
+        return None if found is None or ("from" not in found[0][0] and not self._ends(found[1])) else found
 
     def _sided(self, at: int) -> bool:
         """Whether `the left one` begins here, which is no word of a name."""
@@ -367,7 +373,7 @@ class NounReader(LooksReader):
         text = self._text(at)
         if at < len(self.tokens) and self.tokens[at].relation in ("closest", "farthest"):
             return True
-        return self.match(choices.FROM_SIDE, at) is not None or (text in choices.EXTREMES and text not in choices.SIDES)
+        return self._counts_from(at) is not None or (text in choices.EXTREMES and text not in choices.SIDES)
 
     def _filler(self, at: int) -> bool:
         found = self.match(lexicon.FILLER, at)
@@ -397,7 +403,7 @@ class NounReader(LooksReader):
             end = self._numbered(end, draft) or end
         if draft.ordinal is None:
             return end
-        found = self.match(choices.FROM_SIDE, end)
+        found = self._counts_from(end)
         rank, text = draft.ordinal
         draft.ordinal = None
         order, after = "left", end
