@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -95,8 +96,18 @@ def warn(text: object) -> None:
     print(f"spatialviz: {one_line(str(text))}", file=sys.stderr)
 
 
+_NO_MEMORY = re.compile(
+    r"failed to map segment|cannot allocate memory|bad_alloc|bad allocation|out ?of ?memory error|insufficient memory"
+    r"|can't start new thread|failed to allocate memory",
+    re.IGNORECASE,
+)
+"""What the system and libraries say where memory is short: of loading a library too."""
+
+
 def error_line(error: Exception) -> str:
     """The one line that a person or an agent is told of an error."""
+    if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
+        return "error: there is not enough memory (is it limited, as by ulimit -v, or does something else need it?)"
     if isinstance(error, OSError):  # A full disk, a folder that cannot be written.
         return f"error: {error.strerror or error}" + (f" [{error.filename}]" if error.filename else "")
     if isinstance(error, TOLD):

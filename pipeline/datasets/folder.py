@@ -21,7 +21,7 @@ from pipeline.datasets.recording import Listed, Recording, files_of
 from pipeline.datasets.settings import DEPTH_SCALE, Settings
 from pipeline.geometry.frame import Frame
 from pipeline.language.counted import counted
-from pipeline.system.errors import InputError, needed
+from pipeline.system.errors import InputError, needed, require
 
 MOST_CAMERA_FILES = 20
 """So many files that may speak of the camera are read."""
@@ -75,6 +75,7 @@ class Scene:
         colors, depths = files.of("color"), files.of("depth")
         naming = choose_naming(colors, depths, files.flat)
         pairs = pair_files(naming, colors, depths, root)
+        require(pairs, "there is neither a colour picture nor depth", cause="was it unpacked to the end?", path=root)
         keys = {pair.key for pair in pairs}
         each = {role: {naming(name): name for name in files.of(role)} for role in ("camera", "label")}
         stated = NOTHING

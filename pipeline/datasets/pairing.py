@@ -252,7 +252,9 @@ def pair_files(naming: Naming, colors: list[str], depths: list[str], root: Path)
     require(
         not depths or color.keys() & depth.keys(),
         "colour and depth do not pair: no number or name in common",
-        got=lambda: " and ".join(f"{stem_of(names[0])} ... {stem_of(names[-1])}" for names in (colors, depths)),
+        got=lambda: " and ".join(
+            f"{stem_of(names[0])} ... {stem_of(names[-1])}" if names else "no picture" for names in (colors, depths)
+        ),
         path=root,
     )
     keys = color.keys() | depth.keys()

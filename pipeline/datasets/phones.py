@@ -79,7 +79,10 @@ class ArkitScenesDataset(FolderDataset):
 
 
 def _time(pair: Pair) -> float:
-    return float(numbers(pair.color_name or pair.depth_name or "")[-1])
+    name = pair.color_name or pair.depth_name or ""
+    times = numbers(name)
+    require(times, "the name of a frame has no time", got=name, expected="such as 40958756_77.234.png", path=pair.root)
+    return float(times[-1])
 
 
 _PARTS = {"color": COLOR, "depth": DEPTH, "camera": CAMERA}
@@ -87,7 +90,7 @@ _PARTS = {"color": COLOR, "depth": DEPTH, "camera": CAMERA}
 
 def _trajectory(path: Path) -> np.ndarray:
     rows = [as_floats(line.split(), 7, path, f"line {n}") for n, line in numbered_lines(path)]
-    return np.stack(rows)
+    return np.array(rows).reshape(-1, 7)
 
 
 def _scan(root: Path) -> tuple[bool, Path]:

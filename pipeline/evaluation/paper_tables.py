@@ -265,7 +265,7 @@ def tables_of_folder(
     stored = folder / FILE
     relations = read_relation_records(stored) if stored.exists() else None
     pairs = read_pair_names(stored) if stored.exists() else ()
-    vocabulary, layout = str(labels.manifest.config["vocabulary"]), str(labels.manifest.dataset.get("format"))
+    vocabulary, layout = str(labels.manifest.config.get("vocabulary")), str(labels.manifest.dataset.get("format"))
     ruled = labels.manifest.profile.get("name") != GIVEN
     evaluated = Evaluated(vocabulary, dataset, layout, ruled, shares)
     return paper_tables(evaluated, systems, relations, pairs, held_out=held_out, config=config)

@@ -128,20 +128,37 @@ def read_table(
     ):
         schema = file.schema_arrow
         check_version(schema.metadata or {}, table, path)
-        missing = [n for n in columns or arrow_schema(table).names if n not in schema.names]
-        lost = next((n for n in missing if n not in ADDED_COLUMNS), None)
-        require(lost is None, f"table {table} lacks the column {lost!r}", path=path)
         read = file.read(columns=None if columns is None else [n for n in columns if n in schema.names])
-        return read if columns is not None and not columns else with_added(read, table, columns)
+        return read if columns is not None and not columns else sound_rows(read, table, columns, path=path)
 
 
-def with_added(rows: pa.Table, table: str, columns: Sequence[str] | None = None) -> pa.Table:
-    """Rows of a file that may be older than the columns in ADDED_COLUMNS: those are null, in their place."""
-    wanted = columns or arrow_schema(table).names
-    missing = [n for n in wanted if n in ADDED_COLUMNS and n not in rows.column_names]
+def sound_rows(
+    rows: pa.Table, table: str, columns: Sequence[str] | None = None, *, path: str | Path | None = None
+) -> pa.Table:
+    """Rows of a file with the columns that are asked for, each of its type.
+
+    The file may be older than the columns in ADDED_COLUMNS: those are null, in their place.
+
+    Raises
+    ------
+    InputError
+        A column is missing, of another type, or lacks values that it must have.
+    """
+    schema = arrow_schema(table)
+    wanted = columns or schema.names
+    missing = [n for n in wanted if n not in rows.column_names]
+    lost = next((n for n in missing if n not in ADDED_COLUMNS), None)
+    require(lost is None, f"table {table} lacks the column {lost!r}", path=path)
     for name in missing:
-        field = arrow_schema(table).field(name)
-        rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
+        rows = rows.append_column(schema.field(name), pa.nulls(rows.num_rows, schema.field(name).type))
+    for place, name in enumerate(rows.column_names):
+        field, held = schema.field(name) if name in schema.names else None, rows.column(place)
+        if field is None or (held.type == field.type and (field.nullable or not held.null_count)):
+            continue
+        words = {"got": held.type, "expected": field.type, "cause": "was the file written by something else?"}
+        with as_input_error(f"table {table}, column {name}: another type", pa.ArrowException, path=path, **words):
+            rows = rows.set_column(place, field, held.cast(field.type))
+        require(field.nullable or not held.null_count, f"table {table}, column {name}: no value in a row", path=path)
     return rows.select(wanted) if missing else rows
 
 
@@ -296,7 +313,12 @@ def open_labels(path: str | Path) -> Labels:
             path=file,
         )
         manifest = checked(Manifest.model_validate, content, "the manifest is damaged at {}", file)
-    for relation in manifest.config.get("relations", ()):
+    relations = manifest.config.get("relations")
+    require(
+        isinstance(relations, list), "the manifest is damaged at config.relations",
+        got="nothing" if relations is None else Shown(relations), expected="a list of relations", path=file,
+    )  # fmt: skip
+    for relation in manifest.config["relations"]:
         require(
             relation in PAIRWISE, "these labels hold a relation that is not declared here", got=repr(relation),
             expected=", ".join(PAIRWISE), cause="made with a relation of somebody's own?", path=file,

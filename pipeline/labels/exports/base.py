@@ -13,8 +13,7 @@ import numpy as np
 
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.provenance import Provenance
-from pipeline.labels.reading import Labels, arrow_schema, check_version, with_added
-from pipeline.labels.schema import ADDED_COLUMNS
+from pipeline.labels.reading import Labels, arrow_schema, check_version, sound_rows
 from pipeline.system.arrow import pa
 from pipeline.system.door import open_parquet
 from pipeline.system.errors import InputError, as_input_error, first_line, require
@@ -185,9 +184,9 @@ def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = Non
         open_parquet(path, pre_buffer=False) as file,
     ):
         check_version(file.schema_arrow.metadata or {}, name, path)
-        absent = ADDED_COLUMNS.keys() - set(file.schema_arrow.names)
-        for batch in file.iter_batches(BATCH, columns=columns and [n for n in columns if n not in absent]):
-            yield with_added(pa.Table.from_batches([batch]), name, columns)
+        there = set(file.schema_arrow.names)
+        for batch in file.iter_batches(BATCH, columns=columns and [n for n in columns if n in there]):
+            yield sound_rows(pa.Table.from_batches([batch]), name, columns, path=path)
 
 
 def label_names(labels: Labels) -> list[str]:
