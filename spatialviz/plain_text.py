@@ -10,11 +10,14 @@ import os
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 _CODES = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """C0 without tabs and ends of lines, DEL, C1, marks of direction, separators of lines, half characters."""
+
+_ERRORS = 2
+"""The descriptor of standard error, which libraries write to."""
 
 
 def plain(text: str) -> str:
@@ -63,6 +66,15 @@ def plain_streams() -> Iterator[None]:
     """What is printed meanwhile is plain; a character that a terminal lacks is a question mark, and what goes to a
     closed stream goes nowhere."""
     before = sys.stdout, sys.stderr
+    with _libraries_silent():
+        _make_plain()
+        try:
+            yield
+        finally:
+            sys.stdout, sys.stderr = before
+
+
+def _make_plain() -> None:
     for name in ("stdout", "stderr"):
         stream: Any = getattr(sys, name)
         if stream is None:
@@ -70,7 +82,33 @@ def plain_streams() -> Iterator[None]:
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
         setattr(sys, name, PlainStream(stream))
+
+
+@contextmanager
+def _libraries_silent() -> Iterator[None]:
+    """What libraries of other languages write of a damaged picture, past Python, goes nowhere: we say it ourselves.
+
+    Where the program is looked into, or ONNX Runtime's own messages are asked for, all of it is shown.
+    """
+    shown = any(os.environ.get(name) for name in ("SPATIALVIZ_DEBUG", "PYTHONFAULTHANDLER")) or "--verbose" in sys.argv
+    if shown or not isinstance(sys.stderr, io.TextIOWrapper) or _descriptor(sys.stderr) != _ERRORS:
+        yield
+        return
+    own, nowhere = os.dup(_ERRORS), os.open(os.devnull, os.O_WRONLY)
+    sys.stderr.flush()
+    os.dup2(nowhere, _ERRORS)
+    os.close(nowhere)
+    stream = open(own, "w", buffering=1, encoding=sys.stderr.encoding, errors="replace")  # noqa: SIM115 (closed below)
+    sys.stderr = stream
     try:
         yield
     finally:
-        sys.stdout, sys.stderr = before
+        os.dup2(own, _ERRORS)
+        with suppress(OSError):
+            stream.close()
+
+
+def _descriptor(stream: Any) -> int | None:
+    with suppress(OSError, ValueError):
+        return stream.fileno()
+    return None
