@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.datasets import InMemoryDataset
 from pipeline.datasets.doctor.examine import Examination, chosen_frames, examine_frames
-from pipeline.geometry import Frame, Registration, registered
+from pipeline.geometry import Frame, Registration, intrinsics, registered
 from pipeline.geometry.pose_convention import as_convention
 from pipeline.system import InputError
 
@@ -42,7 +42,11 @@ class Planted:
     @property
     def subjects(self) -> set[str]:
         """What may be called wrong."""
-        return {"focal length", "principal point"} if self.about == "picture size" else {self.about}
+        of_camera = {"focal length", "principal point"}
+        if self.about == "registration":
+            # Depth of another camera is read with that one's intrinsics, too.
+            return {self.about, *of_camera}
+        return of_camera if self.about == "picture size" else {self.about}
 
     def read(self, frames: Sequence[Frame]) -> list[Frame]:
         """A recording as it is read with the error; what is declared of its world is right, and carried by poses."""
@@ -84,7 +88,7 @@ class Planted:
         if self.about == "up":
             return np.allclose([float(n) for n in mends["up"].partition(":")[2].split(",")], (0, 0, 1))
         if self.about == "registration":
-            return warp_left(found, frames, read) < WARP_WITHIN
+            return "registration" not in mends or warp_left(found, frames, read) < WARP_WITHIN
         fx, _, cx, cy = mends["intrinsics"]
         off = max(abs(cx - truth.cx), abs(cy - truth.cy))
         near = CENTER_WITHIN if self.by in ("swapped", 0.5, 2.0) else 2 * CENTER_WITHIN
@@ -93,8 +97,10 @@ class Planted:
 
 def warp_left(found: Examination, frames: Sequence[Frame], read: Sequence[Frame]) -> float:
     """How many of the pixels that are read with a wrong depth have one with the mend: 0 is mended, above 1 is harm."""
-    warp = Registration(*found.mends["registration"])
-    mended = [replace(f, depth=registered(f.depth, f.camera, warp)[0]) for f in read]
+    warp, K = Registration(*found.mends["registration"]), read[0].camera.K
+    if "intrinsics" in found.mends:
+        K = intrinsics(*found.mends["intrinsics"])
+    mended = [replace(f, depth=registered(f.depth, replace(f.camera, K=K), warp)[0]) for f in read]
     left, first = (np.mean([_misfit(f, t) for f, t in zip(some, frames, strict=True)]) for some in (mended, read))
     return float(left / max(first, 1e-9))
 

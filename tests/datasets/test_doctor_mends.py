@@ -203,6 +203,7 @@ def test_conventions_in_turn(first: str) -> None:
         np.testing.assert_allclose(standard_poses(T, both), standard_poses(standard_poses(T, first), first), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_mend_of_declared_poses_takes_their_place(room: list[Frame]) -> None:
     """Poses that were told to be the wrong way and are not: what is kept is what the files mean."""
     read = [
