@@ -18,9 +18,9 @@ from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.expression import sentence_kind
 from pipeline.language.tree import Query
-from pipeline.system.arrow import pa
+from pipeline.system.arrow import pa, typed
 from pipeline.system.door import read_parquet
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
     "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",
@@ -77,6 +77,11 @@ nothing fits; `right_…` is the best-scoring acceptable pair among the candidat
 `degenerate` is set where all pairs are one thing, so that the detector's best target answers alone, as in `ask`.
 `raw_…`, `target_scores` and so on are null where scores are not calibrated: see `raw_columns`; the
 columns of the diagnosis for systems that are not the pipeline."""
+
+
+ASKED = ("id", "frame", "frame_index", "scene", "text", "target", "relation", "reference", "correct", "iou")
+JUDGED = ("detail", "lucky", "said")
+"""Columns that every release wrote, and those that it wrote beside verdicts."""
 
 
 def records_schema() -> pa.Schema:
@@ -371,7 +376,11 @@ def read_records(run: Path, columns: list[str] | None = None) -> pa.Table:
     """
     path = Path(run) / "records.parquet"
     try:
-        return read_parquet(path, columns)
+        rows = typed(read_parquet(path, columns), records_schema(), "the records", path)
+        needed = () if columns is not None else ASKED + JUDGED if "verdict" in rows.column_names else ASKED
+        lost = next((name for name in needed if name not in rows.column_names), None)
+        require(lost is None, f"the records lack the column {lost!r}", cause="is this a run of `eval`?", path=path)
+        return rows
     except FileNotFoundError as error:
         if (Path(run) / "relation_records.parquet").is_file():
             raise InputError("this run has no expressions", cause="made with --tables relations", path=run) from error

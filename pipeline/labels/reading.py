@@ -22,7 +22,7 @@ from pipeline.datasets import Dataset, open_dataset
 from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES, Manifest
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.arrow import pa, pc, pq
+from pipeline.system.arrow import pa, pc, pq, typed
 from pipeline.system.door import enter, open_parquet, read_json, read_parquet
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
 from pipeline.system.reading import checked
@@ -151,14 +151,7 @@ def sound_rows(
     require(lost is None, f"table {table} lacks the column {lost!r}", path=path)
     for name in missing:
         rows = rows.append_column(schema.field(name), pa.nulls(rows.num_rows, schema.field(name).type))
-    for place, name in enumerate(rows.column_names):
-        field, held = schema.field(name) if name in schema.names else None, rows.column(place)
-        if field is None or (held.type == field.type and (field.nullable or not held.null_count)):
-            continue
-        words = {"got": held.type, "expected": field.type, "cause": "was the file written by something else?"}
-        with as_input_error(f"table {table}, column {name}: another type", pa.ArrowException, path=path, **words):
-            rows = rows.set_column(place, field, held.cast(field.type))
-        require(field.nullable or not held.null_count, f"table {table}, column {name}: no value in a row", path=path)
+    rows = typed(rows, schema, f"table {table}", path)
     return rows.select(wanted) if missing else rows
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from pipeline.system.errors import as_input_error, require
+
 
 class LazyModule:
     """A module that is imported when something of it is first used."""
@@ -25,4 +27,24 @@ if TYPE_CHECKING:
 else:
     pa, pc, pj, pq = (LazyModule(f"pyarrow{part}") for part in ("", ".compute", ".json", ".parquet"))
 
-__all__ = ["LazyModule", "pa", "pc", "pj", "pq"]
+
+def typed(rows: pa.Table, schema: pa.Schema, what: str, path: Any) -> pa.Table:
+    """Rows whose columns are of the types of a schema, as far as it has them; `what` names the table.
+
+    Raises
+    ------
+    InputError
+        A column is of another type, or lacks values that it must have.
+    """
+    for place, name in enumerate(rows.column_names):
+        field, held = schema.field(name) if name in schema.names else None, rows.column(place)
+        if field is None or (held.type == field.type and (field.nullable or not held.null_count)):
+            continue
+        words = {"got": held.type, "expected": field.type, "cause": "was the file written by something else?"}
+        with as_input_error(f"{what}, column {name}: another type", pa.ArrowException, path=path, **words):
+            rows = rows.set_column(place, field, held.cast(field.type))
+        require(field.nullable or not held.null_count, f"{what}, column {name}: no value in a row", path=path)
+    return rows
+
+
+__all__ = ["LazyModule", "pa", "pc", "pj", "pq", "typed"]
