@@ -120,7 +120,7 @@ def _marked(text: str, spans: Sequence[Span], mention: int, words: list[str], af
         if span.role not in ("target", "reference") or span.index != mention:
             found.append(span)
             continue
-        at, said = span.start, list(re.finditer(r"[^\s,;]+", text[span.start : span.end]))
+        at, said = span.start, list(re.finditer(r"[^\s,;_/‐-―-]+", text[span.start : span.end]))
         for n, word in enumerate(said):
             plain = normal_form(word[0])
             hit = any(w in (plain, word[0].lower()) or singular(w) == plain for w in words)

@@ -204,7 +204,8 @@ def _looks(query: str, table: Synonyms) -> Iterator[Look]:
         yield Look(3, "kind", key_of(form), 0.8, "kind", form)
         yield Look(4, "held", key_of(form), 0.7, "kind", form)
     ends = [] if table.is_exception(query) else list(_ends(query, table))
-    for end in ends:
+    # What stands behind a head (`painting of a forest`) is shared by no name that has it in another way.
+    for end in ends if query.endswith(tuple(ends)) else []:
         first = query[: -len(end)].split()
         sharing = tuple(frozenset({word, *table.of(word)}) for word in first)
         for alias in sorted(table.of(end)):
@@ -227,7 +228,7 @@ def _looks(query: str, table: Synonyms) -> Iterator[Look]:
                 yield Look(20, "form", key_of(alias), 0.6, "kind", alias, left=out)
             yield Look(20, "held", key_of(general), 0.6, "kind", general, left=out)
     for end in [] if known else ends:
-        first = query[: -len(end)].split()
+        first = query[: -len(end)].split() if query.endswith(end) else query.split()
         if not any(_is_a(part, PACKED, table) for part in (" ".join(first), *first)):
             yield Look(21, "kind", key_of(end), 0.55, "kind", end, left=left[end])
     for start in (query, *aliases, *([] if known else ends)):

@@ -208,5 +208,5 @@ class RegionReader(ChainReader):
         if not phrase.anything or not (implied or phrase.head_word in ("one", "ones")) or not self.chain.nouns:
             return phrase
         named = other if other is not None and not other.anything else self.chain.nouns[-1]
-        words = list(phrase.words)
-        return replace(phrase, label=" ".join([*words, named.name]), head=named.name if words else "")
+        words, tail = list(phrase.words), phrase.label.partition(phrase.name)[2]
+        return replace(phrase, label=" ".join([*words, named.name + tail]), head=named.name if words or tail else "")
