@@ -19,7 +19,7 @@ from pipeline.geometry.pose_convention import STANDARD
 from pipeline.language.counted import counted
 
 LEAST_PAIRS = 2
-LEAST_SCORE = 0.22
+LEAST_SCORE = 0.26
 """Below this nothing explains the views."""
 LEAST_GAIN = 0.03
 """A mend must bring so much more of the points to land, region by region."""
