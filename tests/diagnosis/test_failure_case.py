@@ -84,6 +84,12 @@ def test_a_case_of_an_earlier_release_replays_and_another_standing_is_a_change(s
     assert "there is no such pair" in change
 
 
+def test_what_is_kept_twice_is_the_same_to_the_byte(tmp_path: Path) -> None:
+    folders = [keep(tmp_path / name) for name in ("first", "second")]
+    first, second = ({f.name: f.read_bytes() for f in folder.rglob("*") if f.is_file()} for folder in folders)
+    assert first == second
+
+
 def test_a_case_of_calibrated_scores_comes_back(tmp_path: Path) -> None:
     fitted = (FittedFrame("room/000001", "room", "0" * 16),)
     calibration = ScoreCalibration(None, 0.8, -0.3, 60, 70, 10, "rooms", fitted)

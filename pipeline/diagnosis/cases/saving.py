@@ -143,7 +143,8 @@ def save_case(
         "format": CASE_FORMAT,
         "name": name or f"{text} in {context.frame.id}",
         "tool": f"spatialviz {__version__}",
-        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        # The day alone: the same answer that is kept again is the same file.
+        "created": datetime.now(timezone.utc).date().isoformat(),
         "files": {file: hashlib.sha256(data).hexdigest() for file, data in files.items()},
         "text": text,
         **({} if reading is None else {"reading": reading}),
