@@ -40,7 +40,7 @@ def test_things_go_by_the_name_of_their_role(demo: Server, open_tab: OpenTab) ->
     tab = open_tab(demo.address, "absent")
     question = "mug left of the laptop"
     tab.ask(question)
-    names = tab.see("#answer .names", "left of").inner_text()
+    names = " ".join(tab.see("#answer .names", "left of").inner_text().split())
     told = spatialviz("ask", "demo", tab.frame, question, "--run", "demo").splitlines()
     assert any(line.startswith(f"{names}   relation") for line in told), (names, told)
     answer = json.loads(spatialviz("ask", "demo", tab.frame, question, "--run", "demo", "--json"))["answer"]
@@ -154,3 +154,11 @@ def test_one_page_does_not_move_another(demo: Server, open_tab: OpenTab) -> None
     other.page.reload()
     other.words()
     assert other.frame == moved, (other.frame, moved)
+
+
+def test_depth_and_camera_are_examined_with_outlines(demo: Server, open_tab: OpenTab) -> None:
+    tab = open_tab(demo.address, "absent")
+    tab.see(".menu>summary").click()
+    tab.click("doctor")
+    tab.see("#dialog-window .doctor", "registration")
+    tab.poll("document.querySelector('#dialog-window img.edges').naturalWidth > 600")

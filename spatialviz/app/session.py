@@ -24,6 +24,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, UnknownClass, require
 from spatialviz.app import (
     beside,
+    depth_check,
     evaluate,
     filling,
     frame_cloud,
@@ -82,6 +83,7 @@ class Session(Context):
             pointing,
             selection.ViewSettings(self),
             keys.Keys(self),
+            depth_check.DepthCheck(self),
             view_strings.Keeping(self, self._judge, self._strings.now, self._runs.selected),
             *self._labels.parts,
         )
