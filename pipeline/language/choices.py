@@ -17,8 +17,9 @@ def _table(text: str) -> dict[str, str]:
 
 
 EXTREMES = _table(
-    "left: leftmost, left most, most left, far left, farthest left, furthest left, extreme left, very left;"
-    "right: rightmost, right most, most right, far right, farthest right, furthest right, extreme right, very right;"
+    "left: leftmost, leftest, left most, most left, far left, farthest left, furthest left, extreme left, very left;"
+    "right: rightmost, rightest, right most, most right, far right, farthest right, furthest right, extreme right,"
+    "very right;"
     "high: topmost, top most, uppermost, very top, highest, higher, highest up, higher up;"
     "low: lowest, bottommost, bottom most, very bottom, lowermost, lower most, lower, lowest down, lower down;"
     "near: closest, nearest, closer, nearer, frontmost, front most, foremost, very front, closest by, nearest by;"

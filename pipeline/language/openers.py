@@ -59,6 +59,7 @@ _ASKING = frozenset(
     )
 )
 _FRAMES = _phrases(
+    "where can, where could, where might, where would, where should, could, would, should, "
     "whatever is, whatever's, you'll find, you'll see, you will find, you will see, you find, you can find, "
     "can't find, cannot find, couldn't find, can't see, have you seen, has anyone seen, where has, where have, "
     "where did, "
