@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from pipeline.answering.answer_words import probability, told, why_no_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import taken_as, unused_words
-from pipeline.answering.json_records import frame_record, probability, relation_records, told, why_no_answer
+from pipeline.answering.json_records import frame_record, relation_records
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import FrameRelations, Pipeline, open_pipeline, open_sources, relate_frames
 from pipeline.answering.pair_table import ScoredPair

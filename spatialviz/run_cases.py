@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.json_records import NO_SUCH_PAIR, holds, probability
+from pipeline.answering.answer_words import NO_SUCH_PAIR, holds, probability
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.predictions import read_predictions

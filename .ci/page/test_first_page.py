@@ -7,7 +7,7 @@ from browser import OpenTab, Tab
 from recordings import MARKUP, spatialviz
 from servers import Server
 
-from pipeline.answering.json_records import probability
+from pipeline.answering.answer_words import probability
 
 ROW = '#stages tr[data-do^="pair:"]'
 COLORS = """() => {

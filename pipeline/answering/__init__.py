@@ -6,6 +6,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pipeline.answering.agreement.agreement import FrameAgreement, figures
     from pipeline.answering.agreement.frames import agree_frames, agreement_record
+    from pipeline.answering.answer_words import NO_SUCH_PAIR, best_pair, holds, probability, told, why_no_answer
     from pipeline.answering.answering import FrameAnswers, StageClock
     from pipeline.answering.ask import AskConfig, Trace
     from pipeline.answering.bench import bench_source, run_endurance
@@ -13,17 +14,7 @@ if TYPE_CHECKING:
     from pipeline.answering.frame_store import FrameStore, LoadedFrame, PicturesBehind, ToldUp
     from pipeline.answering.given_places import check_places
     from pipeline.answering.imported import ImportedPipeline
-    from pipeline.answering.json_records import (
-        NO_SUCH_PAIR,
-        best_pair,
-        frame_record,
-        holds,
-        probability,
-        relation_records,
-        told,
-        trace_record,
-        why_no_answer,
-    )
+    from pipeline.answering.json_records import frame_record, relation_records, trace_record
     from pipeline.answering.model_catalogue import describe_file
     from pipeline.answering.objects import (
         PreparedFrame,

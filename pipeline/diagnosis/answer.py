@@ -8,8 +8,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pipeline.answering.answer_words import holds, pair_words, told, why_no_answer
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import holds, pair_words, present, told, trace_record, why_no_answer
+from pipeline.answering.json_records import present, trace_record
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.datasets.plausible import depth_doubt

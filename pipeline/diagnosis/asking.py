@@ -10,10 +10,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pipeline.answering.answer_words import asked_in_part, best_pair
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import unused_words
-from pipeline.answering.json_records import asked_in_part, best_pair
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import FrameUnusable, Pipeline, Skipped, contexts, skip_or_raise
 from pipeline.answering.ranking import RankConfig

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.answering.answer_words import best_pair
 from pipeline.answering.imported import ImportedPipeline
-from pipeline.answering.json_records import best_pair
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.suggestions import SURE, suggest_expressions

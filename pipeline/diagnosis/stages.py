@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
+from pipeline.answering.answer_words import best_pair, probability, why_no_answer
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import taken_as, unused_words
-from pipeline.answering.json_records import best_pair, probability, why_no_answer
 from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.answering.worked_out import relation_given
 from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis

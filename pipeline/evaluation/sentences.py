@@ -11,16 +11,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NonNegativeInt, model_validator
 
+from pipeline.answering.answer_words import best_pair, holds, pair_words, told, why_no_answer
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import (
-    best_pair,
-    expression_record,
-    holds,
-    pair_words,
-    present,
-    told,
-    why_no_answer,
-)
+from pipeline.answering.json_records import expression_record, present
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.base import resolve_frame

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.answering.answer_words import headline, pair_words, probability, told, why_no_answer
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import headline, pair_words, probability, told, why_no_answer
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone

@@ -6,10 +6,10 @@ import asyncio
 from contextlib import suppress
 from dataclasses import asdict, replace
 
+from pipeline.answering.answer_words import holds
 from pipeline.answering.ask import Trace
 from pipeline.answering.asked_names import unused_words
 from pipeline.answering.frame_store import LoadedFrame
-from pipeline.answering.json_records import holds
 from pipeline.answering.ranking import RankConfig
 from pipeline.answering.suggestions import completions
 from pipeline.corrections.judging import Judge

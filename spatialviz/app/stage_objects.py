@@ -6,9 +6,9 @@ from collections.abc import Collection
 
 import numpy as np
 
+from pipeline.answering.answer_words import link_words, probability
 from pipeline.answering.ask import Trace
 from pipeline.answering.evidence import Factor
-from pipeline.answering.json_records import link_words, probability
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.verdict import Diagnosis, Missed

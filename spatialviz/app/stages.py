@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from pipeline.answering.answer_words import why_no_answer
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.needed import threshold

@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element, tostring
 
+from pipeline.answering.answer_words import probability
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import probability
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.oracles import shown_oracle

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
-from pipeline.answering.json_records import best_pair, pair_words, told, why_no_answer
+from pipeline.answering.answer_words import best_pair, pair_words, told, why_no_answer
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.answer import Answer

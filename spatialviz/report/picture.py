@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from pipeline.answering.answer_words import best_pair, told
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import best_pair, told
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.answer import Answer

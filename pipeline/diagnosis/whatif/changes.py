@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.json_records import present, stands, why_no_answer
+from pipeline.answering.answer_words import stands, why_no_answer
+from pipeline.answering.json_records import present
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.whatif.edits import CHECKS, Edits
 from pipeline.diagnosis.whatif.rerun import Outcome
