@@ -1,7 +1,8 @@
 """Old files always open: labels, runs, cases, journals, view strings and networks of earlier states say what they said.
 
 `fixtures/2026-11-21` was written before labels said who made them and before journals were chained, `2026-11-22` before
-the relations of labels were declared in one place. A release that changes a format adds a folder and changes none.
+the relations of labels were declared in one place; `2026-11-24` has the network that took all names at their word. A
+release that changes a format adds a folder and changes none.
 """
 
 from __future__ import annotations
@@ -94,6 +95,8 @@ def test_a_view_string(state: Path) -> None:
     assert view.edits.k == 3
 
 
-@pytest.mark.parametrize("network", [FIXTURES / "rel14.onnx", FIXTURES / "2026-11-22" / "rel26.onnx"])
+@pytest.mark.parametrize(
+    "network", [FIXTURES / f for f in ("rel14.onnx", "2026-11-22/rel26.onnx", "2026-11-24/rel32.onnx")]
+)
 def test_a_relation_network(network: Path) -> None:
     assert make_scorer(network).name == network.stem

@@ -64,7 +64,7 @@ ASSEMBLED_A_ROOM = 20
 SOLIDS_A_VIEW = 2
 """Rooms of solids, each seen once, for each view that a room to calibrate on would have."""
 
-WRONG_NAMES = 0.25
+WRONG_NAMES = 0.1
 """So many of the things that are learnt from go by the name of another one: detectors and labels are wrong, too."""
 
 SCALES = (0.2, 2.0)

@@ -264,6 +264,23 @@ def test_the_shipped_network_holds_from_low_and_from_high(regime: str, shipped: 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("regime", ["low", "table top"])
+def test_wrong_names_do_not_mislead_the_shipped_network(regime: str, shipped: OnnxScorer) -> None:
+    from benchmarks.network_figures import NAMES, renamed, tallies
+    from benchmarks.network_figures import worlds as seen_of
+
+    seen = list(seen_of("houses", regime, 14))
+    rule = figures(np.sum([tallies([], one)[0] for one in seen], axis=0)[None])[0]
+    micro = {}
+    for names in NAMES:
+        shown = [replace(one, looks=renamed(one.looks, names, k)) for k, one in enumerate(seen)]
+        micro[names] = figures(np.sum([tallies([shipped], one)[0] for one in shown], axis=0)[None])[0, 0]
+    assert micro["exchanged"] > micro["unknown"] - 0.02, "a wrong name costs little more than none"
+    assert micro["exchanged"] > rule[0]
+    assert micro["true"] > micro["unknown"] - 0.003, "and a right one does no harm"
+
+
+@pytest.mark.slow
 def test_the_shipped_network_on_rooms_it_has_not_seen(shipped: OnnxScorer) -> None:
     pytest.importorskip("embreex")
     from pipeline.training import make_samples
