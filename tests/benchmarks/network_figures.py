@@ -80,10 +80,12 @@ def main(count: int, paths: Sequence[Path]) -> None:
             if maker == "boxes" and REGIMES[regime].close:
                 continue
             seen = list(worlds(maker, regime, count))
-            for names in NAMES if maker == "houses" else NAMES[-1:]:
+            named = NAMES if maker == "houses" else NAMES[-1:]
+            for names in named:
                 shown = [replace(one, looks=renamed(one.looks, names, k)) for k, one in enumerate(seen)]
                 rows = np.array([tallies(networks, one) for one in shown])
-                for k, name in enumerate([*(path.stem for path in paths), "rule"]):
+                rule = ["rule"] if names == named[0] else []
+                for k, name in enumerate([*(path.stem for path in paths), *rule]):
                     found = bootstrap(rows[:, k], np.arange(len(rows)), figures)
                     cells = [e.formatted(1, 2 if what == FLIPS else 4) for what, e in zip(FIGURES, found, strict=True)]
                     pairs = f"{int(rows[:, k, 13].sum()):,}"
