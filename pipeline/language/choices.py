@@ -94,9 +94,11 @@ FROM_SIDE = re.compile(
 BARE_SIDE = re.compile(
     rf"(?:(?P<far>far|very|extreme) (?P<only>left|right|back)|(?P<away>far) (?:away|off)"
     rf"|(?P<side>(?:{_SIDE})(?: (?:left|right))?)"
-    rf"(?P<part>(?: {_PART})+)|(?P<two>(?:top|bottom|upper|lower|front|back) (?:left|right))){_SCENE}(?= |$)(?! of )"
+    rf"(?P<part>(?: {_PART})+)|(?P<two>(?:top|bottom|upper|lower|front|back) (?:left|right)"
+    rf"|(?:left|right) (?:top|bottom|front|back))|(?P<last>left|right|middle|cent(?:er|re))(?= *$)){_SCENE}(?= |$)"
+    rf"(?! of )"
 )
-"""A side after the noun, without a preposition: `plant far left`, `mug, right side`, `box bottom left`."""
+"""A side after the noun, without a preposition: `plant far left`, `mug, right side`, `box bottom left`, `plant left`."""
 
 EXTREME_AT_SIDE = re.compile(
     rf"(?:farthest|furthest|most|more|further|farther|closest|nearest|all the way)(?: away)? ?(?:to|on|at|towards?)? "

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Sequence
 
 from pipeline.language import choices, lexicon
-from pipeline.language.naming import DETERMINERS
+from pipeline.language.naming import DETERMINERS, is_compound
 from pipeline.language.tokens import Token, joined_words
 
 MODALS = frozenset({"can", "could", "may", "should", "would", "might", "must", "will", "shall"})
@@ -79,6 +79,16 @@ class Cursor:
         return at >= len(self.tokens) or self.breaks[at] or self._structural(at) or (
             self.tokens[at].plain in lexicon.POSTURES or self.tokens[at].plain in ("or", "nor", "it", "this")
         ) or self.match(choices.AT_SIDE, at) is not None  # fmt: skip
+
+    def _bare_side(self, at: int) -> tuple[re.Match[str], int] | None:
+        """A side behind a thing without a preposition: `plant left`, and not `that was left`, nor `table centre`."""
+        found = self.match(choices.BARE_SIDE, at)
+        if found is None or not self._ends(found[1]):
+            return None
+        before = self.tokens[at - 1].plain if at else None
+        linked = before is not None and (before in lexicon.LINKING or before in lexicon.SOMEBODY)
+        compound = at > 0 and is_compound([self.tokens[at - 1].text, self.tokens[at].text])
+        return None if found[0]["last"] and (linked or compound) else found
 
     def _goes_on(self, at: int) -> bool:
         """Whether a relation, a side or the end follows."""

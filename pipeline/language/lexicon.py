@@ -269,6 +269,7 @@ VIEW_WORDS = _words(
     "camera camera's viewer viewer's observer observer's robot robot's photographer photographer's user user's me here "
     "view viewpoint point perspective position frame image scene picture photo vantage"
 )
+VIEW = re.compile(rf"(?:{CAMERA_VIEW})(?= |$)")
 VIEW_LAST = re.compile(rf"(?<= )(?:{CAMERA_VIEW}|in (?:the|this) (?:image|scene))$")
 
 OBJECT_VIEW = re.compile(

@@ -204,9 +204,11 @@ def _looks(query: str, table: Synonyms) -> Iterator[Look]:
         yield Look(3, "kind", key_of(form), 0.8, "kind", form)
         yield Look(4, "held", key_of(form), 0.7, "kind", form)
     ends = [] if table.is_exception(query) else list(_ends(query, table))
-    # What stands behind a head (`painting of a forest`) is shared by no name that has it in another way.
-    for end in ends if query.endswith(tuple(ends)) else []:
-        first = query[: -len(end)].split()
+    # What stands behind a head (`painting of a forest`) is shared by no name that has it in another way, unless it is
+    # what is in a package (`tin of coffee`).
+    packed = next((turned for turned in _turned(query) if ends and _is_a(ends[-1], PACKAGING, table)), query)
+    for end in ends if packed.endswith(tuple(ends)) else []:
+        first = packed[: -len(end)].split()
         sharing = tuple(frozenset({word, *table.of(word)}) for word in first)
         for alias in sorted(table.of(end)):
             yield Look(3, "kind", key_of(alias), 0.75, "kind", alias, sharing)

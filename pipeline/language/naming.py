@@ -168,19 +168,19 @@ def meanings(
 
 
 def spelt(query: str, names: Sequence[str], synonyms: Synonyms | None = None) -> str:
-    """The query itself, or where no known name is meant by it the one that it is a misspelling of: `chiar`."""
-    found = () if match(query, names, synonyms) else meanings(query, names, synonyms)[:1]
-    return found[0].name if found and found[0].how == "spelling" else query
+    """The query itself, or as it is spelled right where a known name is meant so the more surely: `chiar`."""
+    found = meanings(query, names, synonyms)[:1]
+    return found[0].via if found and found[0].how == "spelling" else query
 
 
 def _tiers(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
-    """`_walk`, and where it finds nothing sure, that of the query with its misspelt words mended before it."""
+    """`_walk`, and where it finds nothing as sure, that of the query with its misspelt words mended before it."""
     found = _walk(wanted, known)
     if not wanted or (found and found[0][0].score >= _SURE):
         return found
     mended = respelled(wanted, known)
     again = _walk(mended, known)[:1] if mended else ()
-    if not again or again[0][0].score < _SURE:
+    if not again or (found and again[0][0].score * _MENDED <= found[0][0].score):
         return found
     better = tuple(replace(m, score=round(m.score * _MENDED, 3), how="spelling", via=mended or "") for m in again[0])
     taken = {m.name for m in better}

@@ -322,6 +322,8 @@ class NounReader(LooksReader):
         if end > at and word.endswith("ed") and not is_known(word) and end + 1 < len(self.tokens):
             # `flanked by`
             return self.tokens[end + 1].relation is not None
+        if self._bare_side(end) is not None:
+            return True
         if word in _JUST:
             return self._ends(end + 1)
         if word in MODALS:
@@ -337,8 +339,6 @@ class NounReader(LooksReader):
                 and not is_compound([self.tokens[end - 1].text, singular(word)])
             )
         if word in ("it", "this") or self.match(choices.EXTREME_AT_SIDE, end) or self._filler(end):
-            return True
-        if (bare := self.match(choices.BARE_SIDE, end)) is not None and self._ends(bare[1]):
             return True
         if word in ("up", "down", "out", "back", "over", "high", "low"):
             after = end + 1 + (end + 1 < len(self.tokens) and self.tokens[end + 1].plain in ("up", "down"))

@@ -19,13 +19,19 @@ class RegionReader(ChainReader):
 
     def _side(self, at: int) -> int | None:
         """A side that chooses: `on the left`, `furthest to the right`; None where there is none here."""
-        if (not self.chain.nouns and not self.asks_what) or " " in self.tokens[at].text:
+        if not self.chain.nouns and not self.asks_what:
             return None
+        if " " in self.tokens[at].text:
+            # `in front row`, whose first words else are a relation.
+            row = self.match(choices.AT_SIDE, at)
+            if row is None or not row[0]["part"] or self.tokens[at].text not in lexicon.BARE_SIDES:
+                return None
         if found := self.match(choices.EXTREME_AT_SIDE, at):
             self._choice(Choice(choices.SIDES[found[0]["side"]], 1, found[0][0].strip()), at, found[1])  # type: ignore[arg-type]
             return found[1]
-        if (bare := self.match(choices.BARE_SIDE, at)) and self.chain.nouns and not self.opened and self._ends(bare[1]):
-            for order in choices.orders_of(bare[0]["only"] or bare[0]["side"] or bare[0]["two"] or bare[0]["away"]):
+        if (bare := self._bare_side(at)) and self.chain.nouns and not self.opened:
+            said = (bare[0][name] for name in ("only", "side", "two", "away", "last"))
+            for order in choices.orders_of(next(filter(None, said))):
                 self._choice(Choice(order, 1 if bare[0]["far"] else None, bare[0][0].strip()), at, bare[1])  # type: ignore[arg-type]
             return bare[1]
         found, region = self.match(choices.AT_SIDE, at), self.match(choices.REGION_OF, at)

@@ -73,7 +73,14 @@ def _side(side: str) -> tuple[str, ...]:
     ways = (side, f"{side} side", f"{side} hand side")
     led = [f"{p} {the}{s} of" for p in ("to", "on", "at", "in") for the in ("the ", "") for s in ways]
     compared = [f"{more} {to}{side} than" for more in ("further", "farther", "more") for to in ("", "to the ")]
-    return (*(f"{s} of" for s in ways), *led, f"{side} to", *compared)
+    # Who learns English says `from` where it has `of`.
+    learned = [f"{phrase[:-3]} from" for phrase in (f"{side} of", *led)]
+    return (*(f"{s} of" for s in ways), *led, f"{side} to", *compared, *learned)
+
+
+def _learned(*prepositions: str) -> tuple[str, ...]:
+    """`near of` and `near from`, as who learns English says them."""
+    return tuple(f"{word} {of}" for word in prepositions for of in ("of", "from"))
 
 
 DECLARED: tuple[Relation, ...] = (
@@ -88,12 +95,13 @@ DECLARED: tuple[Relation, ...] = (
         inverse="left", axis=(0, 1), viewer_dependent=True, vocabularies=("avd",), color=(136, 204, 238),
     ),
     Relation(
-        "above", "above", ("above", "over", "higher than", "up above", "higher up than", "over top of"),
+        "above", "above", ("above", "over", "higher than", "up above", "higher up than", "over top of",
+         *_learned("above", "over")),
         says=("above", "higher than"),
         inverse="below", axis=(1, 1), vocabularies=("avd",), seen_from="side", color=(17, 119, 51),
     ),
     Relation(
-        "below", "below", ("below", "under", "underneath", "beneath", "lower than", "down below", "underneath of"),
+        "below", "below", ("below", "under", "underneath", "beneath", "lower than", "down below", "underneath of", *_learned("below", "under", "beneath")),
         says=("below", "lower than"),
         inverse="above", axis=(1, -1), vocabularies=("avd",), seen_from="side", color=(68, 170, 153),
     ),
@@ -103,6 +111,7 @@ DECLARED: tuple[Relation, ...] = (
             "in front of", "in the front of", "at the front of", "on the front of", "to the front of", "front of",
             "infront of", "in front", "ahead of", "closer than", "nearer than", "closer to me than",
             "nearer to me than", "closer to the camera than", "nearer to the camera than", "further forward than",
+            "in front from", "in front to",
         ),
         inverse="behind", axis=(2, -1), viewer_dependent=True, vocabularies=("avd",), color=(136, 34, 85),
     ),
@@ -112,7 +121,7 @@ DECLARED: tuple[Relation, ...] = (
             "behind", "in the back of", "at the back of", "on the back of", "to the back of", "in back of",
             "behind of", "farther than", "further than", "farther away than", "further away than", "further back than",
             "farther back than", "farther from me than", "further from me than", "farther from the camera than",
-            "further from the camera than",
+            "further from the camera than", "behind from", "behind to",
         ),
         inverse="front", axis=(2, 1), viewer_dependent=True, vocabularies=("avd",), color=(204, 102, 119),
     ),
@@ -143,12 +152,14 @@ DECLARED: tuple[Relation, ...] = (
         (
             "near", "near to", "nearby", "next to", "beside", "besides", "by", "close to", "close by", "by the side of",
             "adjacent to", "alongside", "alongside of", "in the vicinity of", "over by", "over near", "over next to",
+            "next of", *_learned("near", "beside", "adjacent", "close"),
         ),
         says=("near", "next to", "close to", "beside"), inverse="near", color=(170, 68, 153),
     ),
     Relation(
         "between", "between",
-        ("between", "in between", "in the middle of", "in the center of", "in the centre of"), pairwise=False,
+        ("between", "in between", "in the middle of", "in the center of", "in the centre of", "in middle of", "between of"),
+        pairwise=False,
     ),
     Relation(
         "closest", "closest to", ("closest to", "closest", "nearest to", "nearest", "closer to", "nearer to"),

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from pipeline.language.lexicon import AND, LINKING, STRUCTURAL, WITH, phrase_table
+from pipeline.language.lexicon import AND, LINKING, STRUCTURAL, VIEW, WITH, phrase_table
 from pipeline.language.naming import DETERMINERS, Synonyms
 from pipeline.language.spelling import mended_words
 from pipeline.system.errors import InputError, require
@@ -195,8 +195,8 @@ def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[T
         if phrase is not None and len(phrase[0]) > 1:
             phrase = _before_a_name(phrase, known, words, opens, i)
             later = _longest(_PHRASES.get(words[i + 1]), words[:free], opens, i + 1)
-            phrase = _before_a_side(phrase, words, text, ends, starts, i)
-            if words[i] in LINKING and later is not None and len(later[0]) >= len(phrase[0]):
+            phrase = _before_a_view(_before_a_side(phrase, words, text, ends, starts, i), words, i)
+            if phrase is not None and words[i] in LINKING and later is not None and len(later[0]) >= len(phrase[0]):
                 phrase = None  # `sitting` says nothing in `sitting on top of`.
         best = name if phrase is None or (name is not None and len(name[0]) > len(phrase[0])) else phrase
         if best is None:
@@ -252,6 +252,19 @@ def _before_a_side(
     if apart or following in DETERMINERS or following in STRUCTURAL or following in _PHRASES:
         return phrase
     return next(entry for entry in _PHRASES["on"] if entry[0] == ("on",))
+
+
+def _before_a_view(
+    phrase: tuple[tuple[str, ...], str, bool], words: list[str], at: int
+) -> tuple[tuple[str, ...], str, bool] | None:
+    """The phrase, or what it is without its `from` where who looks follows: `on the left from the camera`."""
+    last = at + len(phrase[0])
+    looked = phrase[0][-1] == "from" and phrase[1] not in ("closest", "farthest")
+    if not looked or VIEW.match(" ".join(words[last - 1 :])) is None:
+        return phrase
+    return next(
+        (e for e in _PHRASES[words[at]] if e[0] == tuple(words[at : at + len(e[0])]) and e[0][-1] != "from"), None
+    )
 
 
 def _next_quote(quotes: dict[int, re.Match[str]], starts: list[int], at: int) -> int:
