@@ -60,6 +60,6 @@ def test_a_result_shows_as_the_face_says_and_without_one_as_its_repr(
     monkeypatch.setattr(InNotebook, "html_by", "builtins:repr")
     found = run.failures("verdict:OPM-REF")
     assert len(found) > 1
-    assert found._repr_html_() == f"<Failures 'verdict:LIFT': {len(found)} expressions>"
+    assert found._repr_html_() == f"<Failures 'verdict:OPM-REF': {len(found)} expressions>"
     monkeypatch.setattr(InNotebook, "html_by", "")
     assert run._repr_html_() is None
