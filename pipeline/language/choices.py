@@ -98,7 +98,7 @@ BARE_SIDE = re.compile(
     rf"|(?:left|right) (?:top|bottom|front|back))|(?P<last>left|right|middle|cent(?:er|re))(?= *$)){_SCENE}(?= |$)"
     rf"(?! of )"
 )
-"""A side after the noun, without a preposition: `plant far left`, `mug, right side`, `box bottom left`, `plant left`."""
+"""A side after the noun, without a preposition: `plant far left`, `mug, right side`, `box bottom left`, `mug left`."""
 
 EXTREME_AT_SIDE = re.compile(
     rf"(?:farthest|furthest|most|more|further|farther|closest|nearest|all the way)(?: away)? ?(?:to|on|at|towards?)? "

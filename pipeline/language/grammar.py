@@ -135,6 +135,12 @@ class _Reader(ReferenceReader):
         if word == "without" and self.chain.nouns and not self.opened:
             self.negated = True
             return self._with(at)
+        if word in ("where", "wherein") and self.chain.nouns and not self.opened:
+            start = at + 1
+            while start < len(self.tokens) and self.tokens[start].plain in lexicon.BE | {"there", "there's"}:
+                start += 1
+            if self._starts_noun(start) and self._with_relation(start):
+                return self._with(start - 1)
         if self.chain.nouns and not self.opened and (found := self.match(lexicon.EXCEPT, at)):
             self.negated = True
             self.chain.spans.append(self._span((at, found[1]), "relation", len(self.chain.clauses)))
@@ -308,6 +314,8 @@ class _Reader(ReferenceReader):
             end += 1
             after = self.tokens[end] if end < len(self.tokens) else None
         tail = None if after is None or phrase is None else self._with_tail(end)
+        if phrase is not None and tail is None and (carried := self._carries(at, phrase, end)) is not None:
+            return carried
         if phrase is None or after is None or tail is None:
             told = "what a thing does not have is not judged" if self.negated else PART
             return self._unused(at, told, 1 + without)
@@ -324,6 +332,19 @@ class _Reader(ReferenceReader):
         self.chain.clauses.append(Clause(relation, words, (number,), swapped, attach, True, self._take_negation()))
         self.joined = False
         return tail
+
+    def _carries(self, at: int, phrase: Phrase, end: int) -> int | None:
+        """`the table without a lamp`: of a surface before another thing that the detector knows, what is not on it."""
+        surface, number = self.chain.nouns[-1], len(self.chain.nouns) - 1
+        things = singular(phrase.head_word) in self.own and phrase.head_word not in lexicon.PARTS
+        if not (self.negated and number and things and surface.head_word in lexicon.SURFACES):
+            return None
+        self._relation_span(self.tokens[at])
+        other = self._add_noun(phrase, "reference", phrase.where)
+        negated = self._take_negation()
+        self.chain.clauses.append(Clause("on", self.tokens[at].text, (other,), True, "nearest", True, negated))
+        self.joined = False
+        return end
 
     # ---- nouns -----------------------------------------------------------------------------------------------------
 

@@ -140,7 +140,8 @@ class ReferenceReader(RegionReader):
                 self._merge(bare, named=True)
                 where = (end, end)
                 root = self.chain.nouns[0]
-            again = phrase.anything or (phrase.name == root.name and self._relates(end))
+            several = phrase.name in choices.NUMBERS and self._goes_on(end)
+            again = phrase.anything or several or (phrase.name == root.name and self._goes_on(end))
             if again and not (phrase.attributes or phrase.choices):
                 # `not the ones on the stool`: what follows is negated.
                 self.at_root = True

@@ -97,13 +97,18 @@ class RegionReader(ChainReader):
         attach = self._attach()
         if self.opened:
             self.opened.pop()
-        if self.negated:
-            self._note(at, end, "a side that is not meant is not judged")
-            self.negated = False
-            return
-        span = Span(self.tokens[at].start, self.tokens[end - 1].end, "choice", 0)
+        number = len(self.chain.nouns) if self.negated else 0
+        span = Span(self.tokens[at].start, self.tokens[end - 1].end, "choice", number)
         if not any(s.start == span.start for s in self.chain.spans):
             self.chain.spans.append(span)
+        if self.negated:
+            # The things of the same name at that side are what it is not.
+            root = self.chain.nouns[0]
+            other = replace(root, choices=(*root.choices, choice), modifiers=(), where=(at, at), count=None)
+            self.chain.nouns.append(other)
+            self.chain.clauses.append(Clause("", "not", (number,), attach="root", negated=True, closed=True))
+            self.negated = False
+            return
         self.chain.clauses.append(Clause("", choice.text, (), attach=attach, choice=choice))
 
     def _scene(self, at: int, *, named: bool = False, whole: bool = False) -> int | None:

@@ -101,7 +101,8 @@ DECLARED: tuple[Relation, ...] = (
         inverse="below", axis=(1, 1), vocabularies=("avd",), seen_from="side", color=(17, 119, 51),
     ),
     Relation(
-        "below", "below", ("below", "under", "underneath", "beneath", "lower than", "down below", "underneath of", *_learned("below", "under", "beneath")),
+        "below", "below", ("below", "under", "underneath", "beneath", "lower than", "down below", "underneath of",
+         *_learned("below", "under", "beneath")),
         says=("below", "lower than"),
         inverse="above", axis=(1, -1), vocabularies=("avd",), seen_from="side", color=(68, 170, 153),
     ),
@@ -158,7 +159,10 @@ DECLARED: tuple[Relation, ...] = (
     ),
     Relation(
         "between", "between",
-        ("between", "in between", "in the middle of", "in the center of", "in the centre of", "in middle of", "between of"),
+        (
+            "between", "in between", "in the middle of", "in the center of", "in the centre of", "in middle of",
+            "between of",
+        ),
         pairwise=False,
     ),
     Relation(

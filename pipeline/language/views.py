@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from pipeline.language import choices, lexicon
-from pipeline.language.naming import DETERMINERS, is_compound
+from pipeline.language.attributes import attribute
+from pipeline.language.looks import is_name
+from pipeline.language.naming import DETERMINERS, is_compound, singular
+from pipeline.language.openers import ASKERS, FRAMING
 from pipeline.language.tokens import Token, joined_words
 from pipeline.language.unreadable import FORM, check_judged, other_view
 from pipeline.system.errors import Unsupported
@@ -74,7 +77,7 @@ def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
     """Without `please find me` and the like, as long as something is left; whether they ask `what` or `which`."""
     asks = False
     while tokens:
-        tokens = _among_removed(tokens)
+        tokens = _among_removed(tokens)[_frame(tokens) :]
         for n in range(7, 0, -1):
             run = tokens[:n]
             if len(run) == n and " ".join(t.text for t in run) in lexicon.LEADING:
@@ -87,6 +90,22 @@ def leading_removed(tokens: list[Token]) -> tuple[list[Token], bool]:
         else:
             return tokens, asks
     return tokens, asks
+
+
+def _frame(tokens: list[Token]) -> int:
+    """How many words at the start ask for a thing, as whoever asks says it: `might I trouble you for`."""
+    size = next((k for k, t in enumerate(tokens) if t.plain is None or t.text not in FRAMING), 0)
+    asked = not ASKERS.isdisjoint(t.text for t in tokens[:size])
+    # A thing follows, and the last words are not its name: `you have hand towels`.
+    named = size and _names_a_thing(tokens[size - 1 : size + 2])
+    return size if asked and not named and _begins_a_thing(tokens[size]) else 0
+
+
+def _begins_a_thing(token: Token) -> bool:
+    """Whether a word is an article, a known name or a word for a look, or asks."""
+    asks = token.text in ("where", "where's", "which", "what", "what's")
+    known = asks or token.name is not None or token.plain in DETERMINERS - lexicon.RELATIVE
+    return known or (token.plain is not None and (is_name(singular(token.plain)) or attribute(token.plain) is not None))
 
 
 def _names_a_thing(tokens: list[Token]) -> bool:
