@@ -182,11 +182,12 @@ class Trace:
 
     @property
     def tied(self) -> tuple[int, ...]:
-        """Places of the objects that fit a question without a relation equally well, where several do."""
+        """Places of the objects that fit a question without a relation equally well, where several do fit it."""
         if self.ranking is None or self.asked is not None:
             return ()
         pairs = self.ranking.pairs
-        return tuple(p.target for p in pairs if pairs[0].log_score - p.log_score < TIE) if len(pairs) > 1 else ()
+        several = len(pairs) > 1 and pairs[0].holds
+        return tuple(p.target for p in pairs if pairs[0].log_score - p.log_score < TIE) if several else ()
 
 
 def ask(

@@ -250,8 +250,11 @@ class _Scene:
         if self.evidence is None:
             return []
         found: list[tuple[Kind, str, np.ndarray]] = []
-        for choice in node.choices:
-            found.append(("choice", choice.text, self.evidence.choice(choice, index, belief)))
+        for choice in sorted(node.choices, key=lambda c: c.rank is not None):
+            # The leftmost one of the front row is the leftmost of those in it.
+            p = self.evidence.choice(choice, index, belief)
+            found.append(("choice", choice.text, p))
+            belief = belief * p if choice.rank is None else belief
         for attachment in node.attachments:
             if any(n.viewer for n in attachment.nodes):
                 p = self.evidence.of_viewer(attachment.relation, index, belief)

@@ -202,7 +202,7 @@ ACTIONS = _words(
 
 LOOK_AFTER = re.compile(
     r"(?:(?:in|(?P<part>of|with|has|have|having)) (?:a |the )?(?P<says>colou?r )?|colou?red |painted )"
-    r"(?P<look>(?:(?:light|dark|bright|pale|deep) )?\w+)(?P<color> colou?r)?(?= |$)"
+    r"(?P<look>(?:(?:light|dark|bright|pale|deep) |\w+ (?=\w+ colou?r))?\w+)(?P<color> colou?r)?(?= |$)"
 )
 """A colour after the thing: `the mug in red`, `of a red colour`."""
 PARTITIVE = re.compile(

@@ -142,7 +142,11 @@ class LooksReader(Cursor):
         if found is None or not self._ends(found[1]):
             return None
         words, said = found[0]["look"], found[0]["says"] or found[0]["color"]
-        look = attribute(words)
+        look, (first, _, last) = attribute(words), words.partition(" ")
+        if look is None and last and found[0]["color"] and (look := attribute(last)) is not None:
+            k = next(k for k in range(at, found[1]) if self.tokens[k].text == first)
+            self.left_out[k] = self.tokens[k].start, self.tokens[k].end, "this word was not used"
+            words = last
         if look is None or look.kind != "color" or (not said and (is_name(words) or found[0]["part"])):
             return None
         return look, words, found[1]

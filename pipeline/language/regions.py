@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from pipeline.language import choices, lexicon
 from pipeline.language.chain import Attach, ChainReader, Clause, Opened
-from pipeline.language.naming import DETERMINERS, singular
+from pipeline.language.naming import DETERMINERS, is_compound, singular
 from pipeline.language.nouns import Phrase
 from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token
@@ -211,6 +211,9 @@ class RegionReader(ChainReader):
         whole, after = self.noun(of + 1)
         if whole is None or after != end:
             return phrase
+        compound = [singular(whole.head_word), singular(self.tokens[of - 1].text)]
+        if self.tokens[of + 1].plain not in DETERMINERS and is_compound(compound):
+            return phrase  # `shelf of books`
         self._note(at, of + 1, "which part of a thing is meant is not judged")
         return whole
 
