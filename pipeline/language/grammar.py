@@ -23,6 +23,7 @@ from pipeline.language.looks import is_name
 from pipeline.language.naming import DETERMINERS, singular
 from pipeline.language.nouns import ALTERNATIVES, Phrase
 from pipeline.language.references import NO_RANK, ReferenceReader
+from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import Token, Vocabulary, tokenize
 from pipeline.language.tree import Choice, Span
 from pipeline.language.unreadable import FORM, NOT_EXACT, not_known, unreadable
@@ -149,8 +150,8 @@ class _Reader(ReferenceReader):
         if word in choices.ORDINALS and ordered and not self.is_superlative_noun(at + 1):
             self._note(at, at + 1, NO_RANK)
             return at + 1
-        if self.opened and word in ("neither", "not") and self._starts_noun(at + 1):
-            # `near neither the bed nor the desk`
+        if self.opened and word in ("neither", "not", "no") and self._starts_noun(at + 1):
+            # `near neither the bed nor the desk`, `on no table`
             self.opened[-1] = replace(self.opened[-1], negated=True)
             self._relation_span(token)
             return at + 1
@@ -306,6 +307,8 @@ class _Reader(ReferenceReader):
 
     def _with(self, at: int) -> int:
         """`table with a lamp on top`: the relation holds from the lamp to the table. Else it tells of a part."""
+        if (first := self._place_first(at)) is not None:
+            return first
         without = at + 1 < len(self.tokens) and self.tokens[at + 1].plain == "no"
         self.negated = self.negated or without
         phrase, end = self.noun(at + 1 + without)
@@ -333,11 +336,32 @@ class _Reader(ReferenceReader):
         self.joined = False
         return tail
 
+    def _place_first(self, at: int) -> int | None:
+        """`that has on top (of it) a lamp`: as `with a lamp on top`."""
+        token = self.tokens[at + 1] if at + 1 < len(self.tokens) else None
+        if token is None or (token.relation not in MIRRORED and token.relation not in lexicon.SAYS_SWAPPED):
+            return None
+        it = at + 2 < len(self.tokens) and self.tokens[at + 2].plain in lexicon.PLACE_PRONOUNS
+        if not (it or token.text in lexicon.BARE_TAILS) or not self._starts_noun(at + 2 + it):
+            return None
+        phrase, end = self.noun(at + 2 + it)
+        if phrase is None:
+            return None
+        self._relation_span(token)
+        number = self._add_noun(phrase, "reference", phrase.where)
+        words = f"{self.tokens[at].text} {token.text}"
+        negated = self._take_negation()
+        self.chain.clauses.append(
+            Clause(str(token.relation), words, (number,), not token.swapped, "any", True, negated)
+        )
+        self.joined = False
+        return end
+
     def _carries(self, at: int, phrase: Phrase, end: int) -> int | None:
         """`the table without a lamp`: of a surface before another thing that the detector knows, what is not on it."""
-        surface, number = self.chain.nouns[-1], len(self.chain.nouns) - 1
+        surface = self.chain.nouns[-1]
         things = singular(phrase.head_word) in self.own and phrase.head_word not in lexicon.PARTS
-        if not (self.negated and number and things and surface.head_word in lexicon.SURFACES):
+        if not (self.negated and things and surface.head_word in lexicon.SURFACES):
             return None
         self._relation_span(self.tokens[at])
         other = self._add_noun(phrase, "reference", phrase.where)

@@ -95,6 +95,7 @@ CONTRACTIONS = {
 """Words that are typed without their apostrophe."""
 SHORTHAND = {
     "plz": "please", "pls": "please", "plse": "please", "pleas": "please", "thx": "thanks", "thanx": "thanks",
+"lookin": "looking", "searchin": "searching", "tryin": "trying",
     "u": "you", "ya": "you", "ur": "your", "btwn": "between", "tha": "the", "da": "the",
 }  # fmt: skip
 """What is typed short."""
@@ -159,7 +160,7 @@ PURPOSE = re.compile(
 
 ADDRESS = _words(
     "yo hey hi hello look listen hmm hm ah oh ok okay right well so robot computer assistant alexa siri google dude "
-    "man guys folks mate friend buddy sir please quick hurry now then actually"
+    "dear darling madam miss boss man guys folks mate friend buddy sir please quick hurry now then actually"
 )
 """Words before a comma at the start that call for attention."""
 CLOSING = _words("please thanks is are there now asap where located gone")
@@ -175,7 +176,7 @@ EVERY = _words("any all every each everything anything")
 """Before a noun they make `but` mean `except`."""
 NEGATIONS = _words(
     "not no isn't aren't wasn't weren't doesn't don't didn't hasn't haven't can't without except excluding neither nor "
-    "never cannot"
+    "never cannot nowhere"
 )
 
 FILLER = re.compile(
@@ -201,7 +202,7 @@ ACTIONS = _words(
 """Commands that ask for more than to point at a thing."""
 
 LOOK_AFTER = re.compile(
-    r"(?:(?:in|(?P<part>of|with|has|have|having)) (?:a |the )?(?P<says>colou?r )?|colou?red |painted )"
+    r"(?:(?:in|(?P<part>of|with|has|have|having)) (?:a |the )?(?P<says>colou?r )?|colou?red |colou?r |painted )"
     r"(?P<look>(?:(?:light|dark|bright|pale|deep) |\w+ (?=\w+ colou?r))?\w+)(?P<color> colou?r)?(?= |$)"
 )
 """A colour after the thing: `the mug in red`, `of a red colour`."""
@@ -215,7 +216,7 @@ OF_SEVERAL = re.compile(
     r"(?P<side>left|right|top|front) of (?=(?:the |these |those )?(?:two|three|four|five|\d+|both) )"
 )
 """`the left of the two lamps`, which is one of them."""
-EXCEPT = re.compile(r"(?:and |but )?(?:other than|apart from|aside from|rather than|instead of)(?= )")
+EXCEPT = re.compile(r"(?:and |but )?(?:other than|apart from|aside from|rather than|instead of|minus)(?= )")
 """Words that say what is not meant."""
 RECIPROCAL = ("each other", "one another")
 
@@ -279,7 +280,9 @@ OBJECT_VIEW = re.compile(
     r"|\b(?:looking|look) (?:from|out|toward|towards|the|away)\b|\blooking at\b|\blook at the (?:front|back|face) of\b"
     r"|\S+'s? (?:point of view|viewpoint|view|perspective)\b"
     r"|\bfrom (?:the |its |their |his |her )?(?:point of view|viewpoint|perspective|view|side|position|standpoint)\b"
-    r"|\b(?:seen|viewed|observed) (?:from|by)\b|\b(?:if|when|where|while|as) you (?:are |were )?\w+"
+    r"|\b(?:seen|viewed|observed) (?:from|by)\b|\b(?:if|when|where|while|as) you "
+    r"(?!(?:would|could|can|will|might|please) (?:please |kindly |just )?"
+    r"(?:be|show|tell|help|find|give|bring|pass|hand|get|fetch|point|locate|identify|mind|spot)\b)(?:are |were )?\w+"
     r"|\b(?:when|while|if) (?:sitting|standing|lying|seated|looking|facing|entering)\b"
     r"|\bwith (?:your|its|the) back to\b|\bits own (?:left|right|front|back)\b"
 )

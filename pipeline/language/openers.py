@@ -91,7 +91,10 @@ _FRAMES = _phrases(
 LEADING = _ALONE | _ASKING | _FRAMES
 """What may stand before the first noun and says nothing about it."""
 
-ASKERS = _phrases("i, we, you, me, us, i'd, we'd, i'm, we're, i'll, we'll, i've, we've, please, kindly")
+ASKERS = _phrases(
+    "i, we, you, me, us, i'd, we'd, i'm, we're, i'll, we'll, i've, we've, please, kindly, anyone, anybody, someone, "
+    "somebody, possible, need, want, wanna, looking, seeking, searching, trying"
+)
 """Words of which a frame of asking has one, whatever else it is made of."""
 _OF_FRAMES = (_ASKED_TO, _HELPED_BY, _MODALS, _TRYING, _AFTER, _AT_IT, _SPEAKING, _WANTING, _TOLD)
 FRAMING = (
@@ -101,7 +104,8 @@ FRAMING = (
         "so, as, good, kind, nice, very, much, trouble, bother, ask, request, beg, urge, allow, permit, let, oblige, "
         "be, being, been, had, seek, seeking, hunt, hunting, hope, hoping, spotting, finding, locating, wonder, "
         "wondering, if, desire, appreciate, grateful, glad, happy, care, kindness, possible, possibly, perhaps, maybe, "
-        "just, really, also, now, able, about, enough, mind, rather"
+        "just, really, also, now, able, about, enough, mind, rather, it, who, pray, obliged, thankful, delighted, got, "
+        "gonna, gotta, shown"
     )
 ) - _phrases("left, lost, forgot, cannot, can't, couldn't, don't, not, on, up, over, out")
 """Words of frames of asking: `might I trouble you for`, `be so good as to show me`."""

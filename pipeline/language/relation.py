@@ -74,7 +74,7 @@ def _side(side: str) -> tuple[str, ...]:
     led = [f"{p} {the}{s} of" for p in ("to", "on", "at", "in") for the in ("the ", "") for s in ways]
     compared = [f"{more} {to}{side} than" for more in ("further", "farther", "more") for to in ("", "to the ")]
     # Who learns English says `from` where it has `of`.
-    learned = [f"{phrase[:-3]} from" for phrase in (f"{side} of", *led)]
+    learned = [f"{phrase[:-3]} from" for phrase in (*(f"{s} of" for s in ways), *led)]
     return (*(f"{s} of" for s in ways), *led, f"{side} to", *compared, *learned)
 
 
