@@ -27,7 +27,7 @@ from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.run_folder import labels_of, manifest_of, open_run
-from pipeline.evaluation.search import find_failures
+from pipeline.evaluation.search import among_failures, find_failures
 from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
@@ -204,7 +204,7 @@ def failures_of(
         "failures": [{key: plain(value) for key, value in row.items()} for row in shown.to_pylist()],
         "summary": summary.record(),
         "slices": {s.dimension.name: s.record() for s in cuts},
-        "facets": {f.name: f.record() for f in rows.facets(command.search)},
+        "facets": {f.name: f.record() for f in rows.facets(among_failures(command.search, rows.records.schema))},
         "filters": rows.notes.filters,
         "comparison": None if comparison is None else comparison.record(),
     }

@@ -37,7 +37,7 @@ def facet(tab: Tab, name: str) -> dict[str, int]:
 
 
 def told(name: str) -> dict[str, int]:
-    """A facet as the command line has it."""
+    """A facet of the failures as the command line has it."""
     facets = json.loads(spatialviz("failures", RUN, "--json"))["facets"]
     return {v["name"]: v["count"] for v in facets[name]["values"]}
 
@@ -61,7 +61,7 @@ def test_filters_count_what_is_found(evaluate: Tab) -> None:
     pictures_are_shown(tab)
     everything = told("verdict")
     before = facet(tab, "verdict")
-    assert all(everything[name] == n for name, n in before.items()), (before, everything)
+    assert everything.items() >= before.items(), (before, everything)
     tab.click("facet:verdict:OPM-REF")
     finds(tab, before["OPM-REF"])
     assert facet(tab, "verdict") == before, "a facet must not be narrowed by itself"
@@ -73,16 +73,17 @@ def test_filters_count_what_is_found(evaluate: Tab) -> None:
     left = facet(tab, "relation")["left of"]
     finds(tab, left)
     assert sum(facet(tab, "verdict").values()) > left
-    assert "find=verdict:OPM-REF,OPM-CONF" in tab.page.url.replace("+", " "), tab.page.url
+    assert "find=-right verdict:OPM-REF,OPM-CONF" in tab.page.url.replace("+", " "), tab.page.url
     query = tab.see("#search input").input_value()
-    said = json.loads(spatialviz("failures", RUN, query, "--json"))
+    said = json.loads(spatialviz("failures", RUN, "--json", "--", query))
     assert said["found"] == left, (query, said["found"], left)
 
 
 def test_a_failure_opens_and_back_returns(evaluate: Tab) -> None:
     tab = evaluate
     search(tab, "-verdict:CORRECT sort:margin")
-    finds(tab, ALL - told("verdict")["CORRECT"])
+    right = json.loads(spatialviz("failures", RUN, "verdict:CORRECT", "--json"))["found"]
+    finds(tab, ALL - right)
     tab.page.locator("#rows").evaluate("list => { list.scrollTop = 4000; }")
     tab.poll(f"[...document.querySelectorAll('{FILLED}')].some(e => +e.id.slice(4) > 40)")
     top = tab.page.locator("#rows").evaluate("list => list.scrollTop")

@@ -191,10 +191,12 @@ def find_failures(records: pa.Table, query: str = "") -> pa.Table:
         As in `find_rows`; or the run has no verdicts.
     """
     need_verdicts(records)
-    search = compile_search(query, records.schema)
-    if not search.about_right:
-        search = compile_search(f"{FAILURES} {query}", records.schema)
-    return records.take(_rows(records, search))
+    return records.take(_rows(records, compile_search(among_failures(query, records.schema), records.schema)))
+
+
+def among_failures(query: str, schema: pa.Schema) -> str:
+    """A search as `find_failures` carries it out; raises InputError as `find_rows`."""
+    return query if compile_search(query, schema).about_right else f"{FAILURES} {query}".strip()
 
 
 def _rows(records: pa.Table, search: Search) -> np.ndarray:
