@@ -180,7 +180,11 @@ def _tiers(wanted: str, known: KnownNames) -> tuple[tuple[Meaning, ...], ...]:
         return found
     mended = respelled(wanted, known)
     again = _walk(mended, known)[:1] if mended else ()
-    if not again or (found and again[0][0].score * _MENDED <= found[0][0].score):
+    if not again:
+        return found
+    # Of `coffe mug` a misspelt word says something, and is not left out as one that nobody knows.
+    sure = bool(found) and again[0][0].score * _MENDED <= found[0][0].score
+    if sure and len(again[0][0].left) >= len(found[0][0].left):
         return found
     better = tuple(replace(m, score=round(m.score * _MENDED, 3), how="spelling", via=mended or "") for m in again[0])
     taken = {m.name for m in better}

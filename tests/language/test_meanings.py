@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from pipeline.language import Meaning, match, meanings, normal_form, open_vectors
 from pipeline.language.name_table import NAMES, Synonyms, checked_table, default_synonyms
-from pipeline.language.naming import GENERIC, is_compound, known_words
+from pipeline.language.naming import GENERIC, is_compound, known_words, spelt
 from pipeline.language.normal import key_of
 from pipeline.proposals.class_names import synonyms_hash
 from tests.language.test_naming import COCO
@@ -91,6 +91,20 @@ def test_a_misspelt_word_is_a_guess_of_meanings_and_not_of_match() -> None:
     assert meanings("keybaord", COCO)[0].name == "keyboard"
     assert meanings("bowk", YCB) == (), "short words are words of their own"
     assert not any(m.how == "spelling" for m in meanings("house", ["horse", "mouse"])), "so are known ones"
+
+
+def test_a_misspelt_word_of_a_known_name_is_mended_before_it_is_left_out() -> None:
+    assert spelt("puding box", YCB) == "pudding box", "and not any box"
+    assert meanings("puding box", YCB)[0].name == "pudding box"
+    found = meanings("deskk lamp", ["lamp", "candle"])[0]
+    assert (found.name, found.how, found.left) == ("lamp", "spelling", ()), "a lamp of which nothing was left out"
+    assert spelt("fruit bwol", ["bowl"]) == "fruit bowl"
+    assert meanings("zorb lamp", ["lamp"])[0].left == (0,), "what nobody knows is told"
+
+
+def test_what_a_package_holds_may_stand_behind_it() -> None:
+    assert [m.name for m in meanings("tin of meat", YCB)] == ["potted meat can"]
+    assert meanings("tin of paint", YCB) == ()
 
 
 def test_text_vectors_come_last(tmp_path: Path) -> None:

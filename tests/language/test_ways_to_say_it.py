@@ -26,6 +26,28 @@ def unused(text: str) -> list[str]:
         ("what do you see left of the kettle", "thing left of kettle"),
         ("out of the three jars, the middle one", "jars [middle]"),
         ("hand sanitizer on the desk", "hand sanitizer on desk"),
+        ("Might I bother you for the jar on the shelf?", "jar on shelf"),
+        ("Would you be so very kind as to hand me the kettle", "kettle"),
+        ("I should be glad to see the jar, please", "jar"),
+        ("I seek jar on shelf", "jar on shelf"),
+        ("may I ask where the kettle is", "kettle"),
+        ("if you would be so kind, the jar by the kettle", "jar near kettle"),
+        ("tryin to locate the jar", "jar"),
+        ("we require hand towels", "hand towels"),
+        # As who learns English says it
+        ("the jar at left from the kettle", "jar left of kettle"),
+        ("the jar close of the kettle", "jar near kettle"),
+        ("the jar under from the shelf", "jar below shelf"),
+        ("the jar beside of the kettle", "jar near kettle"),
+        ("shelf where there is a jar on it", "shelf supporting jar"),
+        ("the shelf that has on top a jar", "shelf supporting jar"),
+        ("the jar colour red", "red jar"),
+        ("the jar on the right from the camera", "jar [on the right]"),
+        ("the jar left from my view", "jar [left]"),
+        # Without small words
+        ("kettle right", "kettle [right]"),
+        ("kettle left back", "kettle [left back]"),
+        ("second jar in back row", "jar [second] [in back row]"),
         # Comparisons
         ("the farther jar", "jar [farther]"),
         ("the bigger one of the two jars", "jars [bigger]"),
@@ -46,6 +68,11 @@ def unused(text: str) -> list[str]:
         ("not the red jar, the blue one", "blue jar, not red jar"),
         ("the non-red jar", "jar, not red jar"),
         ("not red jar", "jar, not red jar"),
+        ("all jars except the two at the back", "jars, not jars [at the back]"),
+        ("the jar that is not on the left", "jar, not jar [on the left]"),
+        ("the jars minus the red one", "jars, not red jars"),
+        ("a jar on no shelf", "jar not on shelf"),
+        ("the jar nowhere near the kettle", "jar not near kettle"),
         ("jar other than the red one", "jar, not red jar"),
         # Any class
         ("something yellow that is not in a jar", "yellow something not in jar"),
@@ -82,6 +109,7 @@ def test_it_is_read(text: str, description: str) -> None:
         ("a stool to sit on near the door", "stool near door", ["to sit on"]),
         ("the chair whose seat is red near the door", "chair near door", ["whose seat is red"]),
         ("the jar closer to the door than the lamp", "jar closest to door", ["than the lamp"]),
+        ("the jar of dirty red colour", "red jar", ["dirty"]),
     ],
 )
 def test_it_is_left_out_and_told(text: str, description: str, left_out: list[str]) -> None:
@@ -109,6 +137,23 @@ def test_misspelt_words_are_mended_and_told(text: str, label: str, told: tuple[t
     query = parse(text)
     assert query.target == label
     assert query.mended == told
+
+
+def test_what_is_not_on_a_surface_is_judged_where_the_detector_knows_it() -> None:
+    text = "the jar on the shelf without a kettle"
+    assert parse(text, class_names=["jar", "shelf", "kettle"]).default.description == (
+        "jar on (shelf not supporting kettle)"
+    )
+    assert "does not have" in refused("the shelf without a hinge", class_names=["shelf", "kettle"])
+
+
+def test_a_shelf_of_books_is_a_thing_and_the_shelf_of_a_cupboard_a_part_of_it() -> None:
+    assert parse("jar in the shelf of books").default.root.attachments[0].nodes[0].name == "shelf of books"
+    assert unused("jar on the shelf of the cupboard") == ["the shelf of"]
+
+
+def test_a_view_from_elsewhere_is_no_politeness() -> None:
+    assert "another view" in refused("if you look at the shelf, the jar")
 
 
 def test_a_word_of_the_users_names_is_not_misspelt() -> None:

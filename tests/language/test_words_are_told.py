@@ -19,6 +19,7 @@ from pipeline.language.attributes import SINGLE_WORDS
 from pipeline.language.chain import OWN_WORDS
 from pipeline.language.lexicon import CONTRACTIONS, LEADING, SHORTHAND, VIEW_WORDS
 from pipeline.language.naming import meanings
+from pipeline.language.openers import FRAMING
 from pipeline.language.spelling import is_known, look_meant, spelled
 from pipeline.proposals import AnnotationDetector, Proposals
 from pipeline.system import InputError, UnknownClass
@@ -26,7 +27,7 @@ from pipeline.system import InputError, UnknownClass
 NAMES = ("mug", "laptop", "desk lamp", "dining table", "chair", "pillow")
 TRUTH = AnnotationDetector(NAMES)
 SCENE = frame_of([upright((x, 0.9, 2), (0.3, 0.4, 0.3)) for x in (-0.6, 0.0, 0.6)], ["mug", "laptop", "mug"])
-FRAME_WORDS = frozenset(w for phrase in LEADING for w in phrase.split()) | VIEW_WORDS
+FRAME_WORDS = frozenset(w for phrase in LEADING for w in phrase.split()) | VIEW_WORDS | FRAMING
 OPENERS = [
     "",
     "please find",
@@ -37,13 +38,14 @@ OPENERS = [
     "is there",
     "what is",
     "i need",
+    "might i trouble you for",
 ]
 THINGS = ["mug", "laptop", "lamp", "coffee mug", "table", "cushion", "chair", "thing", "one", "chiar", "something"]
 LOOKS = ["red", "pruple", "wodden", "small", "dark blue", "not red", "wooden", "striped", "bigger", "second", "top"]
 RELATIONS = [
     "left of", "to the rigth of", "on", "next to", "that is behind", "closer to", "not on", "in front of",
     "farthest from", "between the mug and", "and near", "or under", "which stands by", "instead of", "with", "without",
-    "from",
+    "from", "near from", "at right from", "without a", "except the", "on no",
 ]  # fmt: skip
 TAILS = [
     "",
@@ -54,6 +56,9 @@ TAILS = [
     "that is not green",
     "closest to me",
     "and small",
+    "left",
+    "in front corner",
+    "not on the right",
 ]
 STRANGE = st.from_regex(r"[bdfgkmnprstvz][aeiou][bdfgkmnprstvz]{2}[aeiou][bdfgkmnprstvz]{1,3}", fullmatch=True).filter(
     lambda w: not is_known(w) and look_meant(w) is None and spelled(w) == w and not meanings(w, NAMES)
