@@ -176,7 +176,8 @@ class _Reader(ReferenceReader):
             clauses = self.chain.clauses
             if word == "but" and any(t.plain in lexicon.EVERY for t in self.tokens[: min(at, 3)]):
                 self.negated = self.linked = True
-            self.negated = self.negated or (word in ("or", "nor") and bool(clauses) and clauses[-1].negated)
+            goes_on = word in ("or", "nor") or self._excludes_another(at + 1)
+            self.negated = self.negated or (goes_on and bool(clauses) and clauses[-1].negated)
             return at + 1
         if (side := self._side(at)) is not None:
             return side
@@ -234,6 +235,14 @@ class _Reader(ReferenceReader):
         if word in lexicon.UNKNOWN_RELATIONS or self._acts(at):
             return self._unused(at, not_known(self.tokens, at, self.text))
         return self._noun(at)
+
+    def _excludes_another(self, at: int) -> bool:
+        """Whether behind `and` another thing that is not meant begins: `except the left one and the red one`."""
+        determined = at + 1 < len(self.tokens) and self.tokens[at].plain in DETERMINERS - lexicon.RELATIVE
+        if not determined or not self.chain.clauses:
+            return False
+        one = self.tokens[at].plain == "those" or any(t.plain in ("one", "ones") for t in self.tokens[at + 1 : at + 3])
+        return one or not (self.chain.clauses[-1].relation or self.chain.clauses[-1].choice)
 
     def _acts(self, at: int) -> bool:
         """Whether a word behind a thing is a command, and says not how it is: `that is open`."""

@@ -135,16 +135,20 @@ class ReferenceReader(RegionReader):
         if self.negated:
             where = phrase.where
             implied = root.anything and root.where[0] == root.where[1]
-            if root.anything and (root.head_word == "one" or implied) and not phrase.anything:
+            tail = root.label.partition(root.name)[2]
+            if root.anything and (root.head_word == "one" or implied) and not phrase.anything and not tail:
                 bare = replace(phrase, attributes=(), words=(), modifiers=(), choices=())
                 self._merge(bare, named=True)
                 where = (end, end)
                 root = self.chain.nouns[0]
             several = phrase.name in choices.NUMBERS and self._goes_on(end)
-            again = phrase.anything or several or (phrase.name == root.name and self._goes_on(end))
+            placed = self._relates(end) or self.match(choices.AT_SIDE, end) is not None
+            same = placed and singular(phrase.name) == singular(root.name)
+            again = phrase.anything or several or same
             if again and not (phrase.attributes or phrase.choices):
                 # `not the ones on the stool`: what follows is negated.
                 self.at_root = True
+                self.chain.spans += [self._span(phrase.where, "target", 0)] if same else []
                 return end
             implied = phrase.where[0] == phrase.where[1]
             listed = self.joined or any(self.breaks[k] for k in range(at + 1, end))

@@ -58,6 +58,7 @@ def target(trace: Trace) -> int | None:
         ("the thing to the right of the book", 4), ("the mug, not the red one, left of the blue mug", 1),
         ("the object farthest to the right", 4), ("is there a mug to the left of the white cup?", 0),
         ("the mug left of the laptop on the floor, the white one", 1),
+        ("rightmost mug in back row", 1), ("mug left", 0), ("any mug except the one in front and the red one", 1),
     ],
 )  # fmt: skip
 def test_the_thing_that_is_meant_is_answered(row: Frame, text: str, meant: int) -> None:
@@ -84,6 +85,11 @@ def test_a_question_that_several_things_fit_is_not_answered(row: Frame) -> None:
     assert trace_record(trace)["answer"] is None
     assert "3 things fit" in str(why_no_answer(trace))
     assert target(asked(row, "the laptop")) == 4
+
+
+def test_where_nothing_is_what_was_asked_the_nearest_is_no_answer_of_it(row: Frame) -> None:
+    record = trace_record(asked(row, "the fourth mug from the left"))
+    assert record["answer"]["holds"] is False, "there are three; that several fit it would be wrong"
 
 
 def test_what_cannot_be_used_is_told(row: Frame) -> None:
