@@ -102,8 +102,10 @@ def _frame(tokens: list[Token]) -> int:
 
 
 def _begins_a_thing(token: Token) -> bool:
-    """Whether a word is an article, a known name or a word for a look, or asks."""
-    asks = token.text in ("where", "where's", "which", "what", "what's")
+    """Whether a word is an article, a known name, a word for a look, counts or chooses, or asks."""
+    asks = token.text in ("where", "where's", "which", "what", "what's", "any", "all", "both") or (
+        token.text in choices.NUMBERS.keys() | choices.ORDINALS.keys() | choices.EXTREMES.keys() | lexicon.ANYTHING
+    )
     known = asks or token.name is not None or token.plain in DETERMINERS - lexicon.RELATIVE
     return known or (token.plain is not None and (is_name(singular(token.plain)) or attribute(token.plain) is not None))
 
