@@ -348,7 +348,8 @@ def test_columns_are_all_filled(labels: Path) -> None:
     # The annotations miss nothing, and no score is calibrated.
     nothing_missed = {"problem", "missed_name", "missed_overlap", "missed_score", "missed_rank"}
     raw = {name for name in COLUMNS if name.startswith("raw_") or name in OF_CALIBRATED}
-    assert empty - {"detail"} == nothing_missed | raw
+    imported = {"worked_out", "untold"}
+    assert empty - {"detail"} == nothing_missed | raw | imported
     assert set(table.column("verdict").to_pylist()) == {"CORRECT", "LABEL"}
     assert set(table.column("detail").to_pylist()) == {None, "AMBIGUOUS"}
     assert not any(table.column("lucky").to_pylist())
