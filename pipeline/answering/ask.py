@@ -185,9 +185,9 @@ class Trace:
         """Places of the objects that fit a question without a relation equally well, where several do fit it."""
         if self.ranking is None or self.asked is not None:
             return ()
-        pairs = self.ranking.pairs
-        several = len(pairs) > 1 and pairs[0].holds
-        return tuple(p.target for p in pairs if pairs[0].log_score - p.log_score < TIE) if several else ()
+        best, *others = self.ranking.pairs
+        alike = [p.target for p in others if best.log_score - p.log_score < TIE] if best.holds else []
+        return (best.target, *alike) if alike else ()
 
 
 def ask(

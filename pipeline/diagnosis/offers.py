@@ -87,7 +87,8 @@ def _labelled(source: Pipeline, cases: Sequence[Case], count: int) -> tuple[str,
     chosen: list[Case] = []
     used: Counter[str] = Counter()
     while fit and len(chosen) < count:
-        worn = [used[c.target] + used[c.reference] + used[c.relation] + c.ambiguous for c in fit]
+        # Of those about other things the shortest: it is read at a glance.
+        worn = [used[c.target] + used[c.reference] + used[c.relation] + c.ambiguous + len(c.text) / 200 for c in fit]
         best = fit.pop(int(np.argmin(worn)))
         used.update((best.target, best.reference, best.relation))
         chosen.append(best)

@@ -116,8 +116,9 @@ def test_a_pair_that_is_looked_at_gives_its_objects_their_names_in_it(run: Run) 
             view = looked_at(loaded, trace)
             for pair in view.ranked[:8]:
                 seen = AnswerView(loaded=loaded, trace=trace, found=view.found, pair=view.at(pair))
-                ends = ((trace.root.label, pair.target), (trace.query.expression.reference, pair.reference))
-                for name, index in ends:
+                assert trace.asked is not None
+                ends = ((trace.root.label, pair.target), (trace.asked.nodes[0].label, pair.reference))
+                for name, index in ((name, index) for name, index in ends if index is not None):
                     place = seen.found.place[index]
                     entry, before = seen.shown.objects[place], view.shown.objects[place]
                     at = trace.candidates[name].index.tolist().index(index)
@@ -180,7 +181,7 @@ def test_what_is_offered_is_there_and_what_is_asked_first_has_an_answer(run: Run
     source = run.source
     context = source.prepare(0)
     objects = all_objects(context, source.needed_detector())
-    truth = next(iter(run.labels.manifest.counts), None) and known_truth(source, context, run.labels)
+    truth = known_truth(source, context, run.labels)
     labelled = offers_of(source, context, objects, truth)
     there = {a.label for a in context.frame.annotations}
     assert labelled.by == "the labels"
