@@ -65,7 +65,8 @@ class ReferenceReader(RegionReader):
             self._choice(Choice(order, rank, f"{token.text} {self.words(at, end)}"), at, end)  # type: ignore[arg-type]
             self.chain.spans.append(Span(token.start, token.end, "choice", 0))
             return end
-        if self.words(at, end).lower() in lexicon.RECIPROCAL or phrase.name in ("other", "others"):
+        bare = phrase.name in ("other", "others") and not phrase.named
+        if bare or self.words(at, end).lower() in lexicon.RECIPROCAL:
             phrase = replace(phrase, label=self.chain.nouns[0].label, head=self.chain.nouns[0].head)
         phrase = self._whole(at, self._resolved(phrase))
         first = self._add_noun(phrase, "reference", phrase.where)
