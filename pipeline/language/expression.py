@@ -79,7 +79,9 @@ def parse(
             words = described(root)
             if not any(r.description == words for r in readings) and len(readings) < MOST_READINGS:
                 readings.append(Reading(root, is_default=not readings, description=words))
-    spans = tuple(sorted(chain.spans, key=lambda s: s.start))
+    # Of words that say two things ("green, not jar" of one "jar") the first counts.
+    first = {(s.start, s.end): s for s in reversed(chain.spans)}
+    spans = tuple(sorted(first.values(), key=lambda s: s.start))
     return Query(text, tuple(readings), spans, mended=_told_mended(text, known, chain))
 
 
