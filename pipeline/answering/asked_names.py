@@ -18,7 +18,7 @@ from pipeline.language.naming import (
     singular,
     spelt,
 )
-from pipeline.language.tree import Attachment, Node, Query, Reading, Span, described
+from pipeline.language.tree import Attachment, Choice, Node, Query, Reading, Span, described
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.system.errors import UnknownClass
 
@@ -93,6 +93,8 @@ def whole_names(query: Query, detector: Detector, synonyms: Synonyms | None = No
 
 SMALL = frozenset({"of", "with", "and", "for", "in", "on", "without", "from"})
 """Words of a name that say nothing alone."""
+GROUND = frozenset({"floor", "ground"})
+"""Where it is no thing of the dataset, what is on it is lower than its like; the word stays among the unused."""
 STRANGER = "no name that the detector knows has it"
 
 
@@ -158,13 +160,18 @@ def without(query: Query, reasons: dict[str, str]) -> Query:
 def _pruned(node: Node, gone: Collection[str]) -> Node:
     """A node without what is not known; what is said of that is said of the node: `on the wall above the bed`."""
     kept: list[Attachment] = []
+    choices = node.choices
     for attachment in node.attachments:
         nodes = tuple(_pruned(n, gone) for n in attachment.nodes)
         if any(n.label in gone and not n.viewer for n in nodes):
+            if attachment.relation in ("on", "near") and nodes[0].label in gone and nodes[0].name in GROUND:
+                order = "high" if attachment.negated else "low"
+                choices += (Choice(order, None, f"{attachment.phrase} {nodes[0].name}"),)
             kept += [a for n in nodes if n.label in gone and not attachment.negated for a in n.attachments]
         else:
             kept.append(replace(attachment, nodes=nodes))
-    return replace(node, attachments=tuple(kept), excluded=tuple(n for n in node.excluded if n.label not in gone))
+    excluded = tuple(n for n in node.excluded if n.label not in gone)
+    return replace(node, attachments=tuple(kept), excluded=excluded, choices=choices)
 
 
 def unused_words(query: Query) -> tuple[tuple[str, str], ...]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.language.naming import Synonyms
+from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
 
@@ -38,13 +38,18 @@ class AnnotationDetector:
     def fingerprint(self) -> str:
         return "annotations"
 
+    def _meant(self, label: str, known: Sequence[str], here: Sequence[str]) -> tuple[str, ...]:
+        """A name of the whole dataset decides first, so that "box" means the same classes in every frame where it has
+        one; a frame without a chair has, for people, a chair in its armchair."""
+        meant = meant_names(label, known, self.synonyms, "the dataset")
+        return meant if any(n in here for n in meant) else match(label, here, self.synonyms)
+
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         here = tuple(dict.fromkeys(a.label for a in frame.annotations))
         wanted = list(here)
         if labels is not None:
             known = tuple(dict.fromkeys([*here, *self.class_names]))
-            # A name of the whole dataset decides first, so that "box" means the same classes in every frame.
-            wanted = [n for label in labels for n in meant_names(label, known, self.synonyms, "the dataset")]
+            wanted = [n for label in labels for n in self._meant(label, known, here)]
         found = [a for a in frame.annotations if a.label in wanted]
         if not found:
             return no_proposals(frame.height, frame.width)

@@ -95,8 +95,8 @@ def test_where_nothing_is_what_was_asked_the_nearest_is_no_answer_of_it(row: Fra
 def test_what_cannot_be_used_is_told(row: Frame) -> None:
     record = trace_record(asked(row, "the wooden mug on the floor, next to the book"))["expression"]
     assert [u["text"] for u in record["unused"]] == ["floor", "wooden"]
-    with pytest.raises(UnknownClass, match="floor"):
-        asked(row, "the mug on the floor")
+    with pytest.raises(UnknownClass, match="window"):
+        asked(row, "the mug by the window")
     # Only one thing is called so: which it is does not hang on the floor.
     assert target(asked(row, "the book on the floor")) == 3
 
@@ -153,3 +153,20 @@ def test_what_must_not_hold_is_true_of_another_thing_of_the_name() -> None:
     assert (held.target.label, denied.target.label) == ("mug", "mug")
     assert held.target.id != denied.target.id
     assert denied.verdict in ("CORRECT", "LABEL", None)
+
+
+def test_on_the_floor_is_lower_than_its_like_where_no_floor_is_annotated() -> None:
+    boxes = [upright((-0.4, 0.75, 2.0), (0.5, 0.5, 0.5)), upright((-0.4, 0.4, 2.0), (0.2,) * 3)]
+    boxes.append(upright((0.5, 0.9, 2.0), (0.2,) * 3))
+    frame = frame_of(boxes, ["cabinet", "jar", "jar"], floor=1.0, pitch=20)
+    detector = AnnotationDetector(("cabinet", "jar"))
+    low, high = (ask(frame, f"the jar {words} the floor", detector) for words in ("on", "that is not on"))
+    assert (target(low), target(high)) == (2, 1)
+    # It is a guess of height, not of a floor: the word is still told, and nothing is held to be true.
+    assert [u["text"] for u in trace_record(low)["expression"]["unused"]] == ["floor"]
+
+
+def test_a_frame_without_the_name_answers_with_its_kinds() -> None:
+    frame = frame_of([upright((-0.4, 0.6, 2.0), (0.5,) * 3)], ["armchair"])
+    assert target(ask(frame, "the chair", AnnotationDetector(("armchair", "chair", "bed")))) == 0
+    assert target(ask(frame, "the bed", AnnotationDetector(("armchair", "chair", "bed")))) is None
