@@ -111,7 +111,9 @@ def without_strangers(query: Query, detector: Detector, synonyms: Synonyms | Non
         words = normal_form(node.name).split()
         strangers = [words[k] for k in best[0].left] if best and asked is not None else []
         if strangers or tail:
-            spans = _marked(query.text, spans, node.mention, strangers, len(tail))
+            # What is meant and what is not may stand in one stretch: `the red, not the red mug with a lid`.
+            own = any(s.index == node.mention for s in spans if s.role in ("target", "reference"))
+            spans = _marked(query.text, spans, node.mention if own else 0, strangers, len(tail))
     return replace(query, spans=spans)
 
 

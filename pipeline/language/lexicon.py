@@ -111,7 +111,7 @@ AMONG_FIRST = re.compile(
 
 LINKING = _words(
     "that which who what is are was were be been being that's which's who's it's they're there there's also directly "
-    "immediately just right straight exactly slightly somewhere still currently located positioned placed "
+    "immediately just right straight exactly slightly somewhere anywhere still currently located positioned placed "
     "situated standing stood sitting seated lying laying laid resting hanging hung leaning mounted kept found put "
     "parked the a an can could may should would might must will shall seen visible propped stored stacked "
     "arranged displayed perched tucked nestled almost nearly very quite closely pictured appears seems looks "

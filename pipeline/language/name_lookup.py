@@ -36,8 +36,8 @@ class Look:
     ----------
     tier : int
         Smaller ones come first.
-    where : {"spelled", "form", "kind", "held"}
-        Among the names' own spellings, their forms, what they are kinds of, or what they hold.
+    where : {"spelled", "form", "kind", "held", "packed"}
+        Among the names' own spellings, their forms, what they are kinds of, what they or their kind hold, or they alone.
     key : str
     score : float
         For the nearest names; of kinds 0.05 less for each further step.
@@ -50,7 +50,7 @@ class Look:
     """
 
     tier: int
-    where: Literal["spelled", "form", "kind", "held"]
+    where: Literal["spelled", "form", "kind", "held", "packed"]
     key: str
     score: float
     how: How
@@ -116,6 +116,8 @@ def _entries(name: str, table: Synonyms) -> tuple[tuple[tuple[tuple[str, str], i
                 if content := _content(upper, table):
                     for held in _held(content, table):
                         _least(found, ("held", key_of(held)), steps + 1)
+                        if not steps:
+                            found["packed", key_of(held)] = 0
     return tuple(found.items()), frozenset(shared)
 
 
@@ -228,7 +230,8 @@ def _looks(query: str, table: Synonyms) -> Iterator[Look]:
         for general in sorted(table.general(start)):
             for alias in sorted(table.of(general)):
                 yield Look(20, "form", key_of(alias), 0.6, "kind", alias, left=out)
-            yield Look(20, "held", key_of(general), 0.6, "kind", general, left=out)
+            # A bottle of mustard is French's; that a can of meat holds food makes it no apple.
+            yield Look(20, "packed", key_of(general), 0.6, "kind", general, left=out)
     for end in [] if known else ends:
         first = query[: -len(end)].split() if query.endswith(end) else query.split()
         if not any(_is_a(part, PACKED, table) for part in (" ".join(first), *first)):

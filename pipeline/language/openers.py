@@ -52,6 +52,7 @@ _ASKING = frozenset(
         *product(_ASKED_TO, _HELPED_BY),
         *product(("to", "help me"), _ASKED_TO, _HELPED_BY),
         *product(_WHERE, _MODALS | {"have"}, (*_WHO, "they"), _SEEN),
+        *product(("did", "have", "had"), ("i", "we", "you", "they", "anyone", "somebody"), _SEEN),
         *product(_AT_IT, _AFTER),
         *product(_SPEAKING, _WANTING),
         *product(_KNOWING, _TOLD, _WHICH),
