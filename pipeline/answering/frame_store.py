@@ -33,8 +33,11 @@ from pipeline.system.errors import InputError
 from pipeline.system.freed_memory import trim
 from pipeline.system.recent import Recent
 
-KEPT_FRAMES = 8
-"""The frames used last, of 15 to 25 MB each at 640x480; those that somebody holds are kept beside."""
+KEPT_BYTES, FEWEST_KEPT = 128 * 2**20, 3
+"""Of the frames used last, of 15 to 35 MB each at 640x480: so many, but the one that is looked at and its neighbours
+stay however large they are. Those that somebody holds are kept beside."""
+PIXEL_BYTES = 40
+"""Of a frame, its cloud and its depth edges, beside the masks."""
 AHEAD = 6
 """Frames that wait to be made ready; a newer wish takes the place of the oldest."""
 YIELD_SECONDS = 0.01
@@ -92,6 +95,13 @@ class LoadedFrame:
         if where not in self._thumbs:
             self._thumbs[where] = thumbnail(self.context.frame.rgb, bbox)
         return self._thumbs[where]
+
+    @property
+    def nbytes(self) -> int:
+        """What it holds, about."""
+        masks = len(self.context.frame.annotations) + len(self.objects)
+        masks += 0 if self.beside is None else len(self.beside.objects)
+        return self.context.frame.depth.size * (PIXEL_BYTES + masks)
 
     @cached_property
     def cloud(self) -> Cloud:
@@ -217,8 +227,13 @@ class FrameStore:
     def _keep(self, key: Key, loaded: LoadedFrame) -> None:
         self._loaded[key] = self._shown[key] = loaded
         self._loaded.move_to_end(key)
-        while len(self._loaded) > KEPT_FRAMES:
+        while len(self._loaded) > FEWEST_KEPT and sum(x.nbytes for x in self._loaded.values()) > KEPT_BYTES:
             self._loaded.popitem(last=False)
+
+    def let_go(self) -> None:
+        """Keep no frame but those that somebody holds."""
+        with self._lock:
+            self._loaded.clear()
 
     def _made(self, key: Key, making: _Making) -> LoadedFrame:
         opened = making.opened

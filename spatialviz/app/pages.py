@@ -290,6 +290,8 @@ class Pages:
         for key in over:
             self._sessions.pop(key).close()
         if over:
+            if not self._sessions:
+                self._shared.store.let_go()
             loop = asyncio.get_running_loop()
             loop.call_later(FORGOTTEN_SECONDS, loop.run_in_executor, None, collect)
 

@@ -12,7 +12,7 @@ import pytest
 from waiting import LONG_S
 
 from pipeline.answering import FrameStore, PicturesBehind, Pipeline, ToldUp, open_pipeline
-from pipeline.answering.frame_store import KEPT_FRAMES
+from pipeline.answering.frame_store import FEWEST_KEPT
 from pipeline.system import InputError
 
 
@@ -37,14 +37,28 @@ def test_a_frame_is_loaded_once_whoever_asks_for_it(source: Pipeline) -> None:
     assert loaded.thumb(box) is loaded.thumb(box)
 
 
-def test_the_frames_used_last_are_kept_and_those_that_somebody_holds(source: Pipeline) -> None:
-    store, ids = FrameStore({"demo": source}), source.dataset.frame_ids[: KEPT_FRAMES + 2]
+def test_what_a_frame_holds_is_known(source: Pipeline) -> None:
+    loaded = FrameStore({"demo": source}).load("demo", source.dataset.frame_ids[0])
+    frame, cloud = loaded.context.frame, loaded.cloud
+    arrays = [frame.rgb, frame.depth, cloud.points, cloud.u, cloud.v, *(part.offsets for part in cloud.parts)]
+    arrays += [thing.mask for thing in (*frame.annotations, *loaded.objects)]
+    assert loaded.nbytes == pytest.approx(sum(array.nbytes for array in arrays), rel=0.15)
+
+
+@pytest.mark.parametrize(("most", "kept"), [(0, FEWEST_KEPT), (FEWEST_KEPT + 2, FEWEST_KEPT + 2)])
+def test_the_frames_used_last_are_kept_and_those_that_somebody_holds(
+    source: Pipeline, monkeypatch: pytest.MonkeyPatch, most: int, kept: int
+) -> None:
+    store, ids = FrameStore({"demo": source}), source.dataset.frame_ids[: kept + 3]
     held = store.load("demo", ids[0])
+    monkeypatch.setattr("pipeline.answering.frame_store.KEPT_BYTES", most * 100)
+    monkeypatch.setattr(type(held), "nbytes", 100)
     for frame_id in ids[1:]:
         store.load("demo", frame_id)
     assert store.kept("demo", ids[0]) is held
-    assert store.kept("demo", ids[1]) is None
-    assert store.kept("demo", ids[-1]) is not None
+    assert [store.kept("demo", frame_id) is not None for frame_id in ids[1:]] == [False, False] + [True] * kept
+    store.let_go()
+    assert [frame_id for frame_id in ids if store.kept("demo", frame_id) is not None] == [ids[0]]
 
 
 def test_what_is_made_ahead_waits_while_somebody_is_answered(source: Pipeline) -> None:
