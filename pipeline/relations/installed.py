@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.system.errors import InputError, require
-from pipeline.system.whole_files import clear_abandoned, temporary_folder
+from pipeline.system.whole_files import clear_abandoned, take_places, temporary_folder
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 TAKEN = ("rule", "trained")
@@ -89,12 +89,9 @@ def install_network(network: Path, name: str, *, overwrite: bool = False) -> Ins
         folder.mkdir(parents=True, exist_ok=True)
         clear_abandoned(folder)
         with temporary_folder(target) as staging:
-            # The network last: one that is there has its card and its vectors.
             for source in (*(f for f in companions if f.is_file()), network):
-                suffix = source.name.removeprefix(network.stem)
-                copied = Path(staging) / f"{name}{suffix}"
-                shutil.copyfile(source, copied)
-                os.replace(copied, folder / copied.name)
+                shutil.copyfile(source, staging / f"{name}{source.name.removeprefix(network.stem)}")
+            take_places(staging / target.name, target)
     except OSError as error:
         raise InputError("the network cannot be installed", got=error.strerror or str(error), path=folder) from error
     return InstalledNetwork(name, target)

@@ -136,6 +136,20 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
                 temporary.unlink(missing_ok=True)
 
 
+def take_places(made: Path, out: Path) -> None:
+    """Move all files of a folder beside `out`, and `made`, which is one of them, to `out` itself.
+
+    It comes last, and one that was there goes first: whichever is there has what belongs to it, also after a kill.
+    """
+    files = [*(file for file in made.parent.iterdir() if file.is_file() and file != made), made]
+    for file in files:
+        with open(file, "rb") as written:
+            os.fsync(written.fileno())
+    out.unlink(missing_ok=True)
+    for file in files:
+        os.replace(file, out if file == made else out.with_name(file.name))
+
+
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
     """A new folder of one's own where the system keeps temporary files; what killed processes left there is removed."""

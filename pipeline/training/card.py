@@ -35,7 +35,7 @@ from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import file_hash, require_onnx
 from pipeline.system.plugins import versions_of
-from pipeline.system.whole_files import scratch_folder
+from pipeline.system.whole_files import clear_abandoned, take_places, temporary_folder
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.train import TrainConfig, TrainedModel, check_room_config, require_training, train_srm
 from pipeline.training.training_data import (
@@ -118,34 +118,33 @@ def train_on_rooms(
     learnt = with_other_sizes(with_wrong_names(train, rooms.seed), rooms.seed)
     model = train_srm(learnt, config, lambda done, loss: tell("epochs", done, config.epochs))
     out.parent.mkdir(parents=True, exist_ok=True)
-    with scratch_folder() as folder:
-        uncalibrated = Path(folder) / "uncalibrated.onnx"
-        save_onnx(uncalibrated, model)
-        plain = OnnxScorer(uncalibrated)
-    calibration = fit_calibration(
-        [plain.logits(frame.rows[config.features]) for frame in held_back],
-        [frame.truth for frame in held_back],
-        DIRECTIONAL,
-    )
-    save_onnx(out, model, calibration)
-    card = {
-        "name": config.features,
-        "command": _command(out, rooms, config),
-        "made_with": versions(),
-        "file": {"bytes": out.stat().st_size, "xxh3_128": file_hash(out)},
-        "weights_xxh3_128": model.weights_hash,
-        "training": {
-            **asdict(config),
-            "batch": config.batch_of(model.pairs),
-            "pairs": model.pairs,
-            "loss_by_epoch": [round(loss, 6) for loss in model.losses],
-            "data_xxh3_128": model.data,
-        },
-        "rooms": {**asdict(rooms), **_room_ranges(rooms), "scales": list(SCALES), "wrong_names": WRONG_NAMES},
-        "calibration": {relation: [round(v, 6) for v in ab] for relation, ab in calibration.items()},
-        "held_out": held_out_figures(OnnxScorer(out), plain, test),
-    }
-    out.with_suffix(".json").write_text(json.dumps(rounded(card), indent=1) + "\n", encoding="utf-8")
+    clear_abandoned(out.parent, ours=False)
+    with temporary_folder(out) as folder:
+        made = folder / out.name
+        save_onnx(made, model)
+        plain = OnnxScorer(made)
+        logits = [plain.logits(frame.rows[config.features]) for frame in held_back]
+        calibration = fit_calibration(logits, [frame.truth for frame in held_back], DIRECTIONAL)
+        save_onnx(made, model, calibration)
+        card = {
+            "name": config.features,
+            "command": _command(out, rooms, config),
+            "made_with": versions(),
+            "file": {"bytes": made.stat().st_size, "xxh3_128": file_hash(made)},
+            "weights_xxh3_128": model.weights_hash,
+            "training": {
+                **asdict(config),
+                "batch": config.batch_of(model.pairs),
+                "pairs": model.pairs,
+                "loss_by_epoch": [round(loss, 6) for loss in model.losses],
+                "data_xxh3_128": model.data,
+            },
+            "rooms": {**asdict(rooms), **_room_ranges(rooms), "scales": list(SCALES), "wrong_names": WRONG_NAMES},
+            "calibration": {relation: [round(v, 6) for v in ab] for relation, ab in calibration.items()},
+            "held_out": held_out_figures(OnnxScorer(made), plain, test),
+        }
+        made.with_suffix(".json").write_text(json.dumps(rounded(card), indent=1) + "\n", encoding="utf-8")
+        take_places(made, out)
     return card
 
 

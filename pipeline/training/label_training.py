@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,12 +16,12 @@ from pipeline.language.relation_names import VOCABULARIES
 from pipeline.language.vectors import LanguageContract, open_vectors
 from pipeline.metrics.calibration_metrics import Platt, fit_calibration, fit_temperature
 from pipeline.metrics.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, SplitPlan, split_frames
-from pipeline.relations.class_vectors import ClassVectors, vectors_path
+from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geometry_of
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import file_hash
-from pipeline.system.whole_files import clear_abandoned, temporary_folder
+from pipeline.system.whole_files import clear_abandoned, take_places, temporary_folder
 from pipeline.system.worker_pool import one_thread
 from pipeline.training.card import evaluate, evaluate_classes, network_path, rounded, save_onnx, versions
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set, read_label_data, trained_on
@@ -151,10 +150,7 @@ def train_on_labels(
         if language is not None and vectors is not None:
             card["language"] = {**asdict(language), "classes": len(vectors.names), "classes_xxh3_128": vectors.hash}
         made.with_suffix(".json").write_text(json.dumps(rounded(card), indent=1) + "\n", encoding="utf-8")
-        # The network last: a network that is there has its vectors and its card.
-        for name in (vectors_path(made), made.with_suffix(".json"), made):
-            if name.exists():
-                os.replace(name, out.with_name(name.name))
+        take_places(made, out)
     return card
 
 

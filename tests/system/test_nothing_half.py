@@ -8,6 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from pipeline.system.whole_files import (
     clear_abandoned,
     scratch_folder,
     staged_folder,
+    take_places,
     temporary_sibling,
     text_file,
     whole_file,
@@ -70,6 +72,32 @@ def test_a_full_disk_leaves_nothing(write: Callable[[Path], Any], tmp_path: Path
     with pytest.raises(InputError, match="cannot be written"):
         write(tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("moves", range(4))
+def test_a_kill_never_leaves_a_network_beside_another_ones_card(
+    moves: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("srm.onnx", "srm.json", "srm.vectors.npz")
+    made, out = tmp_path / "new" / names[0], tmp_path / names[0]
+    made.parent.mkdir()
+    for file in names:
+        (made.parent / file).write_text("new")
+        (tmp_path / file).write_text("old")
+    left, move = [None] * moves, os.replace
+
+    def killed_after(source: Path, target: Path) -> None:
+        if not left:
+            raise KeyboardInterrupt
+        left.pop()
+        move(source, target)
+
+    monkeypatch.setattr(os, "replace", killed_after)
+    with suppress(KeyboardInterrupt):
+        take_places(made, out)
+    assert out.exists() == (moves == len(names))
+    if out.exists():
+        assert {(tmp_path / name).read_text() for name in names} == {"new"}
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="whether a process is there is asked on POSIX")

@@ -7,7 +7,6 @@ The truth of the held-out pairs is that of the labels after.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,7 +25,7 @@ from pipeline.relations.features import LANGUAGE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import U, letter
 from pipeline.system.errors import require
-from pipeline.system.whole_files import clear_abandoned, temporary_folder
+from pipeline.system.whole_files import clear_abandoned, take_places, temporary_folder
 from pipeline.training.card import network_path, rounded
 from pipeline.training.label_data import LabelData, LabelledFrame, read_label_data
 from pipeline.training.label_training import LabelTraining, train_on_labels
@@ -221,9 +220,7 @@ def retrain(
         texts = {".comparison.json": json.dumps(found.record(), indent=1) + "\n", ".comparison.md": found.markdown()}
         for suffix, text in texts.items():
             files[1].with_suffix(suffix).write_text(text, encoding="utf-8")
-        # The network last: one that is there has its card and its comparison.
-        for suffix in (*texts, ".json", out.suffix):
-            os.replace(files[1].with_suffix(suffix), out.with_suffix(suffix))
+        take_places(files[1], out)
     return found
 
 
