@@ -23,7 +23,6 @@ from pipeline.datasets.demo import DEMO_NAME, demo_run
 from pipeline.datasets.importing import import_recording
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.settings import ASSUMED, DECLARE
-from pipeline.datasets.synthetic import render_dataset
 from pipeline.datasets.up import told_up
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge, labelled_truth
@@ -38,6 +37,7 @@ from pipeline.language.counted import counted
 from pipeline.language.glossary import Term, find_term, glossary, glossary_markdown
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
+from pipeline.synthetic import render_dataset
 from pipeline.system.errors import needed, require
 from spatialviz.cli_ask import Ask, Context, Frames, Glossary, ImportRecording, Measure, Relations, Render
 from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, print_json, warn, warn_skipped

@@ -1,6 +1,6 @@
 """Rooms of another maker: boxes of random size on a floor, on tables and in the air, seen by noisy rays.
 
-Nothing of it is shared with `pipeline.datasets.synthetic`: neither the geometry, nor the
+Nothing of it is shared with `pipeline.synthetic`: neither the geometry, nor the
 cameras, nor the sensor's errors.
 """
 

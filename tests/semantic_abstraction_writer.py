@@ -11,10 +11,9 @@ from typing import Any, Literal
 import h5py
 import numpy as np
 
-from pipeline.datasets import Room, make_room
-from pipeline.datasets.synthetic import camera_at
-from pipeline.datasets.synthetic.render import sense_view
 from pipeline.geometry import Camera, intrinsics
+from pipeline.synthetic import Room, camera_at, make_room
+from pipeline.synthetic.render import sense_view
 
 Written = Literal["literal", "proper", "opengl", "inverse", "metres", "points-down", "nonsense"]
 SCALE = 0.6

@@ -17,6 +17,7 @@ ROOMS = (
     "language",
     "metrics",
     "datasets",
+    "synthetic",
     "proposals",
     "relations",
     "answering",

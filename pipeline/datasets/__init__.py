@@ -32,19 +32,6 @@ if TYPE_CHECKING:
     from pipeline.datasets.scene_mesh import export_mesh, fuse_context
     from pipeline.datasets.semantic_abstraction_file import SUBSETS, subsets_of
     from pipeline.datasets.settings import SOURCES, Settings, parse_level_at, read_settings, write_settings
-    from pipeline.datasets.synthetic import (
-        Instance,
-        Room,
-        choose_views,
-        exact_view,
-        make_room,
-        render_dataset,
-        sense_view,
-    )
-    from pipeline.datasets.synthetic.assembled import assembled_view
-    from pipeline.datasets.synthetic.render import camera_at, sense
-    from pipeline.datasets.synthetic.scattered import make_scattered, roaming_cameras
-    from pipeline.datasets.synthetic.solids import solid_view
     from pipeline.datasets.up import OFF_SCENE, resolved_camera, told_doubts, told_up, with_frame_up
 
 __getattr__ = lazy_exports(__name__, __file__)

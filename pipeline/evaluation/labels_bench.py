@@ -15,8 +15,6 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.bench import fastest
-from pipeline.datasets.synthetic import choose_views, exact_view, make_room
-from pipeline.datasets.synthetic.render import sense
 from pipeline.geometry.camera import Camera, backproject
 from pipeline.geometry.fitting import extents_of
 from pipeline.geometry.lifting import depth_edges, lift
@@ -26,6 +24,8 @@ from pipeline.labels.plan import LabelConfig, SourceSpec
 from pipeline.labels.profiles import judge_viewer_cone
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.relations.relations import directional_states
+from pipeline.synthetic import choose_views, exact_view, make_room
+from pipeline.synthetic.render import sense
 from pipeline.system.errors import MissingExtra, require
 from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import one_thread

@@ -13,8 +13,6 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.datasets.synthetic import choose_views, make_room
-from pipeline.datasets.synthetic.render import camera_at
 from pipeline.geometry.camera import Camera
 from pipeline.language.relation_names import DIRECTIONAL, HORIZONTAL
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, f1_of
@@ -23,6 +21,8 @@ from pipeline.metrics.tables import Row, Table
 from pipeline.relations.features import FEATURES, cli_features
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import rule_probabilities
+from pipeline.synthetic import choose_views, make_room
+from pipeline.synthetic.render import camera_at
 from pipeline.system.errors import require
 from pipeline.system.whole_files import scratch_folder
 from pipeline.system.worker_pool import results_of

@@ -19,16 +19,16 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from pipeline.datasets.synthetic import Instance, Room, choose_views, make_room, sense_view
-from pipeline.datasets.synthetic.assembled import assembled_view
-from pipeline.datasets.synthetic.scattered import make_scattered, roaming_cameras
-from pipeline.datasets.synthetic.solids import solid_view
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.lifting import lift
 from pipeline.geometry.masks import mask_box
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.features import FEATURES, Appearance, FeatureSet
 from pipeline.relations.relations import directional_states
+from pipeline.synthetic import Instance, Room, choose_views, make_room, sense_view
+from pipeline.synthetic.assembled import assembled_view
+from pipeline.synthetic.scattered import make_scattered, roaming_cameras
+from pipeline.synthetic.solids import solid_view
 from pipeline.system.errors import require
 from pipeline.system.worker_pool import results_of
 

@@ -32,7 +32,6 @@ from pipeline.corrections.audit.suspicion import AuditItem, Evidence, wrong_prob
 from pipeline.corrections.audit.systems import SystemAnswers
 from pipeline.datasets import open_dataset
 from pipeline.datasets.base import InMemoryDataset
-from pipeline.datasets.synthetic import render_dataset
 from pipeline.evaluation.sentences import Sentence, SentenceFile
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.language.noun_phrase import readable, same_names
@@ -40,6 +39,7 @@ from pipeline.language.relation_names import INVERSE, PAIRWISE, PHRASE
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions, leaked, resized
 from pipeline.relations.pair_measures import Measured, Profile, T, U, measure_pairs
 from pipeline.relations.predicates import PREDICATES, pair_states
+from pipeline.synthetic import render_dataset
 from pipeline.system.errors import InputError
 
 WAYS = ("same class", "other class", "word", "several")

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.datasets.synthetic import Instance, Room
-from pipeline.datasets.synthetic import decor as c
-from pipeline.datasets.synthetic import furniture as f
-from pipeline.datasets.synthetic import objects as o
-from pipeline.datasets.synthetic.layout import Layout
-from pipeline.datasets.synthetic.model import PALETTES, Material, Model, Palette, Surface, assemble, cloth, wood
-from pipeline.datasets.synthetic.shapes import block
+from pipeline.synthetic import Instance, Room
+from pipeline.synthetic import decor as c
+from pipeline.synthetic import furniture as f
+from pipeline.synthetic import objects as o
+from pipeline.synthetic.layout import Layout
+from pipeline.synthetic.model import PALETTES, Material, Model, Palette, Surface, assemble, cloth, wood
+from pipeline.synthetic.shapes import block
 
 Rng = np.random.Generator
 Maker = Callable[[Palette, Rng], Model]

@@ -36,13 +36,13 @@ from pipeline.answering.opening import open_pipeline
 from pipeline.answering.predictions import Prediction, write_predictions
 from pipeline.datasets.base import Dataset
 from pipeline.datasets.demo import demo_labels
-from pipeline.datasets.synthetic import render_dataset
 from pipeline.evaluation.imported_rows import imported_rows
 from pipeline.evaluation.run import class_names_of
 from pipeline.labels.cases import read_cases
 from pipeline.labels.job import label
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.metrics.intervals import share_estimate
+from pipeline.synthetic import render_dataset
 
 FAULTS = ("OPM-TARGET", "OPM-REF", "LIFT", "SRM", "OPM-CONF", "PRM")
 """The modules in which faults are planted; each is the verdict that names it. A fault is one, or "MODULE kind"."""

@@ -15,9 +15,9 @@ from benchmarks.house_space import House, Placed
 from other_makers import MIN_PIXELS, Regime, Seen, seen_objects
 from scipy.special import ndtri
 
-from pipeline.datasets.synthetic.raycast import Tracer, pixel_rays, pose_of
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.viewer import viewer_axes
+from pipeline.synthetic.raycast import Tracer, pixel_rays, pose_of
 
 ROOMS, CAMERAS = 60, 150
 """Rooms tried for a world, and cameras tried in a room."""

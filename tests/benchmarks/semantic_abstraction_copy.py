@@ -20,8 +20,8 @@ from semantic_abstraction_writer import FIRST_OBJECT, RenderedView, scene_clouds
 
 from pipeline.datasets.semantic_abstraction import RELATIONS
 from pipeline.datasets.semantic_abstraction_file import NOVEL_CLASSES
-from pipeline.datasets.synthetic import Room, camera_at, exact_view, make_room, render_view
 from pipeline.geometry.camera import Camera, intrinsics
+from pipeline.synthetic import Room, camera_at, exact_view, make_room, render_view
 
 HEIGHT_M = 1.576
 NAMES = {

@@ -37,7 +37,7 @@ def demo(label_sets: dict[str, Labels]) -> LabelData:
 def rooms() -> tuple[LabelData, LabelData]:
     """Cameras are the best of few and not of many: choosing them costs most."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", 4)
+        patch.setattr("pipeline.synthetic.render.CANDIDATES", 4)
         return review_rooms(SMALL)
 
 

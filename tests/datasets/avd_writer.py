@@ -10,9 +10,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.datasets import camera_at, make_room
-from pipeline.datasets.synthetic.render import sense_view
 from pipeline.geometry import Camera, intrinsics
+from pipeline.synthetic import camera_at, make_room
+from pipeline.synthetic.render import sense_view
 
 FX, FY, CX, CY = 1049.51, 1092.28, 927.269, 545.76
 CAMERA_LINE = f"1 OPENCV 1920 1080 {FX} {FY} {CX} {CY} 0.382444 0.105826 0.000859549 -0.00143275"

@@ -24,7 +24,6 @@ from pipeline.datasets import (
     examine,
     open_dataset,
     read_settings,
-    render_dataset,
     write_settings,
 )
 from pipeline.datasets.doctor.examine import chosen_frames, examine_frames
@@ -33,6 +32,7 @@ from pipeline.datasets.settings import FILE_NAME
 from pipeline.geometry import Frame, to_world
 from pipeline.geometry.pose_convention import as_convention
 from pipeline.language import size_factor
+from pipeline.synthetic import render_dataset
 from pipeline.system import InputError
 
 SUBJECTS = ("poses", "depth scale", "focal length", "principal point")
@@ -154,7 +154,7 @@ def test_a_declared_up_that_level_planes_contradict(room: list[Frame]) -> None:
 def test_poses_of_neighbours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Six views of a room in a row, each with the pose of the next."""
     # Cameras are the best of few and not of many: choosing them costs most.
-    monkeypatch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", 4)
+    monkeypatch.setattr("pipeline.synthetic.render.CANDIDATES", 4)
     render_dataset(tmp_path / "room", rooms=1, views=6, seed=3, width=320, height=240)
     dataset = open_dataset(tmp_path / "room")
     frames = [dataset.load(frame_id) for frame_id in dataset.frame_ids]

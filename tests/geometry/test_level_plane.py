@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 from scenes import Plane, angle_deg, camera_of, cast, up_of, upright
 from test_viewer import noisy
 
-from pipeline.datasets import make_room, sense_view
-from pipeline.datasets.synthetic import camera_at
 from pipeline.geometry import (
     IMAGE_UP,
     MIN_SCORE,
@@ -26,6 +24,7 @@ from pipeline.geometry import (
 )
 from pipeline.geometry.floor_or_wall import LOOKED_UP_DEG, block_noise, may_be_wall, surface_blocks
 from pipeline.geometry.level_plane import NOISY, _of_surface, level_plane
+from pipeline.synthetic import camera_at, make_room, sense_view
 from pipeline.system import InputError
 
 CAMERA = camera_of()

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from needs import needs
 
-from pipeline.datasets import choose_views, make_room
 from pipeline.language import DIRECTIONAL
 from pipeline.metrics import BootstrapConfig, Estimate
+from pipeline.synthetic import choose_views, make_room
 from pipeline.system import InputError
 from pipeline.training import AblationConfig, TrainConfig
 from pipeline.training.ablation import (
@@ -38,7 +38,7 @@ QUICK = BootstrapConfig(resamples=300)
 def views() -> AblationViews:
     """Cameras are the best of few and not of many: choosing them costs most."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", 4)
+        patch.setattr("pipeline.synthetic.render.CANDIDATES", 4)
         return ablation_views(SMALL)
 
 

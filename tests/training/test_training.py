@@ -11,11 +11,10 @@ import pytest
 from needs import needs
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from pipeline.datasets import choose_views, make_room, sense_view
-from pipeline.datasets.synthetic import render_view
 from pipeline.language import DIRECTIONAL
 from pipeline.metrics import fit_calibration, fit_platt, sigmoid
 from pipeline.relations import FEATURES, OnnxScorer
+from pipeline.synthetic import choose_views, make_room, render_view, sense_view
 from pipeline.system import InputError, MissingExtra
 from pipeline.training import (
     FrameSamples,
@@ -168,7 +167,7 @@ def test_rooms_are_split_from_rooms() -> None:
 @pytest.fixture
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cameras are the best of few and not of many, and assembled rooms are few: they cost most."""
-    monkeypatch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", 4)
+    monkeypatch.setattr("pipeline.synthetic.render.CANDIDATES", 4)
     monkeypatch.setattr("pipeline.training.training_data.ASSEMBLED_A_ROOM", ASSEMBLED)
 
 

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from needs import needs
 
-from pipeline.datasets import Room, assembled_view, exact_view, make_scattered, roaming_cameras, solid_view
-from pipeline.datasets.synthetic.layout import Instance, overlaps, part_boxes
-from pipeline.datasets.synthetic.scattered import NEAR_SHARE, NEAREST_M, SCATTERED, TABLE_TOP
-from pipeline.datasets.synthetic.solids import Solid, solid
 from pipeline.geometry import lift_pixels, viewer_axes
+from pipeline.synthetic import Room, assembled_view, exact_view, make_scattered, roaming_cameras, solid_view
+from pipeline.synthetic.layout import Instance, overlaps, part_boxes
+from pipeline.synthetic.scattered import NEAR_SHARE, NEAREST_M, SCATTERED, TABLE_TOP
+from pipeline.synthetic.solids import Solid, solid
 from pipeline.training import make_samples
 
 pytestmark = needs("embreex")

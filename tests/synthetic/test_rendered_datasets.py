@@ -15,10 +15,9 @@ import pytest
 from room_checks import frame_of, room_of
 from slow_cases import mostly_slow
 
-from pipeline.datasets import make_room, render_dataset
-from pipeline.datasets.synthetic import dataset as dataset_module
-from pipeline.datasets.synthetic import render
 from pipeline.geometry import Box3D
+from pipeline.synthetic import dataset as dataset_module
+from pipeline.synthetic import make_room, render, render_dataset
 from pipeline.system import InputError, MissingExtra
 
 SIZE: dict[str, Any] = {"width": 96, "height": 72}
@@ -36,7 +35,7 @@ def files_below(root: Path) -> list[str]:
 def few_candidates() -> Iterator[None]:
     """Cameras are the best of few and not of many: choosing them costs most, and no test here is about them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", 6)
+        patch.setattr("pipeline.synthetic.render.CANDIDATES", 6)
         yield
 
 
@@ -61,7 +60,7 @@ def test_the_same_seed_gives_the_same_bytes_whatever_the_workers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Other processes know nothing of fewer candidates.
-    monkeypatch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", MANY)
+    monkeypatch.setattr("pipeline.synthetic.render.CANDIDATES", MANY)
     rendered = tmp_path / "one"
     render_dataset(rendered, rooms=2, views=2, seed=3, **SIZE)
     render_dataset(tmp_path / "two", rooms=2, views=2, seed=3, workers=2, **SIZE)
@@ -120,7 +119,7 @@ def test_what_is_written_is_bop_and_agrees_with_the_room(rendered: Path) -> None
 
 @pytest.mark.slow
 def test_visible_share_tells_hidden_things_from_open_ones() -> None:
-    from pipeline.datasets.synthetic.raycast import silhouette
+    from pipeline.synthetic.raycast import silhouette
 
     frame = frame_of(1)
     room = room_of(1)

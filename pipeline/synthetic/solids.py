@@ -12,9 +12,9 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from pipeline.datasets.synthetic.raycast import pose_of
-from pipeline.datasets.synthetic.render import camera_at
 from pipeline.geometry.camera import Camera
+from pipeline.synthetic.raycast import pose_of
+from pipeline.synthetic.render import camera_at
 
 Rng = np.random.Generator
 

@@ -7,8 +7,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from pipeline.datasets import Room, choose_views, make_room
-from pipeline.datasets.synthetic import RenderedFrame, render_view
+from pipeline.synthetic import RenderedFrame, Room, choose_views, make_room, render_view
 
 
 @lru_cache(maxsize=8)
@@ -20,6 +19,6 @@ def room_of(seed: int) -> Room:
 def frame_of(seed: int) -> RenderedFrame:
     with pytest.MonkeyPatch.context() as patch:
         # The best of few cameras and not of many: to choose costs more than to render.
-        patch.setattr("pipeline.datasets.synthetic.render.CANDIDATES", 8)
+        patch.setattr("pipeline.synthetic.render.CANDIDATES", 8)
         camera = choose_views(room_of(seed), 1, np.random.default_rng(seed), 160, 120)[0]
     return render_view(room_of(seed), camera, np.random.default_rng(0))

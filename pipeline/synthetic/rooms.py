@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.synthetic import decor as c
-from pipeline.datasets.synthetic import furniture as f
-from pipeline.datasets.synthetic import objects as o
-from pipeline.datasets.synthetic.layout import Focus, Layout, Room
-from pipeline.datasets.synthetic.model import PALETTES, Model, Palette, Part, Surface, assemble
-from pipeline.datasets.synthetic.shell import build_shell, window_opening
+from pipeline.synthetic import decor as c
+from pipeline.synthetic import furniture as f
+from pipeline.synthetic import objects as o
+from pipeline.synthetic.layout import Focus, Layout, Room
+from pipeline.synthetic.model import PALETTES, Model, Palette, Part, Surface, assemble
+from pipeline.synthetic.shell import build_shell, window_opening
 from pipeline.system.errors import require
 
 KINDS = ("study", "dining room", "living room", "bedroom")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import (
+from pipeline.synthetic.model import (
     BLACK,
     BRASS,
     PAPER,
@@ -19,7 +19,7 @@ from pipeline.datasets.synthetic.model import (
     pick,
     rgb,
 )
-from pipeline.datasets.synthetic.shapes import SIDES, ball, block, cylinder, joined, lathe, leaf, ring, rod
+from pipeline.synthetic.shapes import SIDES, ball, block, cylinder, joined, lathe, leaf, ring, rod
 
 Rng = np.random.Generator
 

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import Material, Part
+from pipeline.synthetic.model import Material, Part
 
 Vec = Sequence[float]
 Value = TypeVar("Value")

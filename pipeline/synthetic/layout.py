@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import Model, Part, axis_rotation
 from pipeline.geometry.boxes import Box3D
+from pipeline.synthetic.model import Model, Part, axis_rotation
 
 FLOOR, WALL = -1, -2
 """What an instance rests on, where that is not another instance."""

@@ -9,14 +9,13 @@ from hypothesis import strategies as st
 from room_checks import frame_of, room_of
 from slow_cases import mostly_slow
 
-from pipeline.datasets import Room, choose_views, make_room, sense
-from pipeline.datasets.synthetic import camera_at, render_view
-from pipeline.datasets.synthetic.layout import FLOOR, TOUCH_M, WALL, overlaps, part_boxes
-from pipeline.datasets.synthetic.lighting import sunlight
-from pipeline.datasets.synthetic.model import Model
-from pipeline.datasets.synthetic.raycast import OFFSET_M, build_scene, find_surfaces, pixel_rays
-from pipeline.datasets.synthetic.render import exact_view, noise_sigma
 from pipeline.geometry import lift_pixels, to_world
+from pipeline.synthetic import Room, camera_at, choose_views, make_room, render_view, sense
+from pipeline.synthetic.layout import FLOOR, TOUCH_M, WALL, overlaps, part_boxes
+from pipeline.synthetic.lighting import sunlight
+from pipeline.synthetic.model import Model
+from pipeline.synthetic.raycast import OFFSET_M, build_scene, find_surfaces, pixel_rays
+from pipeline.synthetic.render import exact_view, noise_sigma
 from pipeline.system import InputError
 
 SEEDS = (0, 1, 2, 3, 4, 9)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.synthetic import textures
-from pipeline.datasets.synthetic.layout import Room
-from pipeline.datasets.synthetic.model import Material, Model
 from pipeline.geometry.camera import Camera
+from pipeline.synthetic import textures
+from pipeline.synthetic.layout import Room
+from pipeline.synthetic.model import Material, Model
 from pipeline.system.errors import MissingExtra, needed
 
 SMOOTH_COS = float(np.cos(np.deg2rad(50)))

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.datasets.synthetic.model import TextureKey, rgb
+from pipeline.synthetic.model import TextureKey, rgb
 
 SIZE = 512
 

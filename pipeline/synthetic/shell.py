@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import BRASS, Material, Palette, Part, rgb
-from pipeline.datasets.synthetic.shapes import SIDES, block, cylinder, each, rod, sheet
+from pipeline.synthetic.model import BRASS, Material, Palette, Part, rgb
+from pipeline.synthetic.shapes import SIDES, block, cylinder, each, rod, sheet
 
 Rng = np.random.Generator
 WALL_M = 0.16

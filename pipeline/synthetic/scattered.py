@@ -11,15 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.datasets.synthetic import decor as c
-from pipeline.datasets.synthetic import furniture as f
-from pipeline.datasets.synthetic import objects as o
-from pipeline.datasets.synthetic.layout import Layout, Room, overlaps, part_boxes
-from pipeline.datasets.synthetic.model import PALETTES, Material, Model, Palette, Part, Surface, assemble, rgb
-from pipeline.datasets.synthetic.raycast import build_scene, pixel_rays
-from pipeline.datasets.synthetic.render import PROBE, camera_at
-from pipeline.datasets.synthetic.shapes import ball, block, cylinder, lathe
 from pipeline.geometry.camera import Camera, intrinsics
+from pipeline.synthetic import decor as c
+from pipeline.synthetic import furniture as f
+from pipeline.synthetic import objects as o
+from pipeline.synthetic.layout import Layout, Room, overlaps, part_boxes
+from pipeline.synthetic.model import PALETTES, Material, Model, Palette, Part, Surface, assemble, rgb
+from pipeline.synthetic.raycast import build_scene, pixel_rays
+from pipeline.synthetic.render import PROBE, camera_at
+from pipeline.synthetic.shapes import ball, block, cylinder, lathe
 
 Rng = np.random.Generator
 Make = Callable[[Palette, Rng], Model]

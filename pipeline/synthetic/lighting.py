@@ -10,7 +10,8 @@ from itertools import product
 
 import numpy as np
 
-from pipeline.datasets.synthetic.raycast import (
+from pipeline.geometry.camera import Camera
+from pipeline.synthetic.raycast import (
     OFFSET_M,
     Looks,
     Scene,
@@ -21,7 +22,6 @@ from pipeline.datasets.synthetic.raycast import (
     reflectance,
     resolve,
 )
-from pipeline.geometry.camera import Camera
 
 SUN = np.array([3.7, 3.2, 2.5], dtype=np.float32)
 LAMP = np.array([3.3, 2.9, 2.4], dtype=np.float32)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import (
+from pipeline.synthetic.model import (
     BRASS,
     WHITE,
     Material,
@@ -22,7 +22,7 @@ from pipeline.datasets.synthetic.model import (
     rgb,
     wood,
 )
-from pipeline.datasets.synthetic.shapes import SIDES, block, cylinder, each, joined, lathe, pillow, rod
+from pipeline.synthetic.shapes import SIDES, block, cylinder, each, joined, lathe, pillow, rod
 
 Rng = np.random.Generator
 

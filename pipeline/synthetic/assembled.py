@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from pipeline.datasets.synthetic.raycast import Tracer, pixel_rays, pose_of
-from pipeline.datasets.synthetic.render import camera_at
 from pipeline.geometry.camera import Camera, intrinsics
 from pipeline.geometry.viewer import viewer_axes
+from pipeline.synthetic.raycast import Tracer, pixel_rays, pose_of
+from pipeline.synthetic.render import camera_at
 from pipeline.system.arrow import LazyModule
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.datasets.synthetic.layout import Room
-from pipeline.datasets.synthetic.raycast import pose_of, silhouette
-from pipeline.datasets.synthetic.render import RenderedFrame, choose_views, render_view
-from pipeline.datasets.synthetic.rooms import make_room
+from pipeline.synthetic.layout import Room
+from pipeline.synthetic.raycast import pose_of, silhouette
+from pipeline.synthetic.render import RenderedFrame, choose_views, render_view
+from pipeline.synthetic.rooms import make_room
 from pipeline.system.errors import require
 from pipeline.system.plugins import versions_of
 from pipeline.system.whole_files import temporary_folder

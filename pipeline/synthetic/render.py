@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.datasets.synthetic.layout import Focus, Room
-from pipeline.datasets.synthetic.lighting import render_colour
-from pipeline.datasets.synthetic.raycast import Scene, build_scene, find_surfaces, pixel_rays, pose_of
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, intrinsics
+from pipeline.synthetic.layout import Focus, Room
+from pipeline.synthetic.lighting import render_colour
+from pipeline.synthetic.raycast import Scene, build_scene, find_surfaces, pixel_rays, pose_of
 
 
 @dataclass(frozen=True)
