@@ -67,13 +67,8 @@ from spatialviz.cli_labels import (
     Undo,
 )
 from spatialviz.cli_models import (
+    Ablation,
     Agree,
-    Bench,
-    BenchDetect,
-    BenchEval,
-    BenchLabel,
-    BenchReview,
-    BenchSrm,
     Calibrate,
     Detect,
     Install,
@@ -135,17 +130,14 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "train": (Train, "run_training"),
         "retrain": (Retrain, "run_training"),
         "install": (Install, "run_training"),
-    },
-    "bench": {
-        "bench": (Bench, "run_bench"),
-        "bench-label": (BenchLabel, "run_bench"),
-        "bench-eval": (BenchEval, "run_bench"),
-        "bench-srm": (BenchSrm, "run_bench"),
-        "bench-review": (BenchReview, "run_bench"),
-        "bench-detect": (BenchDetect, "run_bench"),
+        "ablation": (Ablation, "run_training"),
     },
 }
 """Every command: its options, and the module of the function that runs it."""
+RENAMED = {"bench srm": "ablation", "bench-srm": "ablation"}
+"""Earlier names of commands, which still work."""
+REMOVED = {"bench": "benches are scripts of a checkout: `cd tests; python -m benchmarks.stages`, and others beside it"}
+"""Earlier commands, and where they went."""
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 ABOUT = "See why an RGB-D spatial-reasoning pipeline answered what it answered."
 
@@ -271,6 +263,9 @@ def _run_words(arguments: list[str]) -> int:
     arguments = _with_limits(arguments)
     if not arguments or arguments[0].startswith("-"):
         arguments = ["view", *arguments]
-    if arguments[0] == "bench" and arguments[1:2] and f"bench-{arguments[1]}" in COMMANDS:
-        arguments = [f"bench-{arguments[1]}", *arguments[2:]]
+    for count in (2, 1):
+        if new := RENAMED.get(" ".join(arguments[:count])):
+            arguments = [new, *arguments[count:]]
+    if gone := REMOVED.get(arguments[0].partition("-")[0]):
+        raise InputError(f"'{arguments[0]}' is no command any more", cause=gone)
     return run(arguments)

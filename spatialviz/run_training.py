@@ -17,12 +17,13 @@ from pipeline.metrics.tables import shown
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import require
+from pipeline.training.ablation import AblationConfig, compare_features
 from pipeline.training.card import RoomConfig, train_on_rooms
 from pipeline.training.label_training import LabelTraining, train_on_labels
 from pipeline.training.train import Epoch, TrainConfig
-from spatialviz.cli_models import Install, Retrain, Train
+from spatialviz.cli_models import Ablation, Install, Retrain, Train
 from spatialviz.options import warn
-from spatialviz.printing import figure, print_rows, print_table, progress_bars, say
+from spatialviz.printing import figure, print_rows, print_table, progress_bars, say, table_record
 
 ROOMS = "rooms"
 OF_ROOMS, OF_LABELS = ("rooms", "views", "width", "height", "members"), ("vectors", "split", "pairs", "normalised")
@@ -230,3 +231,18 @@ def print_retraining_run(done: RetrainingRun) -> None:
                 f"({gain.value * 100:+.1f} points [{gain.low * 100:.1f}, {gain.high * 100:.1f}])"
             )
     say(f"-> {done.folder}; spatialviz install {done.network} --name NAME takes it into use", style="dim")
+
+
+def run_ablation(command: Ablation) -> None:
+    config = AblationConfig(
+        rooms=command.rooms,
+        views=command.views,
+        pairs=command.pairs,
+        features=tuple(CLI_FEATURES[name] for name in command.features),
+        networks=command.networks,
+        labels=command.labels,
+        train=TrainConfig(batch=command.batch, epochs=command.epochs, seed=command.seed),
+    )
+    with progress_bars() as advance:
+        table = compare_features(config, workers=command.workers, progress=advance)
+    command.write(table_record(table), print_table, table)

@@ -37,7 +37,6 @@ HANDED = {
 }
 """What gets its content from the door, and why it has a name of `OPENERS`."""
 OWN = {
-    "answering/bench.py": "/proc",
     "answering/predictions.py open": "written to",
     "corrections/journal/": "the journal, which has checks of its own",
     "corrections/journal_location.py .open": "tries whether a folder can be written",

@@ -43,7 +43,7 @@ def test_all_modules_of_the_core_are_walked(imported: tuple[list[str], set[str]]
         if p != ROOT / "pipeline" / "__init__.py"
     }
     assert set(imported[0]) == files
-    assert {"pipeline.answering.ask", "pipeline.proposals.yolo_seg", "pipeline.answering.bench"} <= files
+    assert {"pipeline.answering.ask", "pipeline.proposals.yolo_seg"} <= files
 
 
 @pytest.mark.parametrize("library", FORBIDDEN)

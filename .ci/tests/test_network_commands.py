@@ -90,22 +90,10 @@ def test_train_writes_a_network_that_answers_and_its_card(tmp_path: Path, capsys
 
 def test_the_command_prints_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     told = ["--rooms", "3", "--views", "1", "--pairs", "300", "--features", "rel14", "--networks", "1", "--epochs", "2"]
-    assert main(["bench", "srm", *told, "--batch", "64", "--workers", "1", "--json"]) == 0
+    assert main(["ablation", *told, "--batch", "64", "--workers", "1", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found) == {"rule", "rel14, 300 pairs"}
     assert 0 < found["rel14, 300 pairs"]["micro-F1"]["value"] < found["rule"]["micro-F1"]["value"] <= 1
-
-
-@pytest.mark.slow
-def test_the_command_prints_the_figures(
-    rooms: tuple[LabelData, LabelData], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pipeline.corrections.review.bench.review_rooms", lambda config, **_: rooms)
-    told = ["--seeds", "1", "--networks", "1", "--folds", "2", "--batch", "64", "--workers", "1"]
-    assert main(["bench", "review", *told, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["mean"]["found"] > 0.8
-    assert len(found["runs"]) == 1
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from pipeline.answering.answer_words import NO_SUCH_PAIR, best_pair, holds, probability, told, why_no_answer
     from pipeline.answering.answering import FrameAnswers, StageClock
     from pipeline.answering.ask import AskConfig, Trace
-    from pipeline.answering.bench import bench_source, run_endurance
     from pipeline.answering.calibrating import annotated_names, calibrate_scores
     from pipeline.answering.frame_store import FrameStore, LoadedFrame, PicturesBehind, ToldUp
     from pipeline.answering.given_places import check_places

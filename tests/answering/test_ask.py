@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.stages import bench_source
 from dataset_writers import write_bop
 from expression_checks import expression_of
 from scenes import frame_of, upright
@@ -20,7 +21,6 @@ from pipeline.answering import (
     PreparedFrame,
     SceneObject,
     all_objects,
-    bench_source,
     contexts,
     open_pipeline,
     open_sources,

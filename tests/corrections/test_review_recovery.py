@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.planted_labels import ReviewBenchConfig, measure_recovery, plant_flips, review_rooms, with_labels
 from needs import needs
 
-from pipeline.corrections import DoubtConfig, ReviewBenchConfig
-from pipeline.corrections.review.bench import measure_recovery, plant_flips, review_rooms, with_labels
+from pipeline.corrections import DoubtConfig
 from pipeline.corrections.review.out_of_fold import PASSES, doubt_labels, stacked, unstacked
 from pipeline.labels import Labels
 from pipeline.language import DIRECTIONAL
@@ -42,7 +42,7 @@ def rooms() -> tuple[LabelData, LabelData]:
 
 
 def test_the_top_of_the_ranking_holds_the_planted_errors(rooms: tuple[LabelData, LabelData]) -> None:
-    """In eight rooms; `spatialviz bench review` measures sixty."""
+    """In eight rooms; `benchmarks.planted_labels` measures sixty."""
     found = measure_recovery(*rooms, SMALL, 0)
     assert found.planted == round(0.1 * found.cells) > 1000
     assert found.found >= 0.9

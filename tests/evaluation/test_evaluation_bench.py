@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks import evaluation_stages as bench
 
-import pipeline.evaluation.bench as bench
 from pipeline.answering import PreparedFrame, StageClock, open_pipeline, record_detections
 from pipeline.answering.objects import mask_iou
 from pipeline.datasets import load_picture

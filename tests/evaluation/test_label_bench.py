@@ -6,8 +6,7 @@ import os
 
 import numpy as np
 import pytest
-
-from pipeline.evaluation.labels_bench import (
+from benchmarks.labelling import (
     FIRST_ROOM,
     BenchView,
     bench_job,
@@ -17,6 +16,7 @@ from pipeline.evaluation.labels_bench import (
     our_lifting,
     pairs_per_second,
 )
+
 from pipeline.labels import SourceSpec
 
 REQUIRED = os.environ.get("SPATIALVIZ_REQUIRE_EXTRAS") == "1"

@@ -55,7 +55,7 @@ def thousand(views: AblationViews) -> Variant:
 def test_a_thousand_pairs_reach_what_is_claimed_on_exact_labels(thousand: Variant, views: AblationViews) -> None:
     """Seven rooms say little of how hard other views are; that the rule loses as much on the same views says more.
 
-    The figures themselves, of many rooms, are those of `spatialviz bench srm`.
+    The figures themselves, of many rooms, are those of `spatialviz ablation`.
     """
     micro, shifted, loss, *_ = thousand.figures(config=QUICK)
     beyond_rule = thousand.figures(measure_rule(views, "exact"), QUICK)[2]

@@ -3,6 +3,5 @@
 `out_of_fold` gives every relation label a probability by a network that has not
 learnt from its scene; `confident` turns these into probabilities that labels are
 wrong; `queue` ranks them together with other `evidence`; `items`, `reviewed` say
-where a review stands; `retraining` compares networks learnt before and after;
-`bench` measures all of it on labels with errors that are known.
+where a review stands; `retraining` compares networks learnt before and after.
 """

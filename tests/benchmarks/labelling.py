@@ -13,8 +13,8 @@ from time import process_time
 from typing import Any
 
 import numpy as np
+from benchmarks.stages import fastest
 
-from pipeline.answering.bench import fastest
 from pipeline.geometry.camera import Camera, backproject
 from pipeline.geometry.fitting import extents_of
 from pipeline.geometry.lifting import depth_edges, lift
@@ -250,3 +250,11 @@ def bench_job(spec: SourceSpec, workers: int) -> dict[str, Any]:
         "kept_per_frame": round(report.manifest.counts["expressions"] / max(report.frames, 1), 1),
         "seconds_for_1500_frames": round(PAPER_FRAMES / rate, 1),
     }
+
+
+if __name__ == "__main__":
+    # cd tests && python -m benchmarks.labelling [DATASET]
+    import json
+    import sys
+
+    print(json.dumps(bench_labels(SourceSpec((sys.argv[1:] or ["demo"])[0])), indent=2))

@@ -227,3 +227,13 @@ def _resident_mb() -> list[float]:
     except (OSError, ValueError, IndexError):
         return []
     return [pages * os.sysconf("SC_PAGE_SIZE") / 2**20]
+
+
+if __name__ == "__main__":
+    # cd tests && python -m benchmarks.stages [DATASET]
+    import json
+    import sys
+
+    from pipeline.answering.opening import open_pipeline
+
+    print(json.dumps(bench_source(open_pipeline((sys.argv[1:] or ["demo"])[0])), indent=2))

@@ -239,3 +239,11 @@ def _training(labels: Labels, count: int) -> dict[str, Any]:
         "pairs_per_s": round(model.pairs / seconds, 1),
         "last_loss": round(model.curve[-1].loss, 4),
     }
+
+
+if __name__ == "__main__":
+    # cd tests && python -m benchmarks.evaluation_stages [DATASET]
+    import json
+    import sys
+
+    print(json.dumps(bench_evaluation(*sys.argv[1:]), indent=2))

@@ -354,3 +354,10 @@ def data_of_samples(samples: Sequence[FrameSamples], exact: bool, features: str 
         frames.append(LabelledFrame(key, view.rows[features], np.zeros(count, np.int32), states, np.arange(count)))
     require(frames, "these views show no two objects", got=f"{len(samples)} views")
     return LabelData(features, DIRECTIONAL, tuple(frames), ("",))
+
+
+if __name__ == "__main__":
+    # cd tests && python -m benchmarks.planted_labels
+    import json
+
+    print(json.dumps(bench_review(ReviewBenchConfig(), workers=2), indent=2))
