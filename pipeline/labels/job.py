@@ -16,7 +16,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.store import Store
 from pipeline.system.detector_setup import with_files
-from pipeline.system.errors import require
+from pipeline.system.errors import as_input_error, require
 
 Engine = Literal["local", "ray"]
 Progress = Callable[[int, int], None]
@@ -123,8 +123,6 @@ def label_dataset(
         needed_ray()
     shards = plan.shards if part is None else part_of(plan.shards, *part)
     store.prepare()
-    save_plan(plan, store)
-    store.clear_unfinished()
     total = sum(len(s.frames) for s in shards)
     reports: list[ShardReport] = []
 
@@ -133,20 +131,27 @@ def label_dataset(
         if progress is not None:
             progress(sum(r.frames for r in reports), total)
 
-    try:
-        if engine == "ray":
-            run_ray(plan, shards, store, workers, done, gpus_a_detector=gpus_a_detector)
-        else:
-            run_local(plan, shards, store, workers, done)
-    finally:
+    # Readers tell what they cannot read: what the system refuses here is writing.
+    with as_input_error(
+        "the labels cannot be written", OSError, got=lambda e: e.strerror or str(e),
+        cause="when there is room, --resume goes on where this ended", path=out,
+    ):  # fmt: skip
+        save_plan(plan, store)
         store.clear_unfinished()
-    require(
-        not input_changed(plan, out),
-        "the dataset changed while it was labelled",
-        cause="remove the labels, and label it again",
-        path=out,
-    )
-    manifest = merge_labels(out, selection) if part is None and not store.remote else None
+        try:
+            if engine == "ray":
+                run_ray(plan, shards, store, workers, done, gpus_a_detector=gpus_a_detector)
+            else:
+                run_local(plan, shards, store, workers, done)
+        finally:
+            store.clear_unfinished()
+        require(
+            not input_changed(plan, out),
+            "the dataset changed while it was labelled",
+            cause="remove the labels, and label it again",
+            path=out,
+        )
+        manifest = merge_labels(out, selection) if part is None and not store.remote else None
     return LabelReport(
         total,
         sum(r.frames for r in reports if r.reused),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import pickle
@@ -11,6 +12,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from waiting import wait_until
@@ -213,6 +215,23 @@ def test_a_dataset_that_changes_under_the_run_is_noticed(tmp_path: Path) -> None
         )
     with pytest.raises(InputError, match="not merged yet"):
         open_labels(tmp_path / "out")
+
+
+@pytest.mark.parametrize("written", ["pipeline.labels.store.write_synced", "pipeline.labels.reading.pq.write_table"])
+def test_a_full_disk_is_told_and_gone_on_from(written: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(written, full)
+        with pytest.raises(InputError, match=r"cannot be written; got No space left .*--resume"):
+            label_dataset(SourceSpec("demo"), out, QUICK, limit=1)
+    assert not list(out.rglob(".*"))
+    with pytest.raises(InputError):
+        open_labels(out)
+    label_dataset(SourceSpec("demo"), out, QUICK, limit=1, resume=True)
+    assert open_labels(out).frames.num_rows == 1
 
 
 # Damage.
