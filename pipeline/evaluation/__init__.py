@@ -11,7 +11,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from pipeline.evaluation.adapters import import_published
     from pipeline.evaluation.browsing import RunRows
-    from pipeline.evaluation.comparing import CHANGES, compare
+    from pipeline.evaluation.comparing import CHANGES, answer_differences, compare
     from pipeline.evaluation.costs import oracle_deltas
     from pipeline.evaluation.facets import with_value
     from pipeline.evaluation.figures import STANDS_IN, Listing, RunFigures, figures_of

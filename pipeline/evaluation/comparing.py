@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
+from pipeline.evaluation.records import read_records
 from pipeline.evaluation.summary import has_verdicts
+from pipeline.geometry.boxes import iou_2d
+from pipeline.labels.cases import HIT
 from pipeline.metrics.intervals import Estimate, McNemar, mcnemar, mean_estimate
 from pipeline.system.arrow import pa
-from pipeline.system.errors import require
+from pipeline.system.door import parse_json, read_text
+from pipeline.system.errors import InputError, require
 
 MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
 CHANGES = {
@@ -174,3 +179,81 @@ def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str
 
 def _named(records: pa.Table, chosen: np.ndarray) -> tuple[dict[str, Any], ...]:
     return tuple(records.select(["id", "frame", "text", "relation"]).take(np.flatnonzero(chosen)).to_pylist())
+
+
+Boxes = tuple[list[float] | None, list[float] | None]
+"""2D boxes of an answer's target and reference, x0, y0, x1, y1 in pixels; None without one."""
+
+
+def answer_differences(first: Path, second: Path) -> dict[str, Any]:
+    """Compare two sets of answers by frame and text, without labels or verdicts.
+
+    Parameters
+    ----------
+    first, second : Path
+        A run folder, or a file of `ask --json`.
+
+    Returns
+    -------
+    dict
+        As JSON: shared, same, only_first, only_second (counts of expressions); answers: of each one that differs its
+        frame, text, what differs ("target" or "reference": the boxes overlap by less than HIT) and both answers.
+
+    Raises
+    ------
+    InputError
+        Neither a run nor answers; no expression in common.
+    """
+    one, other = answered_boxes(first), answered_boxes(second)
+    shared = [key for key in one if key in other]
+    require(shared, "the two have no expression in common", cause="are they of other frames or texts?", path=second)
+    ends = {key: [_overlap(*pair) for pair in zip(one[key], other[key], strict=True)] for key in shared}
+    different = [key for key in shared if min(ends[key]) < HIT]
+
+    def shown(boxes: Boxes) -> dict[str, Any]:
+        return dict(zip(("box", "reference_box"), boxes, strict=True))
+
+    return {
+        "shared": len(shared),
+        "same": len(shared) - len(different),
+        "only_first": len(one) - len(shared),
+        "only_second": len(other) - len(shared),
+        "answers": [
+            {
+                "frame": key[0],
+                "text": key[1],
+                "differs": "target" if ends[key][0] < HIT else "reference",
+                "first": shown(one[key]),
+                "second": shown(other[key]),
+            }
+            for key in different
+        ],
+    }
+
+
+def answered_boxes(path: Path) -> dict[tuple[str, str], Boxes]:
+    """Boxes of each answer by its frame and text, of a run folder or of a file of `ask --json`."""
+    if path.is_dir():
+        rows = read_records(path, ["frame", "text", "box", "reference_box"]).to_pylist()
+        return {(row["frame"], row["text"]): (_rounded(row["box"]), _rounded(row["reference_box"])) for row in rows}
+    found: dict[tuple[str, str], Boxes] = {}
+    for line in filter(str.strip, read_text(path).splitlines()):
+        try:
+            record = parse_json(line, path)
+            answer = record["answer"] or {}
+            ends = ((answer.get(end) or {}).get("bbox") for end in ("target", "reference"))
+            target, reference = map(_rounded, ends)
+            found[record["frame"], record["expression"]["text"]] = target, reference
+        except (AttributeError, KeyError, TypeError, ValueError):
+            expected = "a run folder, or lines of `ask --json`"
+            raise InputError("this is no answer", got=line[:60], expected=expected, path=path) from None
+    return found
+
+
+def _rounded(box: Any) -> list[float] | None:
+    return None if box is None else np.round(np.asarray(box, np.float64).reshape(4), 2).tolist()
+
+
+def _overlap(a: list[float] | None, b: list[float] | None) -> float:
+    """IoU; 1 of two that are missing."""
+    return float(a is b) if a is None or b is None else float(iou_2d(np.array([a]), np.array([b]))[0, 0])
