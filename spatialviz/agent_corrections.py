@@ -56,7 +56,9 @@ class Show(Verb):
     def reply(self, session: Session) -> Reply:
         found, options = allowed(session)
         frame = str(self.frame)
-        command = cli_labels.Show(**options, frame=frame, object=self.object, pair=self.pair, source=pictures(found))
+        command = cli_labels.ShowCommand(
+            **options, frame=frame, object=self.object, pair=self.pair, source=pictures(found)
+        )
         return printed(run_show, command, self.limit)
 
 
@@ -67,7 +69,7 @@ class Journal(Verb):
     last: Annotated[int, Field(ge=1, le=1000, description="So many of the newest.")] = 20
 
     def reply(self, session: Session) -> Reply:
-        return printed(run_journal, cli_labels.ShowJournal(**allowed(session)[1], last=self.last), self.last)
+        return printed(run_journal, cli_labels.JournalCommand(**allowed(session)[1], last=self.last), self.last)
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class Correct(Verb):
     def reply(self, session: Session) -> Reply:
         found, options = allowed(session)
         # Opens no file: the edits are here.
-        command = cli_labels.Correct(**options, edits=Path(), author=found.author, source=pictures(found))
+        command = cli_labels.CorrectCommand(**options, edits=Path(), author=found.author, source=pictures(found))
         actions = actions_of(self.edits)
         return printed(lambda command: apply_edits(command, actions), command)
 
@@ -104,7 +106,9 @@ class Confirm(Verb):
     def reply(self, session: Session) -> Reply:
         found, options = allowed(session)
         of = {"dataset": found.dataset, "frame": str(self.frame), "expression": self.expression, "pair": self.pair}
-        return printed(run_confirm, cli_labels.Confirm(**options, **of, author=found.author, source=found.source))
+        return printed(
+            run_confirm, cli_labels.ConfirmCommand(**options, **of, author=found.author, source=found.source)
+        )
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ class Undo(Verb):
 
     def reply(self, session: Session) -> Reply:
         found, options = allowed(session)
-        return printed(run_undo, cli_labels.Undo(**options, author=found.author, group=self.group))
+        return printed(run_undo, cli_labels.UndoCommand(**options, author=found.author, group=self.group))
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,7 @@ class Redo(Verb):
 
     def reply(self, session: Session) -> Reply:
         found, options = allowed(session)
-        return printed(run_redo, cli_labels.Redo(**options, author=found.author, group=self.group))
+        return printed(run_redo, cli_labels.RedoCommand(**options, author=found.author, group=self.group))
 
 
 READING: dict[str, type[Verb]] = {"show": Show, "journal": Journal}

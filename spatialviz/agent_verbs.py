@@ -294,7 +294,7 @@ class Failures(Verb):
     def reply(self, session: Session) -> Reply:
         run = chosen(session.runs, self.run, "run").run
         second = None if self.compare is None else chosen(session.runs, self.compare, "run").run.records
-        command = cli_ask.Failures(run.folder, self.search, self.limit, self.slices, json=True)
+        command = cli_ask.FailuresCommand(run.folder, self.search, self.limit, self.slices, json=True)
         record, _ = failures_of(command, run.records, second)
         record["slices"] = {name: cut(found, self.limit, "slices") for name, found in record["slices"].items()}
         for part in {"summary", "slices", "facets"} - set(self.parts):

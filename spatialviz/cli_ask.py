@@ -29,7 +29,7 @@ from spatialviz.options import (
 
 
 @dataclass(frozen=True)
-class View:
+class ViewCommand:
     """Open a dataset in the browser; without DATASET, the built-in demo."""
 
     dataset: Positional[str] = "demo"
@@ -66,7 +66,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Ask(Output):
+class AskCommand(Output):
     """Answer expressions such as "mug left of the laptop" on a frame.
 
     Exit status: 0 where a pair stands in the relation that was asked, 1 where there is none: a name was not found, or
@@ -90,7 +90,7 @@ class Ask(Output):
 
 
 @dataclass(frozen=True)
-class Relations(Output):
+class RelationsCommand(Output):
     """Every pair of objects of a frame (or of all frames): each relation's state and probability."""
 
     dataset: DatasetArg
@@ -101,7 +101,7 @@ class Relations(Output):
 
 
 @dataclass(frozen=True)
-class Glossary(Output):
+class GlossaryCommand(Output):
     """What a word of the page or the shell means; without one, all of them."""
 
     word: Positional[str | None] = None
@@ -110,7 +110,7 @@ class Glossary(Output):
 
 
 @dataclass(frozen=True)
-class Measure(Output):
+class MeasureCommand(Output):
     """How far apart two surface points of a frame are, and by how much to the right, up and forward; in metres."""
 
     dataset: DatasetArg
@@ -121,7 +121,7 @@ class Measure(Output):
 
 
 @dataclass(frozen=True)
-class Frames(Output):
+class FramesCommand(Output):
     """Say what is in a dataset, and what is broken: counts, and each note once with how many frames have it."""
 
     dataset: Positional[str]
@@ -138,7 +138,7 @@ class Frames(Output):
 
 
 @dataclass(frozen=True)
-class ImportRecording(Output):
+class ImportRecordingCommand(Output):
     """Write a recording of any layout as color/, depth/, pose/, label/ and spatialviz.toml."""
 
     dataset: Positional[str]
@@ -148,7 +148,7 @@ class ImportRecording(Output):
 
 
 @dataclass(frozen=True)
-class Doctor(Output):
+class DoctorCommand(Output):
     """Find a wrong depth scale, focal length, principal point, pose convention, registration or up of a recording.
 
     It compares the depth of posed frames that overlap, outlines of depth with edges of colour, and level planes. Exit
@@ -164,7 +164,7 @@ class Doctor(Output):
 
 
 @dataclass(frozen=True)
-class Context(Output):
+class ContextCommand(Output):
     """Fuse the posed frames around a frame into a mesh, in its camera frame (extra: open3d)."""
 
     dataset: DatasetArg
@@ -175,7 +175,7 @@ class Context(Output):
 
 
 @dataclass(frozen=True)
-class Render:
+class RenderCommand:
     """Render synthetic annotated RGB-D rooms in BOP format."""
 
     out: Positional[NewFolder]
@@ -191,7 +191,7 @@ class Render:
 
 
 @dataclass(frozen=True)
-class Eval(Output):
+class EvalCommand(Output):
     """Answer every expression of labels, and write tables with intervals, plots and records; or, with --sentences,
     sentences that people wrote, judged without labels."""
 
@@ -252,7 +252,7 @@ class Eval(Output):
 
 
 @dataclass(frozen=True)
-class ImportRun(Output):
+class ImportRunCommand(Output):
     """Judge the predictions of another pipeline: a run with verdicts as far as they go, and all that runs have.
 
     The file is described in docs/predictions.md. Whatever it gives is taken as it stands.
@@ -281,7 +281,7 @@ class ImportRun(Output):
 
 
 @dataclass(frozen=True)
-class JudgeAgain(Output):
+class JudgeAgainCommand(Output):
     """Judge what an earlier version judged, by this one: a run, labels or a case, into a new folder.
 
     A run is answered again by its own models, or by the predictions that it keeps; relations alone are not measured.
@@ -295,7 +295,7 @@ class JudgeAgain(Output):
 
 
 @dataclass(frozen=True)
-class ExportRun(Output):
+class ExportRunCommand(Output):
     """Write a run of `eval` as predictions, with all that led to each answer; `import-run` makes the same run of it."""
 
     run_folder: RunArg
@@ -304,7 +304,7 @@ class ExportRun(Output):
 
 
 @dataclass(frozen=True)
-class Failures(Output):
+class FailuresCommand(Output):
     """What a run got wrong: what a search finds, with the reasons, or, without a search, verdicts, what each module
     costs, slices, and all that failed. With --json also its facets under the search, marks and kept searches."""
 
@@ -321,10 +321,13 @@ class Failures(Output):
     compare: Path | None = None
     """A second run on the same labels: what it fixed and broke is counted, and can be searched for by change:broken,
     change:fixed, change:other_reason, change:verdict, second_verdict:LIFT."""
+    answers: Flag = False
+    """With --compare: only answers that differ, side by side, without labels or verdicts; each of the two may be a file
+    of `ask --json` too, such as of another detector."""
 
 
 @dataclass(frozen=True)
-class Query(Output):
+class QueryCommand(Output):
     """Ask a run in SQL: the view records, and labels_frames, labels_objects, labels_relations, labels_expressions."""
 
     run_folder: RunArg
@@ -335,7 +338,7 @@ class Query(Output):
 
 
 @dataclass(frozen=True)
-class Tables(Output):
+class TablesCommand(Output):
     """The paper's tables of a run, with its published rows; those of the vocabulary of the run's labels."""
 
     run_folder: RunArg
@@ -344,7 +347,7 @@ class Tables(Output):
 
 
 @dataclass(frozen=True)
-class WhatIf(Output):
+class WhatIfCommand(Output):
     """Answer an expression with and without edits: moved boxes, other masks, confidences, thresholds.
 
     Exit status: 0 where a pair stands in the relation after the edits, 1 where none does, 2 for bad usage or input.
@@ -371,7 +374,7 @@ class WhatIf(Output):
 
 
 @dataclass(frozen=True)
-class SaveCase(Output):
+class SaveCaseCommand(Output):
     """Keep one answer as a small folder that `replay` runs again: a failure becomes a regression test."""
 
     dataset: Positional[str]
@@ -390,7 +393,7 @@ class SaveCase(Output):
 
 
 @dataclass(frozen=True)
-class Replay(Output):
+class ReplayCommand(Output):
     """Run kept cases again; status 1 when an answer changed, 2 when a case is damaged."""
 
     cases: Positional[tuple[Path, ...]]
@@ -414,7 +417,7 @@ class Replay(Output):
 
 
 @dataclass(frozen=True)
-class Report(Output):
+class ReportCommand(Output):
     """One self-contained page of an answer: why it failed, the picture, the scene in 3D, all tables."""
 
     dataset: Positional[str]
@@ -433,7 +436,7 @@ class Report(Output):
 
 
 @dataclass(frozen=True)
-class Mcp:
+class McpCommand:
     """Serve agents ask, why, whatif, failures, query and replay over MCP, on standard input and output (extra: mcp)."""
 
     paths: Positional[tuple[str, ...]]

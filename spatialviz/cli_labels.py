@@ -48,7 +48,7 @@ class Selection:
 
 
 @dataclass(frozen=True)
-class Label(Output):
+class LabelCommand(Output):
     """Label a dataset: objects, every relation between them, and sentences that are true of them."""
 
     dataset: DatasetArg
@@ -90,7 +90,7 @@ class Label(Output):
 
 
 @dataclass(frozen=True)
-class Merge(Output):
+class MergeCommand(Output):
     """Merge the shards of `label --shard`, or select expressions anew."""
 
     labels: Positional[str]
@@ -101,7 +101,7 @@ class Merge(Output):
 
 
 @dataclass(frozen=True)
-class Check(OnLabels):
+class CheckCommand(OnLabels):
     """Say what is wrong with labels; exit status 1 where errors stand."""
 
     report: Path | None = None
@@ -119,7 +119,7 @@ OF_AUDIT = (
 
 
 @dataclass(frozen=True)
-class Audit(Output):
+class AuditCommand(Output):
     """Rank the items of a benchmark, or the expressions of labels, by how probably their truth is wrong, with the
     evidence: geometry against it, several right answers, another frame of reference, systems that agree against it."""
 
@@ -139,7 +139,7 @@ class Audit(Output):
 
 
 @dataclass(frozen=True)
-class Export:
+class ExportCommand:
     """Write labels in another format, with where each value comes from."""
 
     labels: LabelsArg
@@ -161,7 +161,7 @@ class Export:
 
 
 @dataclass(frozen=True)
-class Import(OnPictures):
+class ImportCommand(OnPictures):
     """Take over corrections made elsewhere, in a COCO or JSONL export of these labels: all of them, or none.
 
     What differs between the file and what was exported becomes edits in the journal. A value that was corrected in
@@ -196,7 +196,7 @@ class Import(OnPictures):
 
 
 @dataclass(frozen=True)
-class Show(OnPictures):
+class ShowCommand(OnPictures):
     """Show the labels of a frame's objects, of one object or of a pair, field by field, with who or what made each."""
 
     frame: OneFrameArg
@@ -209,7 +209,7 @@ class Show(OnPictures):
 
 
 @dataclass(frozen=True)
-class ShowJournal(OnJournal):
+class JournalCommand(OnJournal):
     """List what people corrected in labels; exit status 1 where there are none, 2 without a journal.
 
     A journal is checked in full whenever it is opened, and refused where it is damaged. To go on with one that is:
@@ -236,7 +236,7 @@ class ShowJournal(OnJournal):
 
 
 @dataclass(frozen=True)
-class Correct(OnPictures):
+class CorrectCommand(OnPictures):
     """Apply a file of edits to labels, all of them or none; exit status 1 where somebody else has been there."""
 
     edits: Path
@@ -254,7 +254,7 @@ class Correct(OnPictures):
 
 
 @dataclass(frozen=True)
-class Confirm(Output):
+class ConfirmCommand(Output):
     """Ask, and say that a pair of the answer is right: from then on the answer is judged by it.
 
     What the labels lack of its two objects is added with the pixels of the answer's. Exit status 1 where somebody else
@@ -287,17 +287,17 @@ class OfPerson(OnJournal):
 
 
 @dataclass(frozen=True)
-class Undo(OfPerson):
+class UndoCommand(OfPerson):
     """Take back a person's newest action; exit status 1 where there is none, or somebody built upon it."""
 
 
 @dataclass(frozen=True)
-class Redo(OfPerson):
+class RedoCommand(OfPerson):
     """Bring back what a person took back last; exit status as of undo."""
 
 
 @dataclass(frozen=True)
-class Effective(OnPictures):
+class EffectiveCommand(OnPictures):
     """Write labels with all corrections applied, as an ordinary labels folder with provenance."""
 
     out: NewFolder
@@ -306,7 +306,7 @@ class Effective(OnPictures):
 
 
 @dataclass(frozen=True)
-class Review(OnPictures):
+class ReviewCommand(OnPictures):
     """Rank labels by how probably they are wrong, each with the reasons; tell how far a review of them has come."""
 
     limit: int = 50

@@ -28,7 +28,7 @@ from spatialviz.options import (
 
 
 @dataclass(frozen=True)
-class Detect(Output):
+class DetectCommand(Output):
     """Run a detector over a dataset and record what it finds, for --detector recorded."""
 
     dataset: DatasetArg
@@ -40,7 +40,7 @@ class Detect(Output):
 
 
 @dataclass(frozen=True)
-class Agree(Output):
+class AgreeCommand(Output):
     """How far two detectors agree: on frames, class by class, and on their scores.
 
     A is the detector, with what --fuse adds to it; B the one of --also. Exit status 1 where neither finds anything that
@@ -58,7 +58,7 @@ class Agree(Output):
 
 
 @dataclass(frozen=True)
-class Calibrate(Output):
+class CalibrateCommand(Output):
     """Fit what a detector's scores mean on annotated frames that it was not trained on, and show the effect."""
 
     dataset: Positional[str]
@@ -71,7 +71,7 @@ class Calibrate(Output):
 
 
 @dataclass(frozen=True)
-class Models(Output):
+class ModelsCommand(Output):
     """Which model files can be used and what is here; for a file, which option reads it, or why none does."""
 
     files: Positional[tuple[Path, ...]] = ()
@@ -79,7 +79,7 @@ class Models(Output):
 
 
 @dataclass(frozen=True)
-class Train(Output):
+class TrainCommand(Output):
     """Train a relation network on labels or on rendered rooms, calibrate it, and measure it on what it has not seen."""
 
     labels: Positional[str]
@@ -118,7 +118,7 @@ class Train(Output):
 
 
 @dataclass(frozen=True)
-class Retrain(OnPictures):
+class RetrainCommand(OnPictures):
     """Train relation networks on labels before and after they were mended, and compare them on held-out frames.
 
     The labels after are those of the folder AFTER, or LABELS with the corrections of their journal; with --run, the run
@@ -142,7 +142,7 @@ class Retrain(OnPictures):
 
 
 @dataclass(frozen=True)
-class Install(Output):
+class InstallCommand(Output):
     """Install a relation network under a name that --srm takes."""
 
     network: Positional[Path]
@@ -153,7 +153,7 @@ class Install(Output):
 
 
 @dataclass(frozen=True)
-class Ablation(Output):
+class AblationCommand(Output):
     """Train relation networks on rendered rooms, and measure them in other rooms and from other cameras."""
 
     rooms: int = 120

@@ -39,7 +39,16 @@ from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
 from pipeline.synthetic import render_dataset
 from pipeline.system.errors import needed, require
-from spatialviz.cli_ask import Ask, Context, Frames, Glossary, ImportRecording, Measure, Relations, Render
+from spatialviz.cli_ask import (
+    AskCommand,
+    ContextCommand,
+    FramesCommand,
+    GlossaryCommand,
+    ImportRecordingCommand,
+    MeasureCommand,
+    RelationsCommand,
+    RenderCommand,
+)
 from spatialviz.options import ALL_FRAMES, FINE, NO, SourceOptions, numbers, one_frame, print_json, warn, warn_skipped
 from spatialviz.printing import print_rows, print_summary, rate_bar, say
 from spatialviz.report.picture import save_picture
@@ -47,7 +56,7 @@ from spatialviz.report.picture import save_picture
 SHOWN_PAIRS = 5
 
 
-def run_ask(command: Ask) -> int:
+def run_ask(command: AskCommand) -> int:
     if command.complete:
         return _complete(command)
     require(command.expressions, "an expression is missing", expected='for example "mug left of the laptop"')
@@ -69,7 +78,7 @@ def run_ask(command: Ask) -> int:
     return FINE if answered else NO
 
 
-def _opened(command: Ask) -> tuple[Pipeline, Labels | None, EvalSpec | None]:
+def _opened(command: AskCommand) -> tuple[Pipeline, Labels | None, EvalSpec | None]:
     """What answers, by what it is judged, and the run that is asked."""
     labels = None if command.labels is None else open_labels(command.labels)
     if command.run_folder is None:
@@ -87,7 +96,7 @@ def _opened(command: Ask) -> tuple[Pipeline, Labels | None, EvalSpec | None]:
     return run.source, run.labels, run.spec
 
 
-def _complete(command: Ask) -> int:
+def _complete(command: AskCommand) -> int:
     """Print what may come next of an expression."""
     source, labels, _ = _opened(command)
     context = source.prepare(one_frame(source.dataset.frame_ids, command.frame, source.dataset.root))
@@ -99,7 +108,7 @@ def _complete(command: Ask) -> int:
     return FINE if found else NO
 
 
-def run_relations(command: Relations) -> int:
+def run_relations(command: RelationsCommand) -> int:
     relations = VOCABULARIES[command.vocabulary]
     pairs = 0
     for found in relate_frames(command.source.open(command.dataset, command.frame), command.frame, warn_skipped):
@@ -108,7 +117,7 @@ def run_relations(command: Relations) -> int:
     return FINE if pairs else NO
 
 
-def run_measure(command: Measure) -> None:
+def run_measure(command: MeasureCommand) -> None:
     source = open_pipeline(command.dataset, **command.camera.camera(command.frame))
     context = source.prepare(one_frame(source.dataset.frame_ids, command.frame, source.dataset.root))
     (u0, v0), (u1, v1) = (
@@ -120,7 +129,7 @@ def run_measure(command: Measure) -> None:
     command.write(record, print_measurement, found, context)
 
 
-def run_frames(command: Frames) -> int:
+def run_frames(command: FramesCommand) -> int:
     camera = command.camera.camera()
     sources, left_out = open_sources(command.dataset, **camera, srm="rule", browse=True)
     for name, reason in left_out.items():
@@ -133,7 +142,7 @@ def run_frames(command: Frames) -> int:
     return FINE if usable else NO
 
 
-def _survey_frames(command: Frames, dataset: Dataset, camera: dict[str, Any], named: dict[str, str]) -> int:
+def _survey_frames(command: FramesCommand, dataset: Dataset, camera: dict[str, Any], named: dict[str, str]) -> int:
     """Tell what is in one dataset; returns how many of its frames can be used."""
     if command.remember:
         more = {key: camera[key] for key in ("poses", "registration")}
@@ -166,7 +175,7 @@ def _survey_frames(command: Frames, dataset: Dataset, camera: dict[str, Any], na
     return record["frames_usable"]
 
 
-def run_import_recording(command: ImportRecording) -> int:
+def run_import_recording(command: ImportRecordingCommand) -> int:
     dataset = open_pipeline(command.dataset, **command.camera.camera(), srm="rule").dataset
     with rate_bar("writing", "frames") as advance:
         report = import_recording(dataset, command.out, advance)
@@ -186,7 +195,7 @@ def print_plan(plan: CameraPlan) -> None:
         say(f"  {frame}  {x:7.2f} {y:7.2f}  looks {math.degrees(math.atan2(b, a)):4.0f}°")
 
 
-def run_glossary(command: Glossary) -> None:
+def run_glossary(command: GlossaryCommand) -> None:
     if command.markdown:
         print(glossary_markdown(), end="")
         return
@@ -201,7 +210,7 @@ def print_terms(terms: Iterable[Term]) -> None:
         say((term.name, "bold"), f" ({term.group}): {term.hint}")
 
 
-def run_context(command: Context) -> None:
+def run_context(command: ContextCommand) -> None:
     dataset = open_pipeline(command.dataset, **command.camera.camera(command.frame)).dataset
     frame = dataset.load(one_frame(dataset.frame_ids, command.frame, dataset.root))
     mesh = fuse_context(dataset, frame)
@@ -210,7 +219,7 @@ def run_context(command: Context) -> None:
     command.write(record, say, f"{mesh.frames} frames around {frame.id}: {len(mesh.faces)} faces -> {command.out}")
 
 
-def run_render(command: Render) -> None:
+def run_render(command: RenderCommand) -> None:
     with rate_bar("rendering", "views") as advance:
         report = render_dataset(
             command.out,

@@ -9,11 +9,11 @@ from pipeline.corrections.audit.report import AuditReport
 from pipeline.corrections.review.queue import QueueConfig
 from pipeline.language.counted import counted
 from pipeline.system.errors import require
-from spatialviz.cli_labels import Audit
+from spatialviz.cli_labels import AuditCommand
 from spatialviz.printing import print_rows, print_table, rate_bar, say
 
 
-def run_audit(command: Audit) -> None:
+def run_audit(command: AuditCommand) -> None:
     require(command.limit >= 0, "--limit must not be negative", got=command.limit)
     queue = QueueConfig() if command.networks else None
     with rate_bar("auditing", "items") as advance:
@@ -26,7 +26,7 @@ def run_audit(command: Audit) -> None:
     command.write(chain([report.record()], islice(report.records(), command.limit)), print_audit, report, command)
 
 
-def print_audit(report: AuditReport, command: Audit) -> None:
+def print_audit(report: AuditReport, command: AuditCommand) -> None:
     """What speaks against the items, the first of them, and where all lie."""
     if report.systems is not None:
         print_table(report.systems)

@@ -28,7 +28,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_ask import Replay, Report, SaveCase, WhatIf
+from spatialviz.cli_ask import ReplayCommand, ReportCommand, SaveCaseCommand, WhatIfCommand
 from spatialviz.options import BAD, FINE, NO, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
 from spatialviz.report import Subject, failure_page, write_page
@@ -37,7 +37,7 @@ from spatialviz.report.picture import write_picture
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
 
 
-def run_whatif(command: WhatIf) -> int:
+def run_whatif(command: WhatIfCommand) -> int:
     edits = Edits() if command.edits is None else load_edits(command.edits)
     source = command.source.open(command.dataset, command.frame)
     context = _one_context(source, command.frame)
@@ -75,7 +75,7 @@ def whatif_answer(
     return {**record, "decision_map": map_record(found)}, after, map_picture(found, after)
 
 
-def run_save_case(command: SaveCase) -> None:
+def run_save_case(command: SaveCaseCommand) -> None:
     run = open_run(command.dataset) if (Path(command.dataset) / RUN_FILE).is_file() else None
     source = command.source.open(command.dataset, command.frame) if run is None else run.source
     labels = None if command.labels is None else open_labels(command.labels)
@@ -99,7 +99,7 @@ def run_save_case(command: SaveCase) -> None:
     command.write({"case": str(command.out), **answer_record(now)}, print_saved, now, command.out)
 
 
-def run_replay(command: Replay) -> int:
+def run_replay(command: ReplayCommand) -> int:
     require(command.cases, "a case is missing", expected="the folder that save-case wrote")
     require(
         command.detector != "kept" or (command.model is None and command.min_score is None),
@@ -132,7 +132,7 @@ def run_replay(command: Replay) -> int:
     return BAD if totals["damaged"] else NO if totals["changed"] else FINE
 
 
-def run_report(command: Report) -> None:
+def run_report(command: ReportCommand) -> None:
     from spatialviz.report.scene import scene_html  # Brings viser in.
 
     require(

@@ -28,14 +28,21 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_labels import Confirm, Correct, Effective, OfPerson, Show, ShowJournal
+from spatialviz.cli_labels import (
+    ConfirmCommand,
+    CorrectCommand,
+    EffectiveCommand,
+    OfPerson,
+    ShowCommand,
+    JournalCommand,
+)
 from spatialviz.options import FINE, NO, Output, numbers, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
 
 FrameOf = Callable[[str], EffectiveFrame | None]
 
 
-def run_show(command: Show) -> int:
+def run_show(command: ShowCommand) -> int:
     from pipeline.corrections.journal_location import JournalLocation  # Brings the review of labels in.
 
     require(command.object is None or command.pair is None, "--object and --pair exclude each other")
@@ -63,7 +70,7 @@ def run_show(command: Show) -> int:
     return FINE if cards else NO
 
 
-def run_journal(command: ShowJournal) -> int:
+def run_journal(command: JournalCommand) -> int:
     whole = [command.check, command.backup is not None, command.recover is not None]
     if any(whole):
         chosen = any(v is not None for v in (command.author, command.kind, command.frame, command.key, command.last))
@@ -85,7 +92,7 @@ def run_journal(command: ShowJournal) -> int:
     return FINE if events else NO
 
 
-def _as_a_whole(command: ShowJournal) -> int:
+def _as_a_whole(command: JournalCommand) -> int:
     where = command.journal.journal or open_labels(command.labels).root / JOURNAL_FILE
     if command.check:
         found = check_journal(where).known()
@@ -100,11 +107,11 @@ def _as_a_whole(command: ShowJournal) -> int:
     return FINE
 
 
-def run_correct(command: Correct) -> int:
+def run_correct(command: CorrectCommand) -> int:
     return apply_edits(command, read_actions(command.edits))
 
 
-def apply_edits(command: Correct, actions: list[Any]) -> int:
+def apply_edits(command: CorrectCommand, actions: list[Any]) -> int:
     """`correct` with edits that were read already."""
     labels = open_labels(command.labels)
     dataset = command.source.open(labels) if needs_pictures(actions) or grows(labels) else None
@@ -116,7 +123,7 @@ def apply_edits(command: Correct, actions: list[Any]) -> int:
         return _told(command, done, "saved", frames_of(corrector, journal))
 
 
-def run_confirm(command: Confirm) -> int:
+def run_confirm(command: ConfirmCommand) -> int:
     from pipeline.corrections.confirming import right_pair  # These bring models and the review of labels in.
     from pipeline.corrections.journal_location import JournalLocation
     from pipeline.corrections.label_editor import LabelEditor
@@ -153,7 +160,7 @@ run_undo = partial(_undo_or_redo, way=undo, verb="taken back")
 run_redo = partial(_undo_or_redo, way=redo, verb="brought back")
 
 
-def run_effective(command: Effective) -> None:
+def run_effective(command: EffectiveCommand) -> None:
     labels = open_labels(command.labels)
     with command.journal.open(labels, must_exist=True) as journal:
         manifest, found = materialise(labels, journal, command.out, dataset=command.source.open(labels))

@@ -8,7 +8,7 @@ from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.datasets.doctor.examine import Examination, apply, examine
 from pipeline.datasets.doctor.overlay import overlay
 from pipeline.language.counted import counted
-from spatialviz.cli_ask import Doctor
+from spatialviz.cli_ask import DoctorCommand
 from spatialviz.options import FINE, NO
 from spatialviz.printing import print_rows, say
 from spatialviz.report.picture import write_picture
@@ -18,7 +18,7 @@ WORDS = {"fine": "fine", "wrong": "WRONG", "unknown": "cannot tell"}
 SHOWN = 6
 
 
-def run_doctor(command: Doctor) -> int:
+def run_doctor(command: DoctorCommand) -> int:
     demo = command.dataset == DEMO_NAME and not Path(command.dataset).exists()
     found = examine(demo_path() if demo else command.dataset, **command.camera.camera())
     if command.overlay is not None:

@@ -18,7 +18,7 @@ from pipeline.answering.opening import open_pipeline
 from pipeline.diagnosis.marks import read_marks
 from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.evaluation.browsing import RunRows
-from pipeline.evaluation.comparing import CHANGES, Comparison, compare
+from pipeline.evaluation.comparing import CHANGES, Comparison, answer_differences, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_tables import tables_of_run
 from pipeline.evaluation.querying import QueryRows, open_database
@@ -36,7 +36,7 @@ from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
-from spatialviz.cli_ask import Eval, Failures, Query, Tables
+from spatialviz.cli_ask import EvalCommand, FailuresCommand, QueryCommand, TablesCommand
 from spatialviz.options import FINE, NO, print_json, warn
 from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, table_record
 
@@ -50,7 +50,7 @@ SHOWN = ("id", "frame", "text", "target", "relation", "reference", "verdict", "d
 """Columns of a failure in JSON."""
 
 
-def run_eval(command: Eval) -> None:
+def run_eval(command: EvalCommand) -> None:
     if command.sentences is not None:
         run_sentences(command, command.sentences)
         return
@@ -100,7 +100,7 @@ def run_eval(command: Eval) -> None:
         warn(warning)
 
 
-def run_sentences(command: Eval, path: Path) -> None:
+def run_sentences(command: EvalCommand, path: Path) -> None:
     """`eval --sentences`."""
     own = {"dataset", "sentences", "out", "source", "overwrite", "json"}
     other = [f.name for f in fields(command) if f.name not in own and getattr(command, f.name) != f.default]
@@ -131,7 +131,7 @@ def print_sentences(report: SentenceReport, out: Path | None) -> None:
         say(f"-> {out}", style="dim")
 
 
-def _tables(command: Eval) -> Literal["grounding", "relations", "both"]:
+def _tables(command: EvalCommand) -> Literal["grounding", "relations", "both"]:
     """What is measured."""
     asked = "both" if command.tables == "paper" and command.system == "pipeline" else command.tables
     chosen = ("grounding" if asked == "paper" else asked) or ("both" if command.system == "pipeline" else "grounding")
@@ -153,7 +153,7 @@ def _tables(command: Eval) -> Literal["grounding", "relations", "both"]:
     return chosen
 
 
-def _relations(command: Eval, options: dict[str, Any]) -> RelationSpec:
+def _relations(command: EvalCommand, options: dict[str, Any]) -> RelationSpec:
     """How relations are measured; `options` lose the vectors that the run's own scorer has no use for."""
     vectors = options["vectors"]
     if vectors is not None and command.relations_of and not uses_language(str(options["srm"])):
@@ -169,16 +169,50 @@ def _relations(command: Eval, options: dict[str, Any]) -> RelationSpec:
     )
 
 
-def run_failures(command: Failures) -> int:
+def run_failures(command: FailuresCommand) -> int:
     require(command.limit >= 0, "--limit is a count", got=command.limit, expected="0 or more")
+    if command.answers:
+        return _differing_answers(command)
     second = None if command.compare is None else read_records(command.compare)
     record, show = failures_of(command, read_records(command.run_folder), second)
     command.write(record, show)
     return FINE if record["found"] else NO
 
 
+def _differing_answers(command: FailuresCommand) -> int:
+    """`failures --compare --answers`."""
+    if command.compare is None:
+        raise InputError("--answers needs --compare", expected="--compare RUN_OR_ANSWERS --answers")
+    require(not command.search and command.slices is None, "--answers takes no search and no --slices")
+    found = answer_differences(command.run_folder, command.compare)
+    shown = {**found, "differ": len(found["answers"]), "answers": found["answers"][: command.limit]}
+    command.write(shown, _print_differences)
+    return FINE if found["answers"] else NO
+
+
+def _print_differences(found: dict[str, Any]) -> None:
+    of = counted(found["shared"], "expression")
+    say(f"{found['differ']} of {of} answered otherwise, {found['same']} alike", style="bold")
+    rows = [
+        (one["frame"], one["text"], one["differs"], *(_shown_boxes(one[name]) for name in ("first", "second")))
+        for one in found["answers"]
+    ]
+    if rows:
+        print_rows(("frame", "expression", "differs", "first", "second"), rows)
+    if found["differ"] > len(rows):
+        say(f"and {found['differ'] - len(rows)} more (--limit)", style="dim")
+    for name in ("first", "second"):
+        if found[f"only_{name}"]:
+            say(f"only in the {name}: {found[f'only_{name}']}", style="dim")
+
+
+def _shown_boxes(answer: dict[str, list[float] | None]) -> str:
+    boxes = [box for box in answer.values() if box is not None]
+    return " / ".join(",".join(f"{value:.0f}" for value in box) for box in boxes) or "no answer"
+
+
 def failures_of(
-    command: Failures, records: pa.Table, second: pa.Table | None
+    command: FailuresCommand, records: pa.Table, second: pa.Table | None
 ) -> tuple[dict[str, Any], Callable[[dict[str, Any]], None]]:
     """All of `failures --json` of a run's records (and those of `--compare`), and what prints it for people."""
     dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
@@ -217,7 +251,7 @@ def failures_of(
     return record, show
 
 
-def run_query(command: Query) -> int:
+def run_query(command: QueryCommand) -> int:
     require(not (command.json and command.csv), "--json and --csv exclude each other")
     with open_database(command.run_folder) as database:
         answer = database.select(command.sql)
@@ -225,7 +259,7 @@ def run_query(command: Query) -> int:
         return FINE if show(answer) else NO
 
 
-def run_tables(command: Tables) -> None:
+def run_tables(command: TablesCommand) -> None:
     require(not (command.json and command.format != "text"), "--json and --format exclude each other")
     tables = tables_of_run(command.run_folder)
     if command.json:
@@ -354,7 +388,7 @@ def _shown(value: Any) -> str:
 
 
 def print_failures(
-    command: Failures,
+    command: FailuresCommand,
     name: str,
     shares: Sequence[Share],
     summary: RunSummary,
@@ -378,7 +412,7 @@ def print_failures(
         say(share.sentence, style="yellow")
 
 
-def _print_found(command: Failures, name: str, expressions: int, found: pa.Table) -> None:
+def _print_found(command: FailuresCommand, name: str, expressions: int, found: pa.Table) -> None:
     what = f"search {command.search}" if command.search else "failed"
     of = counted(expressions, "expression")
     say((f"{what}: {found.num_rows} of {of}", "bold"), (f"  in {name}", "dim"))

@@ -25,12 +25,12 @@ from pipeline.labels.store import Store
 from pipeline.language.counted import counted
 from pipeline.system.errors import require
 from pipeline.system.whole_files import check_target, scratch_folder
-from spatialviz.cli_labels import Export, Import
+from spatialviz.cli_labels import ExportCommand, ImportCommand
 from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, warn
 from spatialviz.printing import rate_bar, say
 
 
-def run_export(command: Export) -> None:
+def run_export(command: ExportCommand) -> None:
     automatic = open_labels(command.labels)
     options = None
     if command.licence is not None:
@@ -67,7 +67,7 @@ def run_export(command: Export) -> None:
 
 
 @contextmanager
-def _labels(command: Export, automatic: Labels) -> Iterator[Labels]:
+def _labels(command: ExportCommand, automatic: Labels) -> Iterator[Labels]:
     """What is exported: the labels as they are, or with the journal applied, in a folder that does not stay."""
     if not command.corrected:
         yield automatic
@@ -90,7 +90,7 @@ def _labels(command: Export, automatic: Labels) -> Iterator[Labels]:
         yield open_labels(where)
 
 
-def _pictures(command: Export, labels: Labels) -> Dataset | None:
+def _pictures(command: ExportCommand, labels: Labels) -> Dataset | None:
     if command.images != "copy" and not (command.format == "vqa" and command.dataset is not None):
         return None
 
@@ -102,7 +102,7 @@ def _pictures(command: Export, labels: Labels) -> Dataset | None:
     return spec.open(plan.config).dataset
 
 
-def run_import(command: Import) -> int:
+def run_import(command: ImportCommand) -> int:
     labels = open_labels(command.labels)
     config = ImportConfig(
         format=command.format,
@@ -128,7 +128,7 @@ def run_import(command: Import) -> int:
 
 
 @contextmanager
-def _journal(command: Import, labels: Labels) -> Iterator[Journal | None]:
+def _journal(command: ImportCommand, labels: Labels) -> Iterator[Journal | None]:
     """The journal; a dry run makes none where there is none."""
     text = command.journal.journal
     missing = not (text is not None and is_url(text)) and not Path(text or labels.root / JOURNAL_FILE).exists()

@@ -23,14 +23,14 @@ from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import label_statistics
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, MissingExtra
-from spatialviz.cli_labels import Check, Label, Merge, Selection
+from spatialviz.cli_labels import CheckCommand, LabelCommand, MergeCommand, Selection
 from spatialviz.options import FINE, NO, print_json, task_of, warn
 from spatialviz.printing import print_rows, print_statistics, rate_bar, say
 
 COLORS = {"error": "red", "warning": "yellow"}
 
 
-def run_label(command: Label) -> int:
+def run_label(command: LabelCommand) -> int:
     config = LabelConfig(
         profile=command.profile,
         vocabulary=command.vocabulary,
@@ -83,7 +83,7 @@ def run_label(command: Label) -> int:
     return FINE if report.frames > report.broken or not report.frames else NO
 
 
-def _begin(command: Label, config: LabelConfig) -> int:
+def _begin(command: LabelCommand, config: LabelConfig) -> int:
     """Labels that people fill by hand."""
     spec = command.source.spec(command.dataset).absolute()
     camera = {name: spec.options.get(name) for name in CAMERA}
@@ -95,12 +95,12 @@ def _begin(command: Label, config: LabelConfig) -> int:
     return FINE
 
 
-def run_merge(command: Merge) -> None:
+def run_merge(command: MergeCommand) -> None:
     manifest = merge_labels(command.labels, _selection(command.selection), command.to)
     command.write(json.loads(manifest.model_dump_json()), print_manifest, manifest, str(command.to or command.labels))
 
 
-def run_check(command: Check) -> int:
+def run_check(command: CheckCommand) -> int:
     labels = open_labels(command.labels)
     if command.report is not None:
         check_report_folder(command.report)

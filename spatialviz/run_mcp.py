@@ -13,11 +13,11 @@ from pipeline.evaluation.run_folder import RUN_FILE, open_run
 from pipeline.labels.reading import open_labels
 from pipeline.system.errors import InputError, UnknownFormat, extra_module, needed, require
 from spatialviz.agent_verbs import Correcting, OpenRun, Session
-from spatialviz.cli_ask import Mcp
+from spatialviz.cli_ask import McpCommand
 from spatialviz.options import SourceOptions
 
 
-def run_mcp(command: Mcp) -> None:
+def run_mcp(command: McpCommand) -> None:
     extra_module("mcp.server.mcpserver", "a server for agents", "mcp")
     from spatialviz.agent_server import serve  # Of the extra.
 
@@ -25,7 +25,7 @@ def run_mcp(command: Mcp) -> None:
         serve(open_session(command, keep))
 
 
-def open_session(command: Mcp, keep: ExitStack) -> Session:
+def open_session(command: McpCommand, keep: ExitStack) -> Session:
     """What the command names, opened; `keep` closes it.
 
     Raises

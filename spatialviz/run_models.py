@@ -28,14 +28,14 @@ from pipeline.proposals.score_calibration import ScoreCalibration, save_calibrat
 from pipeline.system.errors import require
 from pipeline.system.model_files import KnownModel
 from pipeline.system.onnx_session import ACCELERATORS
-from spatialviz.cli_models import Agree, Calibrate, Detect, Models
+from spatialviz.cli_models import AgreeCommand, CalibrateCommand, DetectCommand, ModelsCommand
 from spatialviz.options import ALL_FRAMES, FINE, NO, warn_skipped
 from spatialviz.printing import figure, print_rows, rate_bar, say
 
 SHOWN_NAMES = 8
 
 
-def run_detect(command: Detect) -> None:
+def run_detect(command: DetectCommand) -> None:
     source, frame_ids = command.source.open(command.dataset)
     names = command.classes or source.dataset.class_names or None
     with rate_bar("detecting", "frames") as advance:
@@ -53,7 +53,7 @@ def run_detect(command: Detect) -> None:
     command.write(record, print_recorded, report, command, names or ())
 
 
-def print_recorded(report: RecordingReport, command: Detect, names: Sequence[str]) -> None:
+def print_recorded(report: RecordingReport, command: DetectCommand, names: Sequence[str]) -> None:
     """What was found, by class, and what was asked for where nothing was."""
     say(f"{report.detections} detections in {report.frames} frames, {report.seconds:.1f} s -> {command.out}")
     if report.classes:
@@ -64,7 +64,7 @@ def print_recorded(report: RecordingReport, command: Detect, names: Sequence[str
         say(f"asked for the dataset's classes: {', '.join(names)}; others: --classes NAME ...")
 
 
-def run_agree(command: Agree) -> int:
+def run_agree(command: AgreeCommand) -> int:
     require(
         not (command.frame != ALL_FRAMES and command.source.frames != ALL_FRAMES),
         "frames are named twice",
@@ -92,7 +92,7 @@ def run_agree(command: Agree) -> int:
     return FINE if sums.a + sums.b else NO
 
 
-def run_calibrate(command: Calibrate) -> int:
+def run_calibrate(command: CalibrateCommand) -> int:
     source, frame_ids = command.source.open(command.dataset)
     everything = source.dataset.class_names
     with rate_bar("detecting", "frames") as advance:
@@ -114,7 +114,7 @@ def run_calibrate(command: Calibrate) -> int:
     return FINE if report["fitted"] else NO
 
 
-def run_models(command: Models) -> int:
+def run_models(command: ModelsCommand) -> int:
     if not command.files:
         known, here = adapters(), look_around()
         command.write(catalogue_record(known, here), print_catalogue, known, here)

@@ -11,7 +11,7 @@ from pipeline.evaluation.job import PREDICTIONS_FILE, RunReport
 from pipeline.evaluation.judging_again import judge_again
 from pipeline.evaluation.run_folder import open_run
 from pipeline.language.counted import counted
-from spatialviz.cli_ask import ExportRun, ImportRun, JudgeAgain
+from spatialviz.cli_ask import ExportRunCommand, ImportRunCommand, JudgeAgainCommand
 from spatialviz.options import warn
 from spatialviz.printing import rate_bar, say
 from spatialviz.run_eval import print_run, run_record
@@ -19,7 +19,7 @@ from spatialviz.run_eval import print_run, run_record
 _NAMED = {"proposals": "OPM-TARGET or OPM-REF", "boxes_3d": "LIFT", "relations": "SRM, OPM-CONF or PRM"}
 
 
-def run_import_run(command: ImportRun) -> None:
+def run_import_run(command: ImportRunCommand) -> None:
     with rate_bar("judging", "expressions") as advance:
         report = import_published(
             command.predictions,
@@ -53,7 +53,7 @@ def print_imported(report: RunReport, imported: Mapping[str, Any]) -> None:
         say(f"line {lacks['line']}{more} {without} [{report.folder / PREDICTIONS_FILE}]")
 
 
-def run_judge_again(command: JudgeAgain) -> None:
+def run_judge_again(command: JudgeAgainCommand) -> None:
     with rate_bar("judging", "steps") as advance:
         record = judge_again(command.folder, command.out, workers=command.workers, progress=advance)
     counted_ = "; ".join(record["changes"]) or "the same answer" if record["kind"] == "case" else ", ".join(
@@ -62,7 +62,7 @@ def run_judge_again(command: JudgeAgain) -> None:
     command.write(record, say, f"{record['kind']}: {counted_} -> {command.out}")
 
 
-def run_export_run(command: ExportRun) -> None:
+def run_export_run(command: ExportRunCommand) -> None:
     run = open_run(command.run_folder)
     lines = export_run(run, command.out)
     record = {"out": str(command.out), "lines": lines, "system": run.name}

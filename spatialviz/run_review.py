@@ -41,12 +41,12 @@ from pipeline.system.errors import InputError, MissingExtra, needed, require
 from pipeline.system.onnx_session import use_execution
 from pipeline.system.whole_files import scratch_folder
 from pipeline.training.train import TrainConfig, need_torch
-from spatialviz.cli_labels import Review
+from spatialviz.cli_labels import ReviewCommand
 from spatialviz.options import FINE, NO, warn, warn_skipped
 from spatialviz.printing import figure, print_rows, progress_bars, say
 
 
-def run_review(command: Review) -> int:
+def run_review(command: ReviewCommand) -> int:
     _check(command)
     labels = open_labels(command.labels)
     with scratch_folder() as folder:
@@ -74,7 +74,7 @@ def run_review(command: Review) -> int:
     return FINE if shown.num_rows else NO
 
 
-def _accept(command: Review, labels: Labels, shown: pa.Table) -> int:
+def _accept(command: ReviewCommand, labels: Labels, shown: pa.Table) -> int:
     """Accept what is shown, as one action."""
     author = needed(command.author, "--accept needs --author", cause="who accepts them?")
     corrector = Corrector(labels, command.source.open(labels))
@@ -89,7 +89,7 @@ def _accept(command: Review, labels: Labels, shown: pa.Table) -> int:
     return FINE if record["saved"] else NO
 
 
-def _pace(command: Review, labels: Labels) -> dict[str, Any]:
+def _pace(command: ReviewCommand, labels: Labels) -> dict[str, Any]:
     """How fast the author worked today; nothing without one, or where nothing was saved."""
     if command.author is None or (command.journal.journal is None and not (labels.root / JOURNAL_FILE).exists()):
         return {}
@@ -97,7 +97,7 @@ def _pace(command: Review, labels: Labels) -> dict[str, Any]:
         return {"pace": pace_of(journal.events(), command.author, datetime.now().astimezone()).record()}
 
 
-def _check(command: Review) -> None:
+def _check(command: ReviewCommand) -> None:
     require(command.limit >= 0, "--limit must not be negative", got=command.limit)
     command.second.check()
     require(
@@ -113,14 +113,14 @@ def _check(command: Review) -> None:
     )
 
 
-def _reviewed(command: Review, labels: Labels, folder: Path) -> Reviewed:
+def _reviewed(command: ReviewCommand, labels: Labels, folder: Path) -> Reviewed:
     if command.journal.journal is None and not (labels.root / JOURNAL_FILE).exists():
         return Reviewed(labels)
     with command.journal.open(labels, must_exist=True) as journal:
         return reviewed_labels(labels, journal, folder, command.source.open(labels))
 
 
-def _queue(command: Review, reviewed: Reviewed, labels: Labels) -> pa.Table:
+def _queue(command: ReviewCommand, reviewed: Reviewed, labels: Labels) -> pa.Table:
     if command.queue is not None:
         return read_queue(command.queue, automatic_version(labels.manifest))
     train = TrainConfig(CLI_FEATURES[command.features], REVIEWED, epochs=EPOCHS, seed=command.seed)
@@ -142,7 +142,7 @@ def _queue(command: Review, reviewed: Reviewed, labels: Labels) -> pa.Table:
 
 
 def _seen(
-    command: Review, labels: Labels, automatic: Labels, advance: Callable[[str, int, int], None]
+    command: ReviewCommand, labels: Labels, automatic: Labels, advance: Callable[[str, int, int], None]
 ) -> tuple[ItemEvidence, ...]:
     setup = command.second
     if setup.detector is None:
@@ -161,7 +161,7 @@ def _seen(
     return found.items
 
 
-def _shown(command: Review, queue: pa.Table, reviewed: Reviewed, states: dict[ItemKey, State]) -> pa.Table:
+def _shown(command: ReviewCommand, queue: pa.Table, reviewed: Reviewed, states: dict[ItemKey, State]) -> pa.Table:
     if command.author is not None:
         return left_for(
             queue, reviewed.judgements, states, command.author, overlap=command.overlap,

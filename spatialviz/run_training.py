@@ -21,7 +21,7 @@ from pipeline.training.ablation import AblationConfig, compare_features
 from pipeline.training.card import RoomConfig, train_on_rooms
 from pipeline.training.label_training import LabelTraining, train_on_labels
 from pipeline.training.train import Epoch, TrainConfig
-from spatialviz.cli_models import Ablation, Install, Retrain, Train
+from spatialviz.cli_models import AblationCommand, InstallCommand, RetrainCommand, TrainCommand
 from spatialviz.options import warn
 from spatialviz.printing import figure, print_rows, print_table, progress_bars, say, table_record
 
@@ -35,7 +35,7 @@ BARS = "▁▂▃▄▅▆▇█"
 SHOWN_CELLS = 5
 
 
-def run_train(command: Train) -> None:
+def run_train(command: TrainCommand) -> None:
     on_rooms = command.labels == ROOMS
     # Options that say nothing about what is trained on are a mistake, not to be passed over.
     for name in OF_LABELS if on_rooms else OF_ROOMS:
@@ -61,7 +61,7 @@ def run_train(command: Train) -> None:
     command.write(card, print_training if on_rooms else print_label_training, card, command.out)
 
 
-def run_retrain(command: Retrain) -> None:
+def run_retrain(command: RetrainCommand) -> None:
     train = TrainConfig(CLI_FEATURES[command.features], epochs=command.epochs, batch=command.batch, seed=command.seed)
     config = RetrainConfig(train, command.split)
     if command.after is None:
@@ -94,7 +94,7 @@ def run_retrain(command: Retrain) -> None:
     command.write(found.record(), print_retraining, found, command.out)
 
 
-def run_install(command: Install) -> None:
+def run_install(command: InstallCommand) -> None:
     done = install_network(command.network, command.name, overwrite=command.overwrite)
     command.write({"name": done.name, "path": str(done.path)}, say, f"--srm {done.name} is now {done.path}")
 
@@ -233,7 +233,7 @@ def print_retraining_run(done: RetrainingRun) -> None:
     say(f"-> {done.folder}; spatialviz install {done.network} --name NAME takes it into use", style="dim")
 
 
-def run_ablation(command: Ablation) -> None:
+def run_ablation(command: AblationCommand) -> None:
     config = AblationConfig(
         rooms=command.rooms,
         views=command.views,

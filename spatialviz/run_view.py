@@ -18,11 +18,11 @@ from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.system.errors import InputError, require
 from spatialviz.app.server import serve
 from spatialviz.app.site import Access
-from spatialviz.cli_ask import View
+from spatialviz.cli_ask import ViewCommand
 from spatialviz.options import SourceOptions, warn
 
 
-def run_view(command: View) -> None:
+def run_view(command: ViewCommand) -> None:
     require(command.author is None or command.author.strip(), "--author must not be empty")
     require(command.max_clients >= 1, "--max-clients is a count", got=command.max_clients, expected="at least 1")
     view = None if command.state is None else decode(command.state)
@@ -100,7 +100,7 @@ def _is_new(folder: Path) -> bool:
     return folder.is_dir() and not any(folder.iterdir())
 
 
-def _by_hand(command: View, sources: Mapping[str, Pipeline]) -> dict[str, Labels]:
+def _by_hand(command: ViewCommand, sources: Mapping[str, Pipeline]) -> dict[str, Labels]:
     """Labels that people may begin: in the folder that was named, or beside recordings that have no annotations."""
     if command.run_folder is not None or (command.labels is not None and not _is_new(command.labels)):
         return {}
@@ -117,7 +117,7 @@ def _by_hand(command: View, sources: Mapping[str, Pipeline]) -> dict[str, Labels
     return found
 
 
-def _with_second(command: View, run: Run) -> Pipeline:
+def _with_second(command: ViewCommand, run: Run) -> Pipeline:
     """The run's source, with the second detector beside its own."""
     if command.also is None:
         return run.source
@@ -125,7 +125,7 @@ def _with_second(command: View, run: Run) -> Pipeline:
     return replace(run.source, second_detector=opened.second_detector, second_setup=opened.second_setup)
 
 
-def _journal(command: View, labels: Labels) -> JournalLocation:
+def _journal(command: ViewCommand, labels: Labels) -> JournalLocation:
     """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""
     where: str | Path | None = command.journal.journal
     if grows(labels):
@@ -138,7 +138,7 @@ def _journal(command: View, labels: Labels) -> JournalLocation:
     return location
 
 
-def _named(command: View, view: ViewState) -> tuple[str, Path | None]:
+def _named(command: ViewCommand, view: ViewState) -> tuple[str, Path | None]:
     """The dataset and the run to open: those of the command line, else those that the view names."""
     if command.run_folder is not None or command.dataset != DEMO_NAME:
         return command.dataset, command.run_folder
@@ -156,7 +156,7 @@ def _named(command: View, view: ViewState) -> tuple[str, Path | None]:
     return view.dataset, None
 
 
-def _words(command: View, dataset: str, folder: Path | None) -> list[str]:
+def _words(command: ViewCommand, dataset: str, folder: Path | None) -> list[str]:
     """The command line that opens this page again; without a password."""
     words = ["view"]
     if folder is None or command.dataset != "demo":
