@@ -58,12 +58,12 @@ from spatialviz.cli_labels import (
     EffectiveCommand,
     ExportCommand,
     ImportCommand,
+    JournalCommand,
     LabelCommand,
     MergeCommand,
     RedoCommand,
     ReviewCommand,
     ShowCommand,
-    JournalCommand,
     UndoCommand,
 )
 from spatialviz.cli_models import (
@@ -84,27 +84,20 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "view": (ViewCommand, "run_view"),
         "ask": (AskCommand, "run_ask"),
         "relations": (RelationsCommand, "run_ask"),
-        "measure": (MeasureCommand, "run_ask"),
         "frames": (FramesCommand, "run_ask"),
         "import-recording": (ImportRecordingCommand, "run_ask"),
         "doctor": (DoctorCommand, "run_doctor"),
-        "context": (ContextCommand, "run_ask"),
         "render": (RenderCommand, "run_ask"),
-        "glossary": (GlossaryCommand, "run_ask"),
     },
     "label, check, correct": {
         "label": (LabelCommand, "run_labels"),
-        "merge": (MergeCommand, "run_labels"),
         "check": (CheckCommand, "run_labels"),
         "audit": (AuditCommand, "run_audit"),
         "show": (ShowCommand, "run_corrections"),
         "review": (ReviewCommand, "run_review"),
         "correct": (CorrectCommand, "run_corrections"),
-        "confirm": (ConfirmCommand, "run_corrections"),
         "undo": (UndoCommand, "run_corrections"),
-        "redo": (RedoCommand, "run_corrections"),
         "journal": (JournalCommand, "run_corrections"),
-        "effective": (EffectiveCommand, "run_corrections"),
         "export": (ExportCommand, "run_exports"),
         "import": (ImportCommand, "run_exports"),
     },
@@ -112,10 +105,8 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
         "eval": (EvalCommand, "run_eval"),
         "import-run": (ImportRunCommand, "run_predictions"),
         "export-run": (ExportRunCommand, "run_predictions"),
-        "judge-again": (JudgeAgainCommand, "run_predictions"),
         "failures": (FailuresCommand, "run_eval"),
         "query": (QueryCommand, "run_eval"),
-        "tables": (TablesCommand, "run_eval"),
         "whatif": (WhatIfCommand, "run_cases"),
         "save-case": (SaveCaseCommand, "run_cases"),
         "replay": (ReplayCommand, "run_cases"),
@@ -125,20 +116,47 @@ GROUPS: dict[str, dict[str, tuple[type, str]]] = {
     "models": {
         "models": (ModelsCommand, "run_models"),
         "detect": (DetectCommand, "run_models"),
-        "agree": (AgreeCommand, "run_models"),
-        "calibrate": (CalibrateCommand, "run_models"),
         "train": (TrainCommand, "run_training"),
         "retrain": (RetrainCommand, "run_training"),
-        "install": (InstallCommand, "run_training"),
         "ablation": (AblationCommand, "run_training"),
     },
 }
-"""Every command: its options, and the module of the function that runs it."""
+"""The commands that are listed: their options, and the module of the function that runs them."""
+FORMS: dict[str, tuple[type, str]] = {
+    "glossary": (GlossaryCommand, "run_ask"),
+    "confirm": (ConfirmCommand, "run_corrections"),
+    "measure": (MeasureCommand, "run_ask"),
+    "context": (ContextCommand, "run_ask"),
+    "merge": (MergeCommand, "run_labels"),
+    "redo": (RedoCommand, "run_corrections"),
+    "effective": (EffectiveCommand, "run_corrections"),
+    "agree": (AgreeCommand, "run_models"),
+    "calibrate": (CalibrateCommand, "run_models"),
+    "tables": (TablesCommand, "run_eval"),
+    "install": (InstallCommand, "run_training"),
+    "judge-again": (JudgeAgainCommand, "run_predictions"),
+}
+"""Commands of earlier names, each now an option of another."""
+OPTIONS = {
+    ("ask", "--glossary"): "glossary",
+    ("ask", "--confirm"): "confirm",
+    ("relations", "--measure"): "measure",
+    ("frames", "--mesh"): "context",
+    ("label", "--merge"): "merge",
+    ("undo", "--redo"): "redo",
+    ("export", "--effective"): "effective",
+    ("detect", "--agree"): "agree",
+    ("detect", "--calibrate"): "calibrate",
+    ("report", "--tables"): "tables",
+    ("models", "--install"): "install",
+    ("eval", "--judge-again"): "judge-again",
+}
+"""The option that stands for each of these."""
 RENAMED = {"bench srm": "ablation", "bench-srm": "ablation"}
 """Earlier names of commands, which still work."""
 REMOVED = {"bench": "benches are scripts of a checkout: `cd tests; python -m benchmarks.stages`, and others beside it"}
 """Earlier commands, and where they went."""
-COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
+COMMANDS = {name: command for group in (*GROUPS.values(), FORMS) for name, command in group.items()}
 ABOUT = "See why an RGB-D spatial-reasoning pipeline answered what it answered."
 
 
@@ -266,6 +284,11 @@ def _run_words(arguments: list[str]) -> int:
     for count in (2, 1):
         if new := RENAMED.get(" ".join(arguments[:count])):
             arguments = [new, *arguments[count:]]
+    option = next((word for word in arguments[1:] if (arguments[0], word) in OPTIONS), None)
+    if option is not None:
+        rest = arguments[1:]
+        rest.remove(option)
+        arguments = [OPTIONS[arguments[0], option], *rest]
     if gone := REMOVED.get(arguments[0].partition("-")[0]):
         raise InputError(f"'{arguments[0]}' is no command any more", cause=gone)
     return run(arguments)

@@ -48,8 +48,6 @@ class ViewCommand:
     state: str | None = None
     """A view as a string, "sv1:...", as the page copies it: what is opened, and what is looked at first. It holds
     edits, too, which the page's address does not."""
-    also: str | None = None
-    """A second detector, NAME or NAME=MODEL, whose boxes are shown beside those of the first; it answers nothing."""
     source: OmitArgPrefixes[SourceOptions] = SourceOptions()
     port: int = 8080
     """Port; if it is taken, the next free one is used."""
@@ -67,7 +65,8 @@ class ViewCommand:
 
 @dataclass(frozen=True)
 class AskCommand(Output):
-    """Answer expressions such as "mug left of the laptop" on a frame.
+    """Answer expressions such as "mug left of the laptop" on a frame; --confirm: a pair of the answer is right;
+    --glossary: what a word means.
 
     Exit status: 0 where a pair stands in the relation that was asked, 1 where there is none: a name was not found, or
     the best pair has a probability below .5 and is told as the nearest; 2 for bad usage or input. Of several
@@ -91,7 +90,8 @@ class AskCommand(Output):
 
 @dataclass(frozen=True)
 class RelationsCommand(Output):
-    """Every pair of objects of a frame (or of all frames): each relation's state and probability."""
+    """Every pair of objects of a frame (or of all frames): each relation's state and probability; --measure: how far
+    apart two pixels' surfaces are."""
 
     dataset: DatasetArg
     frame: FrameArg = ALL_FRAMES
@@ -122,7 +122,8 @@ class MeasureCommand(Output):
 
 @dataclass(frozen=True)
 class FramesCommand(Output):
-    """Say what is in a dataset, and what is broken: counts, and each note once with how many frames have it."""
+    """Say what is in a dataset, and what is broken: counts, and each note once with how many frames have it; --mesh:
+    the frames around one as a mesh."""
 
     dataset: Positional[str]
     """Dataset folder or capture; a folder of dataset folders, for all of them; or "demo"."""
@@ -193,7 +194,7 @@ class RenderCommand:
 @dataclass(frozen=True)
 class EvalCommand(Output):
     """Answer every expression of labels, and write tables with intervals, plots and records; or, with --sentences,
-    sentences that people wrote, judged without labels."""
+    sentences that people wrote, judged without labels; --judge-again: what an earlier version judged."""
 
     dataset: DatasetArg
     labels: Path | None = None
@@ -418,7 +419,8 @@ class ReplayCommand(Output):
 
 @dataclass(frozen=True)
 class ReportCommand(Output):
-    """One self-contained page of an answer: why it failed, the picture, the scene in 3D, all tables."""
+    """One self-contained page of an answer: why it failed, the picture, the scene in 3D, all tables; --tables: a run's,
+    as the paper has them."""
 
     dataset: Positional[str]
     """Case folder; or a dataset folder or "demo", with FRAME and EXPRESSION."""

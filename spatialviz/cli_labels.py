@@ -25,7 +25,6 @@ from spatialviz.options import (
     Output,
     Overwrite,
     PairFeatures,
-    SecondDetectorOptions,
     SourceOptions,
     Workers,
 )
@@ -49,7 +48,8 @@ class Selection:
 
 @dataclass(frozen=True)
 class LabelCommand(Output):
-    """Label a dataset: objects, every relation between them, and sentences that are true of them."""
+    """Label a dataset: objects, every relation between them, and sentences that are true of them; --merge: join
+    shards."""
 
     dataset: DatasetArg
     out: str
@@ -140,7 +140,7 @@ class AuditCommand(Output):
 
 @dataclass(frozen=True)
 class ExportCommand:
-    """Write labels in another format, with where each value comes from."""
+    """Write labels in another format, with where each value comes from; --effective: with the corrections applied."""
 
     labels: LabelsArg
     out: NewFolder
@@ -288,7 +288,8 @@ class OfPerson(OnJournal):
 
 @dataclass(frozen=True)
 class UndoCommand(OfPerson):
-    """Take back a person's newest action; exit status 1 where there is none, or somebody built upon it."""
+    """Take back a person's newest action, --redo: bring it back; exit status 1 where there is none, or somebody built
+    upon it."""
 
 
 @dataclass(frozen=True)
@@ -336,7 +337,6 @@ class ReviewCommand(OnPictures):
     """With --author: accept all items that are shown, as one action that one `undo` takes back."""
     other: Path | None = None
     """Labels of the same dataset by another detector or run: what they say otherwise counts too."""
-    second: OmitArgPrefixes[SecondDetectorOptions] = SecondDetectorOptions()
     networks: bool = True
     """Ask networks that have not learnt from a label (confident learning)."""
     linter: bool = True

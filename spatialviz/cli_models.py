@@ -29,7 +29,8 @@ from spatialviz.options import (
 
 @dataclass(frozen=True)
 class DetectCommand(Output):
-    """Run a detector over a dataset and record what it finds, for --detector recorded."""
+    """Run a detector over a dataset and record what it finds, for --detector recorded; --agree: compare two detectors;
+    --calibrate: fit what scores mean."""
 
     dataset: DatasetArg
     out: Path
@@ -72,7 +73,8 @@ class CalibrateCommand(Output):
 
 @dataclass(frozen=True)
 class ModelsCommand(Output):
-    """Which model files can be used and what is here; for a file, which option reads it, or why none does."""
+    """Which model files can be used and what is here; for a file, which option reads it, or why none does;
+    --install: give a relation network a name."""
 
     files: Positional[tuple[Path, ...]] = ()
     """ONNX files. Default: list all that is known."""

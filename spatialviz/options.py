@@ -283,25 +283,6 @@ class DetectorOptions(DetectorSetup):
 
 
 @dataclass(frozen=True)
-class SecondDetectorOptions(DetectorOptions):
-    """A detector that says what it sees in labelled frames."""
-
-    detector: str | None = None
-    """Let this detector look at the labelled frames too: annotations | recorded | yolo-seg | grounding-dino | owlv2 |
-    owlvit | detic | boxes | simulated."""
-
-    def check(self) -> None:
-        """Raise InputError where an option is of no detector."""
-        own = ("model", "model_config", "fuse", "min_score")
-        for name in own:
-            require(
-                self.detector is not None or getattr(self, name) in (None, ()),
-                f"--{name.replace('_', '-')} needs --detector",
-                cause="of which detector?",
-            )
-
-
-@dataclass(frozen=True)
 class ProposalOptions(DetectorOptions, CameraOptions):
     """What is opened, and what finds objects in it."""
 
@@ -331,12 +312,12 @@ class FramesOptions(ProposalOptions):
     frames: str = ALL_FRAMES
     """all, FROM:TO by index (FROM is in, TO is not), or a frame's id or index."""
 
-    def open(self, dataset: str, also: str | None = None) -> tuple[Pipeline, tuple[str, ...]]:
-        """The dataset with the detector (and `also` a second one), and the frames that are meant."""
+    def open(self, dataset: str) -> tuple[Pipeline, tuple[str, ...]]:
+        """The dataset with the detector, and the frames that are meant."""
         from pipeline.answering.ask import AskConfig
         from pipeline.answering.opening import frame_range, open_pipeline
 
-        source = open_pipeline(dataset, also=also, srm="rule", config=AskConfig(k=self.k), **self.arguments())
+        source = open_pipeline(dataset, srm="rule", config=AskConfig(k=self.k), **self.arguments())
         return source, frame_range(source.dataset, self.frames)
 
 
@@ -379,7 +360,7 @@ class SourceOptions(ReaderOptions, ProposalOptions):
     k: int = 10
     """Proposals that go on for each name."""
     score_calibration: Path | None = None
-    """What `spatialviz calibrate` wrote for this detector: its scores become probabilities before pairs are ranked."""
+    """What `spatialviz detect --calibrate` wrote for this detector: its scores become probabilities."""
     force_calibration: Flag = False
     """Use it although it was fitted for another detector or setting."""
 

@@ -152,7 +152,7 @@ def print_labelled(report: LabelReport, out: str) -> None:
     if report.broken:
         say(f"{counted(report.broken, 'frame')} could not be used; the manifest says why", style="yellow")
     if report.manifest is None:
-        say(f"-> {out}; when all shards are there: spatialviz merge {out}")
+        say(f"-> {out}; when all shards are there: spatialviz label --merge {out}")
     else:
         print_manifest(report.manifest, out)
 

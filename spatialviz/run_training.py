@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pipeline.training.ablation import AblationConfig, compare_features
+
 from pipeline.corrections.review.label_jobs import RetrainingJob, RetrainingRun, run_retraining
 from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
 from pipeline.labels.reading import open_labels
@@ -17,7 +19,6 @@ from pipeline.metrics.tables import shown
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import require
-from pipeline.training.ablation import AblationConfig, compare_features
 from pipeline.training.card import RoomConfig, train_on_rooms
 from pipeline.training.label_training import LabelTraining, train_on_labels
 from pipeline.training.train import Epoch, TrainConfig
@@ -230,7 +231,7 @@ def print_retraining_run(done: RetrainingRun) -> None:
                 f"{title}: {len(found.fixed)} answers became right, {len(found.broken)} wrong, of {found.shared} "
                 f"({gain.value * 100:+.1f} points [{gain.low * 100:.1f}, {gain.high * 100:.1f}])"
             )
-    say(f"-> {done.folder}; spatialviz install {done.network} --name NAME takes it into use", style="dim")
+    say(f"-> {done.folder}; spatialviz models --install {done.network} --name NAME takes it into use", style="dim")
 
 
 def run_ablation(command: AblationCommand) -> None:

@@ -59,7 +59,7 @@ def test_an_export_does_not_write_over_another(labels: Path, tmp_path: Path) -> 
 def test_tasks_of_several_share_a_folder(tmp_path: Path) -> None:
     words = ["label", "demo", "--out", tmp_path / "shared", "--limit", 3, "--workers", 1, "--shard"]
     assert "no such shard; got 3/2" in spatialviz(2, *words, "3/2").err
-    assert "spatialviz merge" in spatialviz(0, *words, "1/2").out
+    assert "spatialviz label --merge" in spatialviz(0, *words, "1/2").out
 
 
 @pytest.mark.parametrize("verb", ["merge", "check"])

@@ -62,3 +62,7 @@ def test_what_cannot_be_used_is_told_in_a_line(words: list[object], message: str
 @pytest.mark.parametrize("words", [("bench",), ("bench", "label", "--views", 1), ("bench-eval",)])
 def test_a_removed_command_says_where_it_went(words: tuple[object, ...]) -> None:
     assert "python -m benchmarks.stages" in spatialviz(2, *words).err
+
+
+def test_an_option_stands_for_a_command_of_before() -> None:
+    assert spatialviz(0, "ask", "--glossary", "margin").out == spatialviz(0, "glossary", "margin").out

@@ -15,7 +15,7 @@ from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
 from pipeline.system.version import __version__
 
-AGAIN = "spatialviz judge-again RUN --out NEW"
+AGAIN = "spatialviz eval --judge-again RUN --out NEW"
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ class Measurement:
         return right, up, forward
 
     def record(self) -> dict[str, object]:
-        """What `spatialviz measure --json` prints, metres."""
+        """What `spatialviz relations --measure --json` prints, metres."""
         parts = {name: round(float(part), 4) for name, part in zip(PARTS, self.parts, strict=True)}
         return {
             "pixels": [list(pixel) for pixel in self.pixels],

@@ -292,7 +292,7 @@ def open_labels(path: str | Path) -> Labels:
         raise InputError(
             "these labels are not merged yet" if unmerged else "no labels here",
             expected=f"a folder with {MANIFEST_FILE}",
-            cause=f"run: spatialviz merge {root}" if unmerged else "did `spatialviz label` finish?",
+            cause=f"run: spatialviz label --merge {root}" if unmerged else "did `spatialviz label` finish?",
             path=root,
         )
     with as_input_error("the manifest is damaged", ValueError, AttributeError, got=str, path=file):

@@ -73,7 +73,7 @@ def glossary_markdown() -> str:
     lines = [
         "# Glossary",
         "",
-        "What the page says where the mouse rests on a word or Tab reaches it, and `spatialviz glossary` in the shell.",
+        "What the page says where the mouse rests on a word or Tab reaches it, and `spatialviz ask --glossary`.",
     ]
     for group, terms in groupby(glossary().values(), lambda term: term.group):
         lines += ["", f"## {group}", "", "| word | is | |", "|---|---|---|"]

@@ -37,7 +37,7 @@ class Look:
     tier : int
         Smaller ones come first.
     where : {"spelled", "form", "kind", "held", "packed"}
-        Among the names' own spellings, their forms, what they are kinds of, what they or their kind hold, or they alone.
+        Among the names' own spellings, their forms, what they are kinds of, what they or their kind hold, they alone.
     key : str
     score : float
         For the nearest names; of kinds 0.05 less for each further step.

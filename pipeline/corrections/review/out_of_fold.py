@@ -37,7 +37,7 @@ REVIEWED = "all"
 EPOCHS = 5
 """Half of the usual: longer training ranks no better, and takes wrong labels to heart."""
 PASSES = 3
-"""One pass overlooks 1.0 % of planted errors, three 0.5 % (measured in rendered rooms: `tests/benchmarks/planted_labels.py`). Few
+"""One pass overlooks 1.0 % of planted errors, three 0.5 % (in rendered rooms: `tests/benchmarks/planted_labels.py`). Few
 that are left cost much: as many chosen at random cost at least as much F1, so it is their number that counts."""
 PRUNED = 0.5
 """A label that is more probably wrong than right is not learnt from in the next pass."""
