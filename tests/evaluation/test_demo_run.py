@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from rewording import read_sentences, reword
 
 from pipeline.datasets import demo_labels, demo_run
 from pipeline.datasets.demo import demo_detector
@@ -16,7 +17,6 @@ from pipeline.evaluation import open_run
 from pipeline.evaluation.records import COLUMNS
 from pipeline.evaluation.run import Evaluator, table_of
 from pipeline.labels import open_labels, read_cases
-from pipeline.labels.rewording import read_sentences, reword
 from pipeline.system import InputError
 
 HERE = demo_run().parent

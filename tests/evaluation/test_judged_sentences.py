@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rewording import reword
 from slow_cases import mostly_slow
 
 from pipeline.answering import Pipeline, open_pipeline, record_detections
 from pipeline.evaluation import EvalSpec, SentenceReport, evaluate_labels, evaluate_sentences, summarise_run
 from pipeline.labels import Labels, open_labels
-from pipeline.labels.rewording import reword
 from pipeline.language import PHRASE
 from pipeline.system import InputError, pa
 

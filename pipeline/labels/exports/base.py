@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -114,24 +114,23 @@ class ExportFormat:
 
     Attributes
     ----------
-    write : callable
+    write
         Writes all files of a job below its folder.
-    read : callable or None
-        The tables in an exported folder, by name; None where the format holds no labels.
-    description : str
+    read
+        Reading an export back, for plugins that offer it; the program only writes.
+    description
         One line.
-    lossless : bool
-        Whether reading gives every row and value back. If not, the tables that
-        `read` gives have the columns that survive, and no others.
-    options : type or None
+    lossless
+        Every row and value is in the export.
+    options
         Dataclass of the format's options; all have defaults.
     """
 
     write: Callable[[Job], Written]
-    read: Callable[[Path], Mapping[str, pa.Table]] | None
-    description: str
+    read: Callable[[Path], Mapping[str, pa.Table]] | None = None
+    description: str = ""
     lossless: bool = True
-    options: type | None = field(default=None)
+    options: type | None = None
 
 
 JPEG_QUALITY = 95

@@ -26,8 +26,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any, TextIO
 
 from pipeline.labels.exports.base import (
@@ -40,10 +39,8 @@ from pipeline.labels.exports.base import (
     label_names,
     table_batches,
 )
-from pipeline.labels.exports.provenance import JsonList, Provenance, json_line, load_json
-from pipeline.labels.reading import arrow_schema, build_table, table_of_rows
-from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, as_input_error, kind_and_text, require
+from pipeline.labels.exports.provenance import JsonList, Provenance, json_line
+from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import text_file
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
@@ -232,94 +229,4 @@ QUALITY = (
     "estimator", "visible", "occluded", "usable", "reason",
 )  # fmt: skip
 EXPRESSION_KEYS = ("id", "target", "relation", "reference", "ambiguous", "margin", "judged_in", "up_source", "profile")
-NO_COLUMNS = ("image_id", "statuses", "provenance")
-"""What an image has in `relations.json` that is no column of the table."""
-
-
-def read_coco(root: Path) -> dict[str, pa.Table]:
-    """The four tables of an export in COCO format.
-
-    Raises
-    ------
-    InputError
-        A file is missing, damaged, or lacks what the export wrote.
-    """
-    instances = load_json(root / "instances.json")
-    refs, relations = load_json(root / "refs.json"), load_json(root / "relations.json")
-    with as_input_error(
-        "not a COCO export of labels",
-        KeyError,
-        TypeError,
-        IndexError,
-        ValueError,
-        AttributeError,
-        got=kind_and_text,
-        cause="was it edited?",
-        path=root,
-    ):
-        images = sorted(instances["images"] + instances["unusable_frames"], key=lambda image: image["id"])
-        names = {image["id"]: image["frame"] for image in images}
-        categories = {c["id"]: c["name"] for c in instances["categories"]}
-        annotations = sorted(instances["annotations"], key=lambda a: a["id"])
-        numbers = {a["id"]: a["object"] for a in annotations}
-        return {
-            "frames": table_of_rows("frames", [_frame(image) for image in images]),
-            "objects": table_of_rows("objects", [_object(a, names[a["image_id"]], categories) for a in annotations]),
-            "relations": _pairs(relations["images"], names, numbers),
-            "expressions": table_of_rows("expressions", [_expression(r, names[r["image_id"]], numbers) for r in refs]),
-        }
-
-
-def _frame(image: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "frame": image["frame"], "frame_index": image["id"], "width": image["width"], "height": image["height"],
-        **{key: image["spatialviz"][key] for key in FRAME_KEYS},
-    }  # fmt: skip
-
-
-def _object(annotation: dict[str, Any], frame: str, categories: dict[int, str]) -> dict[str, Any]:
-    segmentation = annotation["segmentation"]
-    row = {
-        "frame": frame,
-        "frame_index": annotation["image_id"],
-        "object": annotation["object"],
-        "label": categories[annotation["category_id"]],
-        "score": annotation["score"],
-        "instance": annotation["instance"],
-        "bbox": annotation["bbox_xyxy"],
-        "mask": segmentation["counts"] if isinstance(segmentation, dict) else None,
-        "mask_pixels": annotation["area"],
-    }
-    for key, prefix in BOXES.items():
-        box = annotation[key] or {"center": None, "size": None, "R": None}
-        R = box["R"]
-        row |= {f"{prefix}center": box["center"], f"{prefix}size": box["size"]}
-        row[f"{prefix}R"] = None if R is None else [x for line in R for x in line]
-    row |= {key: annotation["extent"][key] for key in EXTENT}
-    return row | {key: annotation["quality"][key] for key in QUALITY}
-
-
-def _expression(ref: dict[str, Any], frame: str, numbers: dict[int, int]) -> dict[str, Any]:
-    row = {
-        "frame": frame,
-        "frame_index": ref["image_id"],
-        "text": ref["sentences"][0]["raw"],
-        "target_object": numbers[ref["ann_id"]],
-        "reference_object": numbers[ref["reference_ann_id"]],
-        "targets": [numbers[n] for n in ref["target_ann_ids"]],
-        "acceptable": [numbers[n] for n in ref["acceptable_ann_ids"]],
-    }
-    return row | {key: ref[key] for key in EXPRESSION_KEYS}
-
-
-def _pairs(images: Iterable[dict[str, Any]], names: dict[int, str], numbers: dict[int, int]) -> pa.Table:
-    found = []
-    for image in images:
-        columns = {key: values for key, values in image.items() if key not in NO_COLUMNS}
-        columns |= {key: [numbers[n] for n in columns[key]] for key in ("a", "b")}
-        frames, index = [names[image["image_id"]]] * len(columns["a"]), [image["image_id"]] * len(columns["a"])
-        found.append(build_table("relations", {"frame": frames, "frame_index": index, **columns}))
-    return pa.concat_tables(found) if found else arrow_schema("relations").empty_table()
-
-
-FORMAT = ExportFormat(write_coco, read_coco, "COCO instances, RefCOCO-like references, and relations; lossless")
+FORMAT = ExportFormat(write_coco, description="COCO instances, RefCOCO-like references, and relations; lossless")

@@ -1,4 +1,4 @@
-"""Exporting labels and reading them back, by the name of the format; and the two formats of the tables as they are.
+"""Exports of labels, by the name of the format; and the two formats of the tables as they are.
 
 JSON lines: one file a table, one row a line.
 `frames.jsonl`, `objects.jsonl`, `relations.jsonl` and `expressions.jsonl` have
@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
@@ -40,7 +39,6 @@ from pipeline.labels.exports.provenance import (
     extended_json_schemas,
     extended_schema,
     json_lines,
-    load_json,
     open_provenance,
 )
 from pipeline.labels.reading import (
@@ -48,14 +46,11 @@ from pipeline.labels.reading import (
     ROW_GROUP,
     Labels,
     arrow_schema,
-    content_hash,
     labelled_dataset,
-    read_table,
 )
 from pipeline.labels.schema import TABLES, write_schemas
-from pipeline.system.arrow import pa, pj, pq
-from pipeline.system.door import read_json
-from pipeline.system.errors import as_input_error, first_line, needed, require
+from pipeline.system.arrow import pa, pq
+from pipeline.system.errors import needed, require
 from pipeline.system.plugins import load_plugins
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import sha256_of, staged_folder, text_file, write_json
@@ -146,69 +141,6 @@ def export_labels(
         }
         write_json(folder / MARK, record)
     return ExportReport((*written.files, MANIFEST_FILE, MARK), written.rows, written.notes, out)
-
-
-def import_labels(path: str | Path, format: str, *, verify: bool = True) -> dict[str, pa.Table]:
-    """Read the tables of an export back.
-
-    Parameters
-    ----------
-    path : str or Path
-        The folder that `export_labels` wrote.
-    format : str
-    verify : bool
-        Of a lossless format, check that the rows are those that were exported, by
-        the hashes in the manifest.
-
-    Returns
-    -------
-    dict of str to pa.Table
-        Of a lossless format all four tables, equal in every row and value to the
-        originals. Of another, the columns that survive; see its module.
-
-    Raises
-    ------
-    InputError
-        An unknown format or one without labels, files that are missing, damaged or changed.
-    """
-    root = Path(path).expanduser()
-    chosen = _format(format)
-    read = needed(chosen.read, f"the format {format} holds no labels to read back", path=root)
-    require(root.is_dir(), "there is no such export", expected="a folder", path=root)
-    mark = _read_mark(root)
-    stated = format if mark is None else mark.get("format")
-    require(stated == format, "an export in another format", got=stated, expected=format, path=root)
-    tables = dict(read(root))
-    if chosen.lossless and verify:
-        _check_hashes(root, tables)
-    return tables
-
-
-def _check_hashes(root: Path, tables: Mapping[str, pa.Table]) -> None:
-    manifest = load_json(root / MANIFEST_FILE)
-    for name, table in tables.items():
-        with as_input_error("the manifest is damaged", KeyError, TypeError, got=repr, path=root / MANIFEST_FILE):
-            known = manifest["tables"][name]
-            rows, known_hash = known["rows"], known["content_hash"]
-        require(
-            rows == table.num_rows,
-            f"the table {name} is not whole",
-            got=f"{table.num_rows} rows",
-            expected=rows,
-            path=root,
-        )
-        require(
-            content_hash(table, name) == known_hash, f"the table {name} was changed after it was exported", path=root
-        )
-
-
-def _read_mark(folder: Path) -> dict[str, object] | None:
-    """The record that an export left of itself, or None."""
-    try:
-        found = read_json(folder / MARK)
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None
 
 
 def _format(name: str) -> ExportFormat:
@@ -306,28 +238,8 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
     return found
 
 
-def read_hub(root: Path) -> dict[str, pa.Table]:
-    """The four tables, their files joined in order.
-
-    Raises
-    ------
-    InputError
-        Files are missing or damaged.
-    """
-    tables = {}
-    for name in TABLES:
-        paths = sorted((root / "data" / name).glob("train-*-of-*.parquet"))
-        require(
-            paths and paths[0].name.endswith(f"-of-{len(paths):05d}.parquet"),
-            f"files of the table {name} are missing",
-            path=root / "data" / name,
-        )
-        tables[name] = pa.concat_tables([read_table(path, name, arrow_schema(name).names) for path in paths])
-    return tables
-
-
 BLOCK = 1 << 24
-"""Bytes that are parsed at a time; no line may be longer."""
+"""Bytes that are parsed at a time when JSON lines are read; no line may be longer."""
 
 
 def write_jsonl(job: Job) -> Written:
@@ -359,50 +271,14 @@ def copy_images(job: Job) -> tuple[str, ...]:
     return ("images/",)
 
 
-def read_rows(path: Path, name: str) -> pa.Table:
-    """One table from its file of JSON lines.
-
-    Raises
-    ------
-    InputError
-        The file is missing, or a line of it is no row of that table.
-    """
-    schema = arrow_schema(name)
-    with (
-        as_input_error(f"not rows of {name}", pa.ArrowInvalid, pa.ArrowTypeError, OSError, got=first_line, path=path),
-        as_input_error(f"the table {name} is missing", FileNotFoundError, path=path),
-    ):
-        if path.stat().st_size == 0:
-            return schema.empty_table()
-        found = pj.read_json(
-            path,
-            read_options=pj.ReadOptions(block_size=BLOCK),
-            parse_options=pj.ParseOptions(
-                explicit_schema=extended_schema(name).remove_metadata(), unexpected_field_behavior="error"
-            ),
-        )
-    for field in schema:
-        require(
-            not (not field.nullable and found.column(field.name).null_count),
-            f"a row of {name} lacks {field.name!r}",
-            path=path,
-        )
-    return pa.Table.from_arrays([found.column(n) for n in schema.names], schema=schema)
-
-
 FORMATS: dict[str, ExportFormat] = {
-    "jsonl": ExportFormat(
-        write_jsonl,
-        lambda root: {name: read_rows(root / f"{name}.jsonl", name) for name in TABLES},
-        "JSON lines, one file a table; lossless",
-    ),
+    "jsonl": ExportFormat(write_jsonl, description="JSON lines, one file a table; lossless"),
     "coco": coco.FORMAT,
     "kitti": kitti.FORMAT,
     "vqa": vqa_questions.FORMAT,
     "parquet": ExportFormat(
         write_hub,
-        read_hub,
-        "Parquet with a dataset card and Croissant, as the Hugging Face hub wants it; lossless",
+        description="Parquet with a dataset card and Croissant, as the Hugging Face hub wants it; lossless",
         options=HubConfig,
     ),
 }

@@ -53,7 +53,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -67,18 +67,8 @@ from pipeline.labels.exports.base import (
     iterate_frames,
     label_names,
 )
-from pipeline.labels.exports.provenance import json_line, load_json
-from pipeline.labels.reading import arrow_schema
-from pipeline.system.arrow import pa
-from pipeline.system.door import parse_json, read_text
-from pipeline.system.errors import InputError, Shown, as_input_error, require
+from pipeline.labels.exports.provenance import json_line
 from pipeline.system.whole_files import text_file, write_json
-
-SURVIVING = {
-    "frames": ("frame", "frame_index", "ok", "width", "height", "K", "up"),
-    "objects": ("frame", "frame_index", "object", "label", "score", "bbox", "touches_border", "center", "R", "size"),
-}
-"""The columns that reading gives back."""
 
 NO_BOX = "-1 -1 -1 -1000 -1000 -1000 -10"
 FIELDS = 16
@@ -184,90 +174,8 @@ def _written_id(frame: str) -> str:
     return frame if plain else json.dumps(frame)
 
 
-def read_kitti(root: Path) -> dict[str, pa.Table]:
-    """Frames and objects, with the columns of SURVIVING.
-
-    Raises
-    ------
-    InputError
-        A file is missing, or a line of it is no KITTI label.
-    """
-    names = {str(token): str(name) for token, name in load_json(root / "classes.json").items()}
-    usable = set(_lines(root / "ImageSets" / "train.txt"))
-    frames: list[dict[str, Any]] = []
-    objects: list[dict[str, Any]] = []
-    for line in _lines(root / "index.txt"):
-        with as_input_error("not a line of index.txt", ValueError, got=Shown(line, 80), path=root / "index.txt"):
-            number, width, height, written = line.split(" ", 3)
-            frame = {
-                "frame": parse_json(written) if written.startswith('"') else written,
-                "frame_index": int(number), "ok": number in usable, "width": int(width), "height": int(height),
-                "K": None, "up": None,
-            }  # fmt: skip
-        if frame["ok"]:
-            P, level = _read_calibration(root / "calib" / f"{number}.txt")
-            frame |= {"K": (P[:, :3] @ level).ravel().tolist(), "up": (-level[1]).tolist()}
-            objects += _read_objects(root, number, frame, level, names)
-        frames.append(frame)
-    return {name: _surviving(name, rows) for name, rows in (("frames", frames), ("objects", objects))}
-
-
-def _lines(path: Path) -> list[str]:
-    with as_input_error(
-        "a file of the export is missing or damaged", OSError, UnicodeDecodeError, got=lambda e: str(e)[:120], path=path
-    ):
-        return [line for line in read_text(path).split("\n") if line]
-
-
-def _read_calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    try:
-        found = dict(line.split(": ", 1) for line in _lines(path))
-        P, level = (np.array(found[key].split(), np.float64) for key in ("P2", "R0_rect"))
-        return P.reshape(3, 4), level.reshape(3, 3)
-    except (KeyError, ValueError) as error:
-        raise InputError("not a KITTI calibration", got=str(error)[:80], path=path) from error
-
-
-def _read_objects(
-    root: Path, number: str, frame: Mapping[str, Any], level: np.ndarray, names: Mapping[str, str]
-) -> Iterator[dict[str, Any]]:
-    path, ids_path = root / "label_2" / f"{number}.txt", root / "object_ids" / f"{number}.txt"
-    lines, ids = _lines(path), _lines(ids_path)
-    require(
-        len(lines) == len(ids),
-        "another number of objects than of labels",
-        got=len(ids),
-        expected=len(lines),
-        path=ids_path,
-    )
-    for k, (line, own) in enumerate(zip(lines, ids, strict=True), start=1):
-        with as_input_error(f"line {k} is no label", ValueError, KeyError, got=lambda e: str(e)[:80], path=path):
-            token, *rest = line.split(" ")
-            values = [float(x) for x in rest]
-            if len(values) != FIELDS - 1:
-                raise ValueError(f"{len(values) + 1} fields")
-            row = {
-                "frame": frame["frame"], "frame_index": frame["frame_index"], "object": int(own),
-                "label": names[token], "score": values[14], "bbox": values[3:7], "touches_border": values[0] > 0,
-                "center": None, "R": None, "size": None,
-            }  # fmt: skip
-        if values[7] >= 0:
-            box = from_kitti(np.array(values[7:10]), np.array(values[10:13]), values[13], level)
-            row |= {key: part.ravel().tolist() for key, part in zip(("center", "R", "size"), box, strict=True)}
-        yield row
-
-
-def _surviving(name: str, rows: list[dict[str, Any]]) -> pa.Table:
-    schema = arrow_schema(name)
-    fields = [schema.field(column) for column in SURVIVING[name]]
-    return pa.Table.from_arrays(
-        [pa.array([row[f.name] for row in rows], f.type) for f in fields],
-        schema=pa.schema(fields, metadata=schema.metadata),
-    )
-
-
 FORMAT = ExportFormat(
-    write_kitti, read_kitti, "KITTI-like object labels, a text file a frame; boxes only", lossless=False
+    write_kitti, description="KITTI-like object labels, a text file a frame; boxes only", lossless=False
 )
 
 
@@ -300,17 +208,6 @@ def to_kitti(
         R_level_camera @ center + np.array([0.0, size[1] / 2, 0.0]),
         float(np.arctan2(-own[2, 0], own[0, 0])),
     )
-
-
-def from_kitti(
-    dimensions: np.ndarray, location: np.ndarray, rotation_y: float, R_level_camera: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(center, R, size) in the camera frame: the inverse of `to_kitti`."""
-    h, w, length = dimensions
-    c, s = np.cos(rotation_y), np.sin(rotation_y)
-    own = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    center = R_level_camera.T @ (location - np.array([0.0, h / 2, 0.0]))
-    return center, R_level_camera.T @ own, np.array([length, h, w])
 
 
 def observation_angle(location: np.ndarray, rotation_y: float) -> float:

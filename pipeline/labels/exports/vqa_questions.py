@@ -412,5 +412,8 @@ def _provenance(job: Job, question: Question) -> list[dict[str, object]]:
 
 
 FORMAT = ExportFormat(
-    write_vqa, None, "questions and answers as LLaVA conversations, for fine-tuning", lossless=False, options=VqaConfig
+    write_vqa,
+    description="questions and answers as LLaVA conversations, for fine-tuning",
+    lossless=False,
+    options=VqaConfig,
 )

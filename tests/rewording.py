@@ -64,7 +64,7 @@ if __name__ == "__main__":
     import sys
 
     if len(sys.argv) != 3:
-        sys.exit("usage: python -m pipeline.labels.rewording LABELS SENTENCES.json")
+        sys.exit("usage: python tests/rewording.py LABELS SENTENCES.json")
     try:
         print(f"{reword(Path(sys.argv[1]), read_sentences(Path(sys.argv[2])))} sentences")
     except InputError as error:
