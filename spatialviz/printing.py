@@ -16,7 +16,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.labels.makers import makers_of
+from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.metrics.intervals import Estimate

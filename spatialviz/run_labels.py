@@ -14,9 +14,9 @@ from pipeline.labels.by_hand import begun_labels, with_frames
 from pipeline.labels.check import check_labels, finding_record
 from pipeline.labels.check.view import Finding
 from pipeline.labels.job import LabelReport, label_dataset
-from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import SelectConfig, merge_labels
 from pipeline.labels.plan import CAMERA, SENTENCE_KINDS, LabelConfig
+from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import SENTENCES_FILE, open_labels
 from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
 from pipeline.labels.schema import Manifest

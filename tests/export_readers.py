@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.labels.exports.coco import BOXES, EXPRESSION_KEYS, EXTENT, FRAME_KEYS, QUALITY
 from pipeline.labels.exports.exporting import BLOCK, FORMATS, MARK
 from pipeline.labels.exports.kitti import FIELDS
-from pipeline.labels.exports.provenance import extended_schema, load_json
+from pipeline.labels.exports.row_provenance import extended_schema, load_json
 from pipeline.labels.reading import MANIFEST_FILE, arrow_schema, build_table, content_hash, read_table, table_of_rows
 from pipeline.labels.schema import TABLES
 from pipeline.system.arrow import pa, pj

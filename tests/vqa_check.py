@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.datasets import Dataset
 from pipeline.labels import Labels, VqaConfig, labelled_dataset
 from pipeline.labels.exports.base import FrameRows, iterate_frames
-from pipeline.labels.exports.provenance import load_json, open_provenance
+from pipeline.labels.exports.row_provenance import load_json, open_provenance
 from pipeline.labels.exports.vqa_geometry import (
     CONVERSATIONS_FILE,
     IMAGE_TOKEN,

@@ -44,7 +44,7 @@ from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
 from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, has_verdicts, summarise_run, summary_tables
-from pipeline.labels.makers import makers_of
+from pipeline.labels.provenance import makers_of
 from pipeline.labels.merge import environment
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.reading import Labels, labelled_up, open_labels

@@ -17,7 +17,7 @@ from pipeline.evaluation.relation_report import counted_pairs, relation_ranks
 from pipeline.evaluation.run_folder import RECORDS_FILE, open_run, read_manifest
 from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run, title_of
 from pipeline.labels.cases import HIT
-from pipeline.labels.makers import Makers
+from pipeline.labels.provenance import Makers
 from pipeline.labels.profiles import GIVEN
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import VOCABULARIES

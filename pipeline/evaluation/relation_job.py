@@ -34,7 +34,7 @@ from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.shared_makers import Share, scorer_share
 from pipeline.evaluation.vlm.questions import RelationConfig, score_pairs
 from pipeline.geometry.frame import Annotation
-from pipeline.labels.makers import makers_of
+from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.metrics.intervals import BootstrapConfig

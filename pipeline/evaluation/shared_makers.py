@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.answering.opening import Pipeline
-from pipeline.labels.makers import (
+from pipeline.labels.profiles import NONE, profile_of
+from pipeline.labels.provenance import (
     ANNOTATIONS,
     OF_ANNOTATIONS,
     RECORDED,
@@ -19,7 +20,6 @@ from pipeline.labels.makers import (
     makers_of,
     mask_makers,
 )
-from pipeline.labels.profiles import NONE, profile_of
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.metrics.tables import Table
 from pipeline.relations import RULE, TRAINED, RelationScorer, RuleScorer

@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from pipeline.labels.engines import label_shard, open_labeller
     from pipeline.labels.exports import export_labels
     from pipeline.labels.exports.exporting import HubConfig
-    from pipeline.labels.exports.provenance import ExportedFrom
+    from pipeline.labels.exports.row_provenance import ExportedFrom
     from pipeline.labels.exports.vqa_geometry import VqaConfig
     from pipeline.labels.job import label, label_dataset
     from pipeline.labels.labelling import label_objects
-    from pipeline.labels.makers import Makers, Model, makers_of, mask_makers
     from pipeline.labels.merge import SelectConfig, merge_labels
     from pipeline.labels.plan import SENTENCE_KINDS, LabelConfig, SourceSpec, load_plan, make_plan, save_plan
     from pipeline.labels.profiles import GIVEN, NONE, PROFILES, canonical_hash, open_second_opinion, profile_of
+    from pipeline.labels.provenance import Makers, Model, makers_of, mask_makers
     from pipeline.labels.reading import (
         MANIFEST_FILE,
         PROVENANCE_FILE,

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import PurePosixPath
 from typing import Any
 
-from pipeline.labels.makers import makers_of
+from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import SENTENCES_FILE, Labels, arrow_schema
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.system.arrow import pa, pc

@@ -18,8 +18,8 @@ import numpy as np
 from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.labelling import row_hash
-from pipeline.labels.makers import makers_of
 from pipeline.labels.plan import PLAN_FILE, Plan, Shard, TextStyle, load_plan
+from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import (
     CANDIDATES,
     MANIFEST_FILE,

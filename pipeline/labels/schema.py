@@ -187,7 +187,7 @@ class Manifest(BaseModel):
     people's corrections are in the tables, `corrections` says from which journal
     and how many, and `config` and `profile` speak of all other values. `makers`
     says for other programs what made masks, boxes and relations; the same follows
-    from the rest by `pipeline.labels.makers.makers_of`, also where it is missing.
+    from the rest by `pipeline.labels.provenance.makers_of`, also where it is missing.
     """
 
     model_config = ConfigDict(extra="forbid")

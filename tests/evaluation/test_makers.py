@@ -42,7 +42,7 @@ from pipeline.labels import (
     mask_makers,
     open_labels,
 )
-from pipeline.labels.makers import Decided
+from pipeline.labels.provenance import Decided
 from pipeline.metrics import BootstrapConfig, Row, Table, as_csv, in_blocks, latex, markdown
 from pipeline.relations import PROFILE, T
 

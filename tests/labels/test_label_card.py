@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.labels import TABLES, HubConfig, Labels, export_labels
 from pipeline.labels.card import croissant, dataset_card
-from pipeline.labels.exports.provenance import extended_schema
+from pipeline.labels.exports.row_provenance import extended_schema
 
 
 def front_matter(card: str) -> dict[str, object]:

@@ -31,7 +31,7 @@ from pipeline.evaluation.comparing import Comparison
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.evaluation.shared_makers import scorer_share
-from pipeline.labels.makers import makers_of
+from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.registry import open_detector

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets import Dataset
-from pipeline.labels.exports.provenance import Provenance
+from pipeline.labels.exports.row_provenance import Provenance
 from pipeline.labels.reading import Labels, arrow_schema, check_version, sound_rows
 from pipeline.system.arrow import pa
 from pipeline.system.door import open_parquet

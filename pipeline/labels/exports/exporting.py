@@ -2,7 +2,7 @@
 
 JSON lines: one file a table, one row a line.
 `frames.jsonl`, `objects.jsonl`, `relations.jsonl` and `expressions.jsonl` have
-the columns of the tables as keys, and those of `pipeline.labels.exports.provenance`;
+the columns of the tables as keys, and those of `pipeline.labels.exports.row_provenance`;
 `schemas/` holds the JSON Schema of each.
 A float32 column is written as the double of the same value, so that reading it
 as float32 gives the same bits.
@@ -10,7 +10,7 @@ as float32 gives the same bits.
 The hub: Parquet files, a dataset card and Croissant metadata.
 `data/TABLE/train-00000-of-0000N.parquet`, `README.md` (the card, whose YAML
 names the four tables as configs), `croissant.json`, `schemas/`. Beside its own,
-every table has the columns of `pipeline.labels.exports.provenance`. Pictures, if
+every table has the columns of `pipeline.labels.exports.row_provenance`. Pictures, if
 copied, are in `images/` by frame_index.
 """
 
@@ -35,7 +35,7 @@ from pipeline.labels.exports.base import (
     iterate_frames,
     table_batches,
 )
-from pipeline.labels.exports.provenance import (
+from pipeline.labels.exports.row_provenance import (
     extended_json_schemas,
     extended_schema,
     json_lines,
@@ -76,7 +76,7 @@ def export_labels(
     """Write labels in another tool's format. Either the whole folder appears, or nothing does.
 
     Every format says of its rows where their values come from: see
-    `pipeline.labels.exports.provenance`. Of labels that nobody corrected, all is the labeller's.
+    `pipeline.labels.exports.row_provenance`. Of labels that nobody corrected, all is the labeller's.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ relations are those of the expressions.
 
 `provenance` of a record lists, of the objects, the pair and the expression that a
 question is made from, every value that is not the labeller's: `table`, `key` and
-the keys of `pipeline.labels.exports.provenance`. Whatever it does not list is "auto".
+the keys of `pipeline.labels.exports.row_provenance`. Whatever it does not list is "auto".
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from operator import attrgetter
 import numpy as np
 
 from pipeline.labels.exports.base import ExportFormat, FrameRows, Job, Written, image_name, iterate_frames
-from pipeline.labels.exports.provenance import JsonList, Provenance
+from pipeline.labels.exports.row_provenance import JsonList, Provenance
 from pipeline.labels.exports.vqa_geometry import (
     CONVERSATIONS_FILE,
     POINTS,

@@ -11,7 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from pipeline.labels.makers import makers_of
+from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.labels.report.distributions import Distributions, distributions
 from pipeline.labels.report.pictures import (

@@ -27,7 +27,7 @@ from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.masks import decode_run_length, encode_run_length, fill_polygons, mask_box
-from pipeline.labels.exports.provenance import ExportedFrom
+from pipeline.labels.exports.row_provenance import ExportedFrom
 from pipeline.proposals.segmenter import share_inside
 from pipeline.system.door import read_json
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require

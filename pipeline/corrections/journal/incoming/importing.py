@@ -22,7 +22,7 @@ from pipeline.corrections.journal.incoming.states import Claim, Claims, States
 from pipeline.corrections.journal.journal import Journal
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.exporting import MARK
-from pipeline.labels.exports.provenance import ExportedFrom
+from pipeline.labels.exports.row_provenance import ExportedFrom
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE

@@ -31,7 +31,7 @@ from pipeline.corrections.journal.incoming.coco_file import (
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.exports.exporting import BLOCK
-from pipeline.labels.exports.provenance import ExportedFrom
+from pipeline.labels.exports.row_provenance import ExportedFrom
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.door import opened, parse_json

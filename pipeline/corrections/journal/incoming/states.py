@@ -17,7 +17,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event, grouped
 from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT, FieldRef, checked, object_ref, same_value
 from pipeline.datasets import Dataset
-from pipeline.labels.exports.provenance import ExportedFrom
+from pipeline.labels.exports.row_provenance import ExportedFrom
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError, require
