@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pipeline.system.safe_files import parse_json, read_json, read_text
 
 from pipeline.labels.exports.coco import BOXES, EXPRESSION_KEYS, EXTENT, FRAME_KEYS, QUALITY
 from pipeline.labels.exports.exporting import BLOCK, FORMATS, MARK
@@ -15,7 +16,6 @@ from pipeline.labels.exports.row_provenance import extended_schema, load_json
 from pipeline.labels.reading import MANIFEST_FILE, arrow_schema, build_table, content_hash, read_table, table_of_rows
 from pipeline.labels.schema import TABLES
 from pipeline.system.arrow import pa, pj
-from pipeline.system.door import parse_json, read_json, read_text
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, kind_and_text, needed, require
 
 

@@ -29,9 +29,9 @@ from pipeline.answering.prediction_schema import (
     fields_beside,
 )
 from pipeline.language.relation_names import RELATIONS
-from pipeline.system.door import opened, parse_json, read_bytes
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
+from pipeline.system.safe_files import opened, parse_json, read_bytes
 from pipeline.system.whole_files import sha256_of, whole_file
 
 __all__ = [

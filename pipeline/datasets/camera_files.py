@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.datasets.files import read_bytes, read_mat
 from pipeline.datasets.images import Blob
 from pipeline.geometry.camera import intrinsics
-from pipeline.system import door
+from pipeline.system import safe_files
 from pipeline.system.errors import InputError, require
 
 CAMERA_SUFFIXES = (".json", ".yml", ".yaml", ".txt", ".toml", ".ini", ".cfg", ".mat", ".npy", ".npz", ".pincam")
@@ -217,7 +217,7 @@ def _named_numbers(path: Blob) -> Iterator[tuple[str, np.ndarray]]:
     require(len(data) <= LARGEST_BYTES, "too large for a camera file", got=f"{len(data)} bytes", path=path)
     if suffix in (".npy", ".npz"):
         try:
-            loaded: Any = door.load_arrays(data, path)
+            loaded: Any = safe_files.load_arrays(data, path)
             arrays = {"": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
         except InputError:
             raise
@@ -227,7 +227,7 @@ def _named_numbers(path: Blob) -> Iterator[tuple[str, np.ndarray]]:
         return
     try:
         text = data.decode("utf-8-sig")
-        yield from flat_numbers(door.parse_json(text, path)) if suffix == ".json" else _text_numbers(text)
+        yield from flat_numbers(safe_files.parse_json(text, path)) if suffix == ".json" else _text_numbers(text)
     except InputError:
         raise
     except ValueError as error:

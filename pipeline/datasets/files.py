@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pipeline.system import door
+from pipeline.system import safe_files
 from pipeline.system.errors import InputError, require
 from pipeline.system.limits import within
 
@@ -45,7 +45,7 @@ def read_bytes(path: Blob, limit: str = "bytes") -> bytes:
         Missing, unreadable, or empty; no regular file, outside the dataset, or too large.
     """
     try:
-        data = door.read_bytes(path, limit) if isinstance(path, Path) else path.read_bytes()
+        data = safe_files.read_bytes(path, limit) if isinstance(path, Path) else path.read_bytes()
     except FileNotFoundError as error:
         raise InputError("a file is missing", path=path) from error
     except OSError as error:
@@ -64,7 +64,7 @@ def read_json(path: Blob) -> dict[str, Any]:
     """
     data = read_bytes(path, "text")
     try:
-        table = door.parse_json(data, path)
+        table = safe_files.parse_json(data, path)
     except json.JSONDecodeError as error:
         raise InputError(
             f"malformed JSON in line {error.lineno}, column {error.colno}", got=error.msg, path=path
@@ -156,7 +156,7 @@ def read_mat(path: Blob, *names: str) -> dict[str, Any]:
     try:
         for name, shape, _ in whosmat(io.BytesIO(data)):
             if name in names:
-                within(math.prod(shape), "pixels", f"{name[:80]} of {shape}", path, door.limits_of(path))
+                within(math.prod(shape), "pixels", f"{name[:80]} of {shape}", path, safe_files.limits_of(path))
         return loadmat(io.BytesIO(data), variable_names=names)
     except InputError:
         raise
@@ -181,7 +181,7 @@ def listing(folder: Path, links: bool = True) -> tuple[list[str], list[str]]:
                     (folders if entry.is_dir(follow_symlinks=links) else files).append(entry.name)
     except OSError as error:
         raise InputError("a folder cannot be listed", got=error.strerror, path=folder) from error
-    within(len(folders) + len(files), "names", "a folder", folder, door.limits_of(folder))
+    within(len(folders) + len(files), "names", "a folder", folder, safe_files.limits_of(folder))
     found = in_order(folders), in_order(files)
     if memo is not None:
         memo[folder, links] = found

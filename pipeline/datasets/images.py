@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 
 from pipeline.datasets.files import CUT_OFF, Blob, read_bytes
-from pipeline.system import door
+from pipeline.system import safe_files
 from pipeline.system.errors import InputError, needed, require
 
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy", ".npz")
@@ -168,7 +168,7 @@ def exif_focal(path: Blob, height: int, width: int) -> tuple[float, float] | Non
 def picture_size(path: Path) -> tuple[int, int] | None:
     """(width, height) by the header of a picture; None where it is none."""
     try:
-        with door.opened(path) as file, Image.open(file) as picture:
+        with safe_files.opened(path) as file, Image.open(file) as picture:
             return picture.size
     except (OSError, ValueError, Image.DecompressionBombError):
         return None
@@ -195,7 +195,7 @@ def _checked(path: Blob, expected: str) -> tuple[bytes, str]:
     elif kind == "jpeg":
         _check_jpeg(data, path)
     if kind not in _ARRAYS:
-        door.check_pixels(data, path)
+        safe_files.check_pixels(data, path)
     return data, kind
 
 
@@ -287,7 +287,7 @@ def _decode_pnm(data: bytes, path: Blob, flags: int) -> np.ndarray:
 def _decode_numpy(data: bytes, path: Blob) -> np.ndarray:
     """The array of an NPY, or of an NPZ: its only one, or the one that is named for depth."""
     try:
-        array = door.load_arrays(data, path)
+        array = safe_files.load_arrays(data, path)
         if isinstance(array, np.lib.npyio.NpzFile):
             names = [name for name in array.files if len(array.files) == 1 or "depth" in name.lower()]
             require(len(names) == 1, "an NPZ without one array of depth", got=", ".join(array.files), path=path)
@@ -316,7 +316,7 @@ def _decode_exr(data: bytes, path: Blob) -> np.ndarray:
             cause="the wheels of OpenCV cannot be relied on to read EXR",
             path=path,
         ) from error
-    door.check_pixels(data, path)
+    safe_files.check_pixels(data, path)
     try:
         with OpenEXR.File(os.fspath(path), separate_channels=True) as image:
             channels = [np.array(channel.pixels) for channel in image.channels().values()]

@@ -33,10 +33,10 @@ from pipeline.datasets.files import listed_once
 from pipeline.datasets.settings import GivenUp, read_settings
 from pipeline.datasets.unknown import unknown
 from pipeline.datasets.up import with_given_up
-from pipeline.system.door import enter
 from pipeline.system.errors import require
 from pipeline.system.plugins import load_plugins
 from pipeline.system.remote import local_path
+from pipeline.system.safe_files import enter
 
 FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,

@@ -21,8 +21,8 @@ from pipeline.datasets.files import read_json, readable
 from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import DEPTH_SCALE, Settings
-from pipeline.system.door import open_parquet
 from pipeline.system.errors import InputError, as_input_error, needed, require
+from pipeline.system.safe_files import open_parquet
 
 SUFFIX = ".parquet"
 ROWS_KEPT = 8

@@ -25,8 +25,8 @@ from pipeline.datasets.pairing import Files, Pair, numbers, stem_of
 from pipeline.datasets.reconstructions import OPENCV_OF_OPENGL
 from pipeline.datasets.recording import DepthRule, Listed, Recording
 from pipeline.datasets.settings import Settings
-from pipeline.system.door import open_zip, parse_json
 from pipeline.system.errors import InputError, as_input_error, extra_module, needed, require
+from pipeline.system.safe_files import open_zip, parse_json
 
 WITHIN_S = 0.005
 """How far the makers' own loader takes a pose from a frame's time."""

@@ -13,8 +13,8 @@ from typing import Any
 from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
-from pipeline.system.door import read_json
 from pipeline.system.errors import as_input_error, first_line, needed, require
+from pipeline.system.safe_files import read_json
 
 FILE = "annotations.json"
 KEYS = ("category", "question", "answer", "img")

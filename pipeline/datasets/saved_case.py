@@ -24,10 +24,10 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.masks import RunLength
-from pipeline.system.door import enter, read_bytes
 from pipeline.system.encoded_pictures import png
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
+from pipeline.system.safe_files import enter, read_bytes
 
 MANIFEST = "spatialviz-case.json"
 CASE_FORMAT = "spatialviz-case-1"

@@ -19,8 +19,8 @@ import numpy as np
 
 from pipeline.datasets.base import GivenExpression
 from pipeline.datasets.files import CUT_OFF, read_bytes, read_json
-from pipeline.system.door import checked_path
 from pipeline.system.errors import InputError, require
+from pipeline.system.safe_files import checked_path
 
 MOST_VALUES = 100_000_000
 MOST_NAMES = 1_000_000

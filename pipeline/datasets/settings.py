@@ -12,9 +12,9 @@ from typing import Any, Literal
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.pose_convention import check_convention
 from pipeline.geometry.registration import Registration
-from pipeline.system.door import read_text
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import parse_toml
+from pipeline.system.safe_files import read_text
 from pipeline.system.whole_files import write_whole
 
 FILE_NAME = "spatialviz.toml"

@@ -27,9 +27,9 @@ from pipeline.datasets.pairing import role_of
 from pipeline.datasets.recording import Listed, Recording
 from pipeline.datasets.settings import Settings
 from pipeline.datasets.tum import match_times
-from pipeline.system.door import BoundedPath, check_pixels, checked_path
 from pipeline.system.errors import InputError, as_input_error, extra_module, needed, require
 from pipeline.system.limits import shown
+from pipeline.system.safe_files import BoundedPath, check_pixels, checked_path
 
 SUFFIXES = (".bag", ".db3", ".mcap")
 METADATA, LARGEST_METADATA = "metadata.yaml", 4 * 10**6

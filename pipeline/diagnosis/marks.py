@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pipeline.system.door import read_json
 from pipeline.system.errors import as_input_error, require
+from pipeline.system.safe_files import read_json
 
 _KEYS = ("frame", "id", "mark")
 MARKS = ("BAD_LABEL", "BAD_BOX")

@@ -17,8 +17,8 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT
 from pipeline.metrics.intervals import Estimate, McNemar, mcnemar, mean_estimate
 from pipeline.system.arrow import pa
-from pipeline.system.door import parse_json, read_text
 from pipeline.system.errors import InputError, require
+from pipeline.system.safe_files import parse_json, read_text
 
 MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
 CHANGES = {

@@ -21,9 +21,9 @@ from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, boots
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.system.arrow import pa
-from pipeline.system.door import read_bytes
 from pipeline.system.errors import InputError
 from pipeline.system.reading import checked
+from pipeline.system.safe_files import read_bytes
 
 FIGURES = Path(__file__).with_name("reported.json")
 

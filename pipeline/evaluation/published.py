@@ -24,9 +24,9 @@ import numpy as np
 from pipeline.datasets.base import Dataset
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.system.door import read_json
 from pipeline.system.errors import InputError, Shown, as_input_error, require
 from pipeline.system.plain_pickle import read_plain_pickle
+from pipeline.system.safe_files import read_json
 
 ACC_AT = (0.25, 0.5)
 SUFFIXES = (".json", ".p", ".pkl")

@@ -19,8 +19,8 @@ from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.expression import sentence_kind
 from pipeline.language.tree import Query
 from pipeline.system.arrow import pa, typed
-from pipeline.system.door import read_parquet
 from pipeline.system.errors import InputError, require
+from pipeline.system.safe_files import read_parquet
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
     "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",

@@ -22,9 +22,9 @@ from pipeline.relations.features import geometry_of
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
-from pipeline.system.door import read_json, read_parquet
 from pipeline.system.errors import require
 from pipeline.system.onnx_session import metadata, open_session
+from pipeline.system.safe_files import read_json, read_parquet
 from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, known_pairs, object_rows, rows_of_frame
 
 _GEOMETRY = tuple(dict.fromkeys(name for names in GEOMETRY_COLUMNS.values() for name in names))

@@ -27,8 +27,8 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
-from pipeline.system.door import open_parquet, parse_json, read_parquet
 from pipeline.system.errors import InputError
+from pipeline.system.safe_files import open_parquet, parse_json, read_parquet
 from pipeline.training.label_data import parts_seen
 
 FILE = "relation_records.parquet"

@@ -26,8 +26,8 @@ from pipeline.datasets.robospatial import FILE, KEYS, item_name, robospatial_ent
 from pipeline.evaluation.vlm.answers import parse_yes_no
 from pipeline.metrics.tables import Row, Table
 from pipeline.system.arrow import pa
-from pipeline.system.door import parquet_columns, read_parquet
 from pipeline.system.errors import as_input_error, first_line, require
+from pipeline.system.safe_files import parquet_columns, read_parquet
 
 POINTING = "context"
 VQA = ("configuration", "compatibility")

@@ -29,12 +29,12 @@ from pipeline.evaluation.shared_makers import Share, shares_of_run
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
-from pipeline.system.door import enter, read_json, read_text
 from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.in_notebook import InNotebook
 from pipeline.system.model_files import parse_hub_id
 from pipeline.system.reading import checked
 from pipeline.system.remote import is_url, local_path, named_before
+from pipeline.system.safe_files import enter, read_json, read_text
 
 RUN_FILE = "run.json"
 """The manifest of a run; a folder that holds it may be overwritten by another run."""

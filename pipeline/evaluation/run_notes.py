@@ -14,9 +14,9 @@ from platformdirs import user_data_path
 from pydantic import TypeAdapter
 
 from pipeline.datasets.demo import demo_run
-from pipeline.system.door import read_bytes
 from pipeline.system.errors import InputError, as_input_error, require
 from pipeline.system.reading import checked
+from pipeline.system.safe_files import read_bytes
 from pipeline.system.whole_files import alone, write_whole
 
 MARKS = "marks"

@@ -24,9 +24,9 @@ from pipeline.evaluation.published import SUFFIXES, acc_iou, published_sentences
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, FrameCases
 from pipeline.language.unreadable import why_unread, why_unused
-from pipeline.system.door import read_bytes
 from pipeline.system.errors import InputError, ServerError, require
 from pipeline.system.reading import checked
+from pipeline.system.safe_files import read_bytes
 
 UNSORTED = "unsorted"
 """The kind of a sentence that names none."""

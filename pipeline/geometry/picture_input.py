@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
-from pipeline.system.door import read_text
 from pipeline.system.errors import InputError, require
 from pipeline.system.onnx_session import signature
 from pipeline.system.reading import checked, parse_toml
+from pipeline.system.safe_files import read_text
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Side = Annotated[int, Field(ge=8, le=8192)]

@@ -17,7 +17,7 @@ from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import SENTENCES_FILE, Labels, arrow_schema
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.system.arrow import pa, pc
-from pipeline.system.door import open_parquet
+from pipeline.system.safe_files import open_parquet
 
 UNKNOWN_LICENCE = "unknown: ask the dataset's owner"
 _HUB_LICENCE = re.compile(r"[a-z0-9][a-z0-9.+-]*")

@@ -19,8 +19,8 @@ from pipeline.language.tree import Node, Query
 from pipeline.language.unreadable import Unread, why_unread, why_unused
 from pipeline.relations.relations import U
 from pipeline.system.arrow import pa
-from pipeline.system.door import read_parquet
 from pipeline.system.errors import InputError, require
+from pipeline.system.safe_files import read_parquet
 
 if TYPE_CHECKING:
     Indices = np.ndarray

@@ -21,9 +21,9 @@ from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
 from pipeline.relations.relations import PROFILE
 from pipeline.system.detector_setup import with_files
-from pipeline.system.door import parse_json, read_bytes
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import parse_hub_id
+from pipeline.system.safe_files import parse_json, read_bytes
 from pipeline.system.version import __version__
 
 MOST_FRAMES_A_SHARD = 64

@@ -23,10 +23,10 @@ from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES, Manifest
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pc, pq, typed
-from pipeline.system.door import enter, open_parquet, read_json, read_parquet
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, needed, require
 from pipeline.system.reading import checked
 from pipeline.system.remote import named_before
+from pipeline.system.safe_files import enter, open_parquet, read_json, read_parquet
 from pipeline.system.whole_files import temporary_sibling
 
 VERSION_KEY = b"spatialviz.schema_version"

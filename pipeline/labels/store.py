@@ -12,8 +12,8 @@ from typing import Any
 
 from pipeline.labels.reading import read_table
 from pipeline.system.arrow import pa, pq
-from pipeline.system.door import opened, parse_json, read_text
 from pipeline.system.errors import InputError, as_input_error, extra_module, first_line, require
+from pipeline.system.safe_files import opened, parse_json, read_text
 from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, temporary_sibling, write_synced
 
 PARTS = "parts"

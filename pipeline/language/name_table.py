@@ -12,8 +12,8 @@ from typing import Any
 import xxhash
 
 from pipeline.language.normal import key_of, normal_form
-from pipeline.system.door import read_json
 from pipeline.system.errors import InputError, as_input_error
+from pipeline.system.safe_files import read_json
 
 NAMES = Path(__file__).with_name("names")
 """The project's own table: every JSON file in here. `docs/names.md` says what its keys mean."""

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.system.door import checked_path
 from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.onnx_session import first_line
+from pipeline.system.safe_files import checked_path
 
 MAX_TOKENS = 256
 SPECIAL = {"[CLS]": 101, "[SEP]": 102, ".": 1012, "?": 1029}

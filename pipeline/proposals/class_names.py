@@ -13,9 +13,9 @@ import xxhash
 
 from pipeline.language.naming import Synonyms, default_synonyms, match, same_or_kind
 from pipeline.proposals.base import Detector, unknown_class
-from pipeline.system.door import parse_json, read_text
 from pipeline.system.errors import as_input_error, require
 from pipeline.system.onnx_session import metadata
+from pipeline.system.safe_files import parse_json, read_text
 
 ADVICE = 'all: `spatialviz models FILE`; another name for one: --synonyms FILE with {{"groups": [[{}, NAME]]}}'
 

@@ -40,10 +40,10 @@ from pipeline.proposals.class_names import meant_names
 from pipeline.proposals.coco_files import Detections, MaskCode, RecordedDetection
 from pipeline.proposals.concept_graphs import Corners, SceneMap
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files, format_of, read_detections
-from pipeline.system.door import opened_arrays, read_picture
 from pipeline.system.errors import FrameUnusable, InputError, needed, require
 from pipeline.system.reading import Content, checked, read_content
 from pipeline.system.recent import Recent
+from pipeline.system.safe_files import opened_arrays, read_picture
 
 KEPT_ANSWERS = 32
 """Answers about the frame that was asked last, kept for when the same names are asked again."""

@@ -22,9 +22,9 @@ from pipeline.language.naming import Synonyms
 from pipeline.proposals.coco_files import CocoCategory, CocoImage, filled
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter, Segments, segment_from
-from pipeline.system.door import read_json, read_picture
 from pipeline.system.errors import FrameUnusable, InputError, as_input_error, needed, require
 from pipeline.system.reading import checked
+from pipeline.system.safe_files import read_json, read_picture
 
 
 class CocoAnnotation(BaseModel):

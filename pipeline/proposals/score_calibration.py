@@ -18,9 +18,9 @@ from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter
 
 from pipeline.metrics.calibration_metrics import IDENTITY, Platt, fit_platt, sigmoid
 from pipeline.proposals.base import Detector
-from pipeline.system.door import read_json
 from pipeline.system.errors import as_input_error, require
 from pipeline.system.reading import checked
+from pipeline.system.safe_files import read_json
 from pipeline.system.whole_files import write_whole
 
 SCORE_LIMIT = 1e-6

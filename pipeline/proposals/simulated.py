@@ -32,9 +32,9 @@ from pipeline.geometry.masks import MaskCrop
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import meant_names
-from pipeline.system.door import read_json, read_text
 from pipeline.system.errors import as_input_error
 from pipeline.system.reading import checked, parse_toml
+from pipeline.system.safe_files import read_json, read_text
 
 REGIONS = 16
 """Stretches of background in a frame that may be taken for an object."""

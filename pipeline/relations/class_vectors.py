@@ -20,8 +20,8 @@ import xxhash
 
 from pipeline.language.naming import normal_form
 from pipeline.language.vectors import LanguageContract, TextVectors, open_vectors
-from pipeline.system.door import opened_arrays
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.safe_files import opened_arrays
 
 _NAMED = 8
 

@@ -14,8 +14,8 @@ from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.language.vectors.contract import LanguageContract
 from pipeline.metrics.calibration_metrics import Platt
 from pipeline.relations.features import FEATURES, FeatureSet, feature_set, geometry_of
-from pipeline.system.door import parse_json
 from pipeline.system.errors import InputError, require
+from pipeline.system.safe_files import parse_json
 
 CONTRACT = "spatialviz-srm-1"
 PREFIX = "srm."

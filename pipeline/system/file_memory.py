@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import xxhash
 
-from pipeline.system.door import opened
 from pipeline.system.errors import InputError
 from pipeline.system.paths import cache_folder
+from pipeline.system.safe_files import opened
 from pipeline.system.whole_files import keep_whole
 
 _VERSION = "1"

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.system.door import checked_path, limits_of, opened
 from pipeline.system.errors import require
 from pipeline.system.limits import LIMITS_OPTION, within
+from pipeline.system.safe_files import checked_path, limits_of, opened
 
 _INSIDE: dict[str, dict[int, str]] = {
     "model": {7: "graph", 25: "function"},

@@ -17,10 +17,10 @@ from typing import Any, Literal
 import numpy as np
 import xxhash
 
-from pipeline.system.door import opened
 from pipeline.system.errors import InputError, MissingExtra, require
 from pipeline.system.limits import LIMITS_OPTION, current_limits
 from pipeline.system.onnx_contents import check_network, weight_files
+from pipeline.system.safe_files import opened
 from pipeline.system.time_limit import stopped_after
 
 

@@ -17,8 +17,8 @@ from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
-from pipeline.system.door import opened
 from pipeline.system.errors import InputError, kind_and_text, needed, require
+from pipeline.system.safe_files import opened
 
 MOST_OF_ARRAY = 1 << 30
 """Bytes of one array."""

@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from pipeline.system.door import parse_json, read_text
 from pipeline.system.errors import InputError, as_input_error, first_line, require
+from pipeline.system.safe_files import parse_json, read_text
 
 if sys.version_info >= (3, 11):
     import tomllib

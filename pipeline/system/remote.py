@@ -1,7 +1,7 @@
 """Recordings at a URL (s3://, gs://, hf://, https://; extra: remote): listed once, each file fetched when it is opened.
 
 The user's cache holds the whole tree. A file that was not fetched yet has its size, no content, and a mode that lets
-nobody read it; `door` fetches it before anything opens it. The time of change stands for the file's version there, and
+nobody read it; `safe_files` fetches it before anything opens it. The time of change stands for the file's version there, and
 stays the same when it is fetched.
 """
 

@@ -18,9 +18,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from pipeline.system.door import read_parquet
 from pipeline.system.errors import InputError, kind_and_text
 from pipeline.system.limits import LIMITS_OPTION, current_limits, shown, shown_above
+from pipeline.system.safe_files import read_parquet
 from pipeline.system.whole_files import scratch_folder
 
 if sys.platform == "linux":

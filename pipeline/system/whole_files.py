@@ -18,8 +18,8 @@ from threading import Lock
 from typing import IO, Any, TextIO
 from uuid import uuid4
 
-from pipeline.system.door import opened
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.safe_files import opened
 
 if sys.platform != "win32":
     import fcntl

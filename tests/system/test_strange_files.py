@@ -22,7 +22,7 @@ import pytest
 from pipeline.datasets import Dataset, open_dataset
 from pipeline.labels import open_labels
 from pipeline.proposals import RecordedDetector
-from pipeline.system import LIMITS_VARIABLE, InputError, current_limits, door, set_limits
+from pipeline.system import LIMITS_VARIABLE, InputError, current_limits, safe_files, set_limits
 from pipeline.system.limits import Limits, shown
 from pipeline.system.picture_headers import header_size
 
@@ -108,7 +108,7 @@ def test_a_pointer_of_git_lfs_is_told_for_what_it_is(recording: Path) -> None:
     pointer = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'a' * 64}\nsize 1234567\n"
     (recording / "color/1.png").write_text(pointer)
     refused(lambda: open_dataset(recording).load("1"), "a pointer of Git LFS", "git lfs pull", "color/1.png")
-    refused(lambda: door.checked_path(recording / "color/1.png"), "a pointer of Git LFS")
+    refused(lambda: safe_files.checked_path(recording / "color/1.png"), "a pointer of Git LFS")
 
 
 def test_links_are_followed_where_they_stay_inside_or_are_allowed(
@@ -182,15 +182,15 @@ def test_depth_of_json_is_counted_as_it_is() -> None:
         return brackets[0] * levels + brackets[1] * levels
 
     most = current_limits().depth
-    assert door.parse_json(nested(most)) == json.loads(nested(most))
-    refused(lambda: door.parse_json(nested(most + 1)), "brackets")
-    refused(lambda: door.parse_json('{"a":' * (most + 1) + "1" + "}" * (most + 1)), "brackets")
-    refused(lambda: door.parse_json("[" * 100_000), "brackets")
+    assert safe_files.parse_json(nested(most)) == json.loads(nested(most))
+    refused(lambda: safe_files.parse_json(nested(most + 1)), "brackets")
+    refused(lambda: safe_files.parse_json('{"a":' * (most + 1) + "1" + "}" * (most + 1)), "brackets")
+    refused(lambda: safe_files.parse_json("[" * 100_000), "brackets")
     texts = [nested(500), "[" * 500, '"' + "{" * 500, "\\", '\\"[']
-    assert door.parse_json(json.dumps([texts, {"[": "]"}]).encode()) == [texts, {"[": "]"}]
-    refused(lambda: door.parse_json(json.dumps(texts)[:-1] + "," + nested(most) + "]"), "brackets")
+    assert safe_files.parse_json(json.dumps([texts, {"[": "]"}]).encode()) == [texts, {"[": "]"}]
+    refused(lambda: safe_files.parse_json(json.dumps(texts)[:-1] + "," + nested(most) + "]"), "brackets")
     with pytest.raises(json.JSONDecodeError):
-        door.parse_json("]" * 500)
+        safe_files.parse_json("]" * 500)
 
 
 def test_archives_are_measured_before_they_are_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,14 +200,14 @@ def test_archives_are_measured_before_they_are_unpacked(tmp_path: Path, monkeypa
         np.lib.format.write_array_header_1_0(member, {"descr": "<f4", "fortran_order": False, "shape": (900, 900)})
         member.write(bytes(4 * 900 * 900))
     assert bomb.stat().st_size < 10_000
-    refused(lambda: door.load_arrays(bomb.read_bytes(), bomb), "depth.npy", "3.24M bytes", "--limits bytes=4M")
+    refused(lambda: safe_files.load_arrays(bomb.read_bytes(), bomb), "depth.npy", "3.24M bytes", "--limits bytes=4M")
     climbing = tmp_path / "climbing.r3d"
     with zipfile.ZipFile(climbing, "w") as archive:
         archive.writestr("../../evil", b"x")
-    refused(lambda: door.open_zip(climbing), "would lie outside", "../../evil")
+    refused(lambda: safe_files.open_zip(climbing), "would lie outside", "../../evil")
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": (1 << 20, 1 << 20)})
-    refused(lambda: door.load_arrays(header.getvalue(), "a.npy"), "1048576x1048576", "1.1T pixels")
+    refused(lambda: safe_files.load_arrays(header.getvalue(), "a.npy"), "1048576x1048576", "1.1T pixels")
 
 
 def test_members_and_rows_have_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -217,8 +217,8 @@ def test_members_and_rows_have_limits(tmp_path: Path, monkeypatch: pytest.Monkey
             archive.writestr(str(k), b"1234")
     pq.write_table(pa.table({"a": range(5)}), tmp_path / "rows.parquet")
     for limit, action in (
-        ("members", lambda: door.open_zip(tmp_path / "many.zip")),
-        ("rows", lambda: door.read_parquet(tmp_path / "rows.parquet")),
+        ("members", lambda: safe_files.open_zip(tmp_path / "many.zip")),
+        ("rows", lambda: safe_files.read_parquet(tmp_path / "rows.parquet")),
     ):
         monkeypatch.setenv(LIMITS_VARIABLE, f"{limit}=4")
         refused(action, f"--limits {limit}=6")

@@ -14,8 +14,8 @@ from pipeline.evaluation.run_folder import RECORDS_FILE
 from pipeline.evaluation.sentence_report import FILE
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT
-from pipeline.system.door import parse_json, read_text
 from pipeline.system.errors import InputError, as_input_error, first_line
+from pipeline.system.safe_files import parse_json, read_text
 
 Key = tuple[str, str]
 """The frame, and of labels the expression's id, of sentences the text."""

@@ -24,9 +24,9 @@ from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, Kind, box_
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.side_views import drag_box
 from pipeline.relations.relations import F, T, U
-from pipeline.system.door import read_json
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
+from pipeline.system.safe_files import read_json
 
 _STATES = {"T": T, "U": U, "F": F}
 SHAPES = ("polygon", "rectangle", "strokes", "seeds")

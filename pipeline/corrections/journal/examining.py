@@ -29,8 +29,8 @@ from pipeline.corrections.journal.chain import (
     judged_alone,
 )
 from pipeline.corrections.journal.sqlite_file import connected, lost_in_log, plain_reason, read_plainly
-from pipeline.system.door import limits_of
 from pipeline.system.errors import InputError, require
+from pipeline.system.safe_files import limits_of
 from pipeline.system.whole_files import scratch_folder
 
 _NOT_DAMAGE = ("locked", "unable to open", "disk i/o", "readonly", "full", "permission", "out of memory", "busy")

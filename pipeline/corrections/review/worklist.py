@@ -28,8 +28,8 @@ from pipeline.corrections.review.items import (
 )
 from pipeline.labels.reading import write_table
 from pipeline.system.arrow import pa
-from pipeline.system.door import read_parquet
 from pipeline.system.errors import as_input_error, first_line, needed, require
+from pipeline.system.safe_files import read_parquet
 
 VERSION_KEY = b"labels_version"
 _UNREVIEWED, _UNSURE = STATES.index("unreviewed"), STATES.index("unsure")

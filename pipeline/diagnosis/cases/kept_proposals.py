@@ -23,8 +23,8 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import RunLength
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.recorded import Playback, RecordedDetection, as_arrays
-from pipeline.system.door import parse_json, read_bytes
 from pipeline.system.errors import InputError, UnknownClass, as_input_error, require
+from pipeline.system.safe_files import parse_json, read_bytes
 
 
 class KeptDetection(RecordedDetection, extra="forbid"):

@@ -54,8 +54,8 @@ from pipeline.proposals.registry import open_detector
 from pipeline.relations import RelationScorer, RuleScorer, make_scorer, shipped_network
 from pipeline.relations.given import GivenRelations
 from pipeline.system.detector_setup import DetectorSetup
-from pipeline.system.door import read_bytes
 from pipeline.system.errors import InputError, needed, require
+from pipeline.system.safe_files import read_bytes
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import sha256_of, temporary_sibling, write_synced, write_whole
 

@@ -29,9 +29,9 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.geometry.masks import RunLength
 from pipeline.relations.relations import Profile
-from pipeline.system.door import parse_json, read_bytes
 from pipeline.system.errors import InputError, require
 from pipeline.system.reading import checked
+from pipeline.system.safe_files import parse_json, read_bytes
 
 Record = dict[str, Any]
 _T = TypeVar("_T")

@@ -29,10 +29,10 @@ from pipeline.answering.predictions import GivenAnswer, Header, Prediction
 from pipeline.datasets.frame_names import Picture
 from pipeline.evaluation.adapters.base import PredictionFormat, Published
 from pipeline.evaluation.vlm.answers import parse_box, parse_yes_no, spoken_part
-from pipeline.system.door import opened, parse_json
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.limits import current_limits
 from pipeline.system.reading import Content, read_content
+from pipeline.system.safe_files import opened, parse_json
 
 PICTURES = ("frame", "rgb_path", "image_path", "image_file", "image", "img", "images", "input_media", "file_name")
 QUESTIONS = ("text_q", "question", "prompt", "text", "instruction", "query")

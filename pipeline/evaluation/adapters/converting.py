@@ -20,9 +20,9 @@ from pipeline.evaluation.job import RunReport
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.expression import parse
 from pipeline.proposals.detection_files import DETECTION_FORMATS, detection_files
-from pipeline.system.door import opened
 from pipeline.system.errors import FrameUnusable, InputError, needed, require
 from pipeline.system.plugins import load_plugins
+from pipeline.system.safe_files import opened
 from pipeline.system.whole_files import scratch_folder
 
 ENTRY_POINT_GROUP = "spatialviz.predictions"

@@ -33,7 +33,7 @@ from pipeline.labels.schema import KEYS, TABLES, Manifest
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa
-from pipeline.system.door import open_parquet
+from pipeline.system.safe_files import open_parquet
 from pipeline.system.whole_files import sha256_of
 
 OF_ANSWERS = ("expression/empty", "expression/sets", "expression/ambiguous", "expression/unreadable",

@@ -24,9 +24,9 @@ from pipeline.labels.reading import arrow_schema, check_version
 from pipeline.labels.schema import ADDED_COLUMNS, TABLES
 from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa
-from pipeline.system.door import open_parquet
 from pipeline.system.errors import InputError, Shown, require
 from pipeline.system.reading import asked
+from pipeline.system.safe_files import open_parquet
 
 BATCH_ROWS = 8_192
 

@@ -15,8 +15,8 @@ from pipeline.datasets import Dataset
 from pipeline.labels.exports.row_provenance import Provenance
 from pipeline.labels.reading import Labels, arrow_schema, check_version, sound_rows
 from pipeline.system.arrow import pa
-from pipeline.system.door import open_parquet
 from pipeline.system.errors import InputError, as_input_error, first_line, require
+from pipeline.system.safe_files import open_parquet
 
 Progress = Callable[[int, int], None]
 """Called with (frames done, frames in all)."""

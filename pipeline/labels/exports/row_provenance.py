@@ -25,8 +25,8 @@ from typing import Any, TextIO
 from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels, arrow_schema
 from pipeline.labels.schema import Manifest, labels_version
 from pipeline.system.arrow import pa, pc
-from pipeline.system.door import read_json, read_parquet
 from pipeline.system.errors import InputError, Shown, as_input_error, first_line, require
+from pipeline.system.safe_files import read_json, read_parquet
 
 ENTRY = ("column", "source", "author", "time", "event", "reason", "was")
 REVIEWED: dict[str, tuple[str, ...]] = {

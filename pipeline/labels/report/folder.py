@@ -37,8 +37,8 @@ from pipeline.labels.report.style import (
 )
 from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import open_database
-from pipeline.system.door import read_bytes
 from pipeline.system.errors import MissingExtra, require
+from pipeline.system.safe_files import read_bytes
 from pipeline.system.whole_files import staged_folder, write_json
 
 PAGE = "index.html"

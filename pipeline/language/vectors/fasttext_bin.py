@@ -16,9 +16,9 @@ import numpy as np
 import xxhash
 
 from pipeline.language.vectors.phrases import utf8
-from pipeline.system.door import opened
 from pipeline.system.errors import InputError
 from pipeline.system.file_memory import remembered_fingerprint
+from pipeline.system.safe_files import opened
 
 MAGIC = 793712314
 VERSIONS = (11, 12)

@@ -16,8 +16,8 @@ import xxhash
 
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable
-from pipeline.system.door import open_archive, opened, parse_json, read_text
 from pipeline.system.errors import InputError, as_input_error, require
+from pipeline.system.safe_files import open_archive, opened, parse_json, read_text
 
 NAME_KEYS = {"words": "word", "phrases": "phrase", "names": "phrase"}
 """The array of names, and what its entries are where the file has no `kind`."""

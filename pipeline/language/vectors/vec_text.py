@@ -16,9 +16,9 @@ import numpy as np
 import xxhash
 
 from pipeline.language.vectors.phrases import utf8
-from pipeline.system.door import opened
 from pipeline.system.errors import InputError, require
 from pipeline.system.file_memory import FileMemory, keep, memory_path, recall
+from pipeline.system.safe_files import opened
 
 MAX_DIMENSION = 1 << 16
 _HEADER = re.compile(rb"(?:\xef\xbb\xbf)?(\d{1,18})[ \t]+(\d{1,18})[ \t]*\r?\n?")

@@ -18,8 +18,8 @@ import numpy as np
 from pydantic import Field, TypeAdapter
 
 from pipeline.system.chat.transport import Failure, Reply, wait_asked
-from pipeline.system.door import parse_json, read_json
 from pipeline.system.errors import InputError, require
+from pipeline.system.safe_files import parse_json, read_json
 from pipeline.system.whole_files import keep_whole
 
 JPEG_QUALITY = 92

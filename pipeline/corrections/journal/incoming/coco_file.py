@@ -29,8 +29,8 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.masks import decode_run_length, encode_run_length, fill_polygons, mask_box
 from pipeline.labels.exports.row_provenance import ExportedFrom
 from pipeline.proposals.segmenter import share_inside
-from pipeline.system.door import read_json
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
+from pipeline.system.safe_files import read_json
 
 SAME_BOX = 0.5
 WITHIN = 0.9

@@ -34,8 +34,8 @@ from pipeline.labels.exports.exporting import BLOCK
 from pipeline.labels.exports.row_provenance import ExportedFrom
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.door import opened, parse_json
 from pipeline.system.errors import InputError, Shown, as_input_error, needed, require
+from pipeline.system.safe_files import opened, parse_json
 
 StateOf = Callable[[Any], ExportedFrom]
 """The state that a row's `base` names; InputError where it is not to be used."""

@@ -1,4 +1,4 @@
-"""What others made is opened by `pipeline/system/door.py` alone, and the table of its limits is the documented one."""
+"""What others made is opened by `pipeline/system/safe_files.py` alone, and the table of its limits is the documented one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from pipeline.system.limits import Limits, shown
 
 ROOT = Path(__file__).resolve().parent.parent
-DOOR = "system/door.py"
+DOOR = "system/safe_files.py"
 OPENERS = {
     "open", "os.open", "io.open", "gzip.open", "bz2.open", "lzma.open", "tarfile.open", "mmap.mmap",
     "np.load", "np.fromfile", "np.memmap", "np.loadtxt", "np.genfromtxt", "pickle.load", "json.load", "json.loads",
@@ -73,7 +73,7 @@ def called(node: ast.Call) -> str:
     if name in OPENERS:
         return name
     if isinstance(node.func, ast.Attribute) and node.func.attr in METHODS:
-        return "" if name.split(".")[0] in ("door", "self", "store") else f".{node.func.attr}"
+        return "" if name.split(".")[0] in ("safe_files", "self", "store") else f".{node.func.attr}"
     if isinstance(node.func, ast.Attribute) and node.func.attr == "open" and name.split(".")[0] in ("path", "file"):
         return ".open"
     return ""
