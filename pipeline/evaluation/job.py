@@ -44,9 +44,10 @@ from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
 from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, has_verdicts, summarise_run, summary_tables
-from pipeline.labels.provenance import makers_of
 from pipeline.labels.merge import environment
+from pipeline.labels.plan import files_hash
 from pipeline.labels.profiles import canonical_hash
+from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
@@ -54,6 +55,8 @@ from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import MissingExtra, require
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import staged_folder, write_json
+
+CHANGED = "files of the dataset changed while the run was made: some answers are of what was there before"
 
 
 @dataclass(frozen=True)
@@ -159,6 +162,7 @@ def evaluate_dataset(
     own = () if measured is None else shared_makers(makers, measured)
     of_others = other_systems(others, name, asked, makers)
     shares = {name: own, **{n: shared for n, (_, shared) in of_others.items()}}
+    files = files_hash(source.dataset.root, out)
     with staged_folder(out, overwrite=overwrite, mark=RUN_FILE) as folder:
         with (
             relation_sink(spec, labels, folder) as sink,
@@ -167,6 +171,7 @@ def evaluate_dataset(
             for table in evaluate_labels(spec, workers=workers, progress=progress, relations=sink):
                 writer.write_table(table)
         evaluated = perf_counter() - start
+        changed = () if files_hash(source.dataset.root, out) == files else (CHANGED,)
         records = read_records(folder)
         systems = {name: records, **{n: answered for n, (answered, _) in of_others.items()}}
         tables = make_tables(systems, bootstrap, shares) if spec.grounding else []
@@ -199,7 +204,7 @@ def evaluate_dataset(
             diagnosis.write(folder, plots)
         of_calibration = calibration_warnings(source, labels, records) if spec.grounding else ()
         of_relations = () if relations is None else relations.warnings
-        warnings = (*left_out, *of_calibration, *problem_warnings(records), *of_relations)
+        warnings = (*left_out, *changed, *of_calibration, *problem_warnings(records), *of_relations)
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
         config = {**recorded_config(source.config), "options": options}
         plain = json.loads(json.dumps(config, default=str))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import shutil
 import sys
 from dataclasses import replace
@@ -17,9 +18,10 @@ import pytest
 from slow_cases import mostly_slow
 
 from pipeline.answering import AskConfig, FrameAnswers, PreparedFrame, alone, open_pipeline
+from pipeline.datasets import demo_path
 from pipeline.evaluation import EvalSpec, VlmOptions, compare, evaluate_dataset, evaluate_labels, read_records
 from pipeline.evaluation.grounding_tables import problem_warnings, read_reported, reported_rows
-from pipeline.evaluation.job import make_tables
+from pipeline.evaluation.job import CHANGED, make_tables
 from pipeline.evaluation.records import COLUMNS, DETECTIONS, records_schema
 from pipeline.evaluation.run import Evaluator, table_of
 from pipeline.geometry import iou_2d
@@ -119,6 +121,15 @@ def test_the_truth_as_detector_answers_everything_rightly(labels: Path) -> None:
     assert any(not r["correct"] for r in rows)
     assert all(r["ambiguous"] for r in rows if not r["correct"])
     assert all(r["label_state"] == 1 for r in rows)
+
+
+def test_a_dataset_that_changes_under_the_run_is_told(labels: Path, tmp_path: Path) -> None:
+    data = Path(shutil.copytree(demo_path(), tmp_path / "data"))
+    depth = next((data / "000001" / "depth").iterdir())
+    spec = EvalSpec(str(data), str(labels), limit=2, verdicts=False)
+    still = evaluate_dataset(spec, tmp_path / "still", plots=False)
+    changed = evaluate_dataset(spec, tmp_path / "changed", plots=False, progress=lambda *_: os.utime(depth, ns=(1, 1)))
+    assert [CHANGED in found.warnings for found in (still, changed)] == [False, True]
 
 
 def test_records_follow_from_boxes_and_labels(labels: Path, recording: Path) -> None:
