@@ -1,4 +1,4 @@
-"""What others made is opened by `pipeline/system/safe_files.py` alone, and the table of its limits is the documented one."""
+"""What others made is opened by `pipeline/system/safe_files.py` alone; its limits are the documented ones."""
 
 from __future__ import annotations
 

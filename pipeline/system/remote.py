@@ -1,8 +1,8 @@
 """Recordings at a URL (s3://, gs://, hf://, https://; extra: remote): listed once, each file fetched when it is opened.
 
 The user's cache holds the whole tree. A file that was not fetched yet has its size, no content, and a mode that lets
-nobody read it; `safe_files` fetches it before anything opens it. The time of change stands for the file's version there, and
-stays the same when it is fetched.
+nobody read it; `safe_files` fetches it before anything opens it. The time of change stands for the file's version
+there, and stays the same when it is fetched.
 """
 
 from __future__ import annotations
