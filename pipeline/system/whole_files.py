@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from glob import escape
 from pathlib import Path
 from threading import Lock
 from typing import IO, Any, TextIO
@@ -212,8 +213,9 @@ def staged_folder(out: Path, *, overwrite: bool, mark: str) -> Iterator[Path]:
         an earlier run wrote is replaced (told by the file `mark`), and a folder of
         anything else still refused.
     """
-    check_target(out, overwrite=overwrite, mark=mark)
     final = out.absolute()
+    _bring_back(final)
+    check_target(out, overwrite=overwrite, mark=mark)
     staging = temporary_sibling(final)
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
@@ -228,6 +230,18 @@ def staged_folder(out: Path, *, overwrite: bool, mark: str) -> Iterator[Path]:
         raise InputError("the folder cannot be written", got=error.strerror or str(error), path=out) from error
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _bring_back(final: Path) -> None:
+    """What a kill left while a folder was replaced: the folder as it was is there again, or goes where there is one."""
+    for old in final.parent.glob(f".{escape(final.name)}.*.old"):
+        if not is_abandoned(old.with_suffix(".tmp")):
+            continue
+        if final.exists():
+            shutil.rmtree(old, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                os.rename(old, final)
 
 
 def check_target(out: Path, *, overwrite: bool, mark: str) -> None:
@@ -252,8 +266,7 @@ def _take_name(staging: Path, final: Path, *, overwrite: bool, mark: str) -> Non
     if not final.exists():
         os.rename(staging, final)
         return
-    old = final.with_name(f".{final.name}.{os.getpid()}.old")
-    shutil.rmtree(old, ignore_errors=True)
+    old = staging.with_suffix(".old")
     os.rename(final, old)
     try:
         os.rename(staging, final)

@@ -101,6 +101,28 @@ def test_a_kill_never_leaves_a_network_beside_another_ones_card(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="whether a process is there is asked on POSIX")
+@pytest.mark.parametrize("moves", [1, 2])
+def test_a_folder_that_a_kill_took_away_is_there_again(moves: int, tmp_path: Path) -> None:
+    """The folder as it was, or as it was to be; without its second move the next writer would see none."""
+    code = (
+        "import os, pathlib, shutil, sys; from pipeline.system import whole_files\n"
+        "path, left, move = pathlib.Path(sys.argv[1]), int(sys.argv[2]), os.rename\n"
+        "def killed_after(a, b):\n"
+        "    global left; move(a, b); left -= 1; left or os.kill(os.getpid(), 9)\n"
+        "for text in ('old', 'new'):\n"
+        "    os.rename = killed_after if text == 'new' else move\n"
+        "    with whole_files.staged_folder(path, overwrite=True, mark='x') as folder: (folder / 'x').write_text(text)"
+    )
+    out = tmp_path / "run"
+    killed = subprocess.run([sys.executable, "-c", code, out, str(moves)], check=False)
+    assert killed.returncode == -9
+    with pytest.raises(InputError, match="not empty"), staged_folder(out, overwrite=False, mark="x"):
+        pass
+    assert (out / "x").read_text() == ("old" if moves == 1 else "new")
+    assert not list(tmp_path.glob(".*.old"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="whether a process is there is asked on POSIX")
 def test_what_a_killed_process_left_goes_at_the_next_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
