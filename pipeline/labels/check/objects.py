@@ -14,9 +14,8 @@ import numpy as np
 from pipeline.datasets.plausible import doubt_by_sizes
 from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d, paired_iou_2d
 from pipeline.geometry.masks import MaskCrop
-from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.check.stream import Rows
-from pipeline.labels.check.view import Finding, FrameView, indices_where, pairs_where
+from pipeline.labels.check.view import Finding, FrameView, Severity, pairs_where
 from pipeline.language.class_sizes import size_factor, size_range
 from pipeline.system.errors import InputError
 
@@ -44,8 +43,8 @@ def clipped(boxes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.clip(boxes, 0, [width, height, width, height])
 
 
-def moved_towards(boxes: np.ndarray, targets: np.ndarray, slack: np.ndarray) -> np.ndarray:
-    """Each side of (N, 4) rectangles moved towards the target's, by at most `slack` ((N, 1)) pixels."""
+def moved_towards(boxes: np.ndarray, targets: np.ndarray, slack: float) -> np.ndarray:
+    """Each side of (N, 4) rectangles moved towards the target's, by at most `slack` pixels."""
     return boxes + np.clip(targets - boxes, -slack, slack)
 
 
@@ -71,59 +70,78 @@ FILLED, FILLED_WARNED = 0.2, 0.35
 FLAT_M = 0.02
 """A box may be so much longer than the extents in any case: that of a face without depth has no proportions."""
 FEW_POINTS, MOST_MISSING = 100, 0.5
+AXES = ("right", "up", "forward")
 
 
 def check_objects(view: FrameView) -> Iterator[Finding]:
-    """All rules on single objects but those that compare it with its class."""
-    yield from _masks(view)
-    found = [c if isinstance(c, MaskCrop) and c.area else None for c in view.crops]
-    sound = np.array([c is not None for c in found], np.bool_)
-    mask_box = np.array([(0, 0, 0, 0) if c is None else c.box for c in found], np.float64).reshape(-1, 4)
+    """Compare mask, 2D box, 3D box and extents of each object, and look whether enough of it is seen."""
+    objects, named, size = view.objects, view.named, view.size
+    stated, crops = objects["mask_pixels"], view.crops
+    off = [isinstance(c, str) or (c is not None and c.area != n) for c, n in zip(crops, stated, strict=True)]
+    yield from view.where(
+        "object/mask",
+        np.array(off, np.bool_),
+        lambda k: (
+            f"the mask of {named(k)} is damaged: {crops[k]}"
+            if isinstance(crops[k], str)
+            else f"the mask of {named(k)} has {crops[k].area} pixels, and {stated[k]} are stated"
+        ),
+        lambda k: {} if isinstance(crops[k], str) else {"area": crops[k].area, "stated": stated[k]},
+    )
+    masks = [c if isinstance(c, MaskCrop) and c.area else None for c in crops]
+    sound = np.array([c is not None for c in masks], np.bool_)
+    mask_box = np.array([(0, 0, 0, 0) if c is None else c.box for c in masks], np.float64).reshape(-1, 4)
     yield from _bbox(view, sound, mask_box)
-    objects = view.objects
     rotation = objects["R"].reshape(-1, 3, 3)
     boxed = np.isfinite(objects["center"]).all(axis=1) & np.isfinite(objects["size"]).all(axis=1)
     boxed &= rotation_fault(rotation) < 0.1
     corners = corners_of(*cleared(boxed, objects["center"], rotation, objects["size"]))
-    yield from _projection(view, boxed, corners, sound, mask_box)
+    behind = boxed & ((corners[..., 2].mean(axis=1) <= 0) | (corners[..., 2] <= 0).all(axis=1))
+    yield from view.where(
+        "object/box-mask",
+        behind,
+        lambda k: f"the 3D box of {named(k)} is behind the camera",
+        lambda k: {"z": corners[k, :, 2].mean()},
+    )
+    if view.K is not None:
+        box = moved_towards(clipped(projected(corners, view.K), size), mask_box, SLACK_PIXELS * size[1] / 640)
+        yield from _projection(view, boxed & ~behind & sound, box, mask_box)
     if view.viewer is not None:
-        yield from _extents(view, boxed, corners, view.viewer)
-    yield from _quality(view)
-
-
-def _masks(view: FrameView) -> Iterator[Finding]:
-    stated = view.objects["mask_pixels"]
-    for k, mask in enumerate(view.crops):
-        if isinstance(mask, str):
-            yield view.finding("object/mask", (view.ids[k],), f"the mask of {view.named(k)} is damaged: {mask}")
-        elif mask is not None and mask.area != stated[k]:
-            yield view.finding(
-                "object/mask",
-                (view.ids[k],),
-                f"the mask of {view.named(k)} has {mask.area} pixels, and {stated[k]} are stated",
-                {"area": mask.area, "stated": int(stated[k])},
-            )
+        yield from _extents(view, boxed, corners @ view.viewer.matrix.T)
+    asked, points, missing = (objects[name] for name in ("usable", "points", "depth_missing"))
+    yield from view.where(
+        "object/few-points",
+        asked & (points < FEW_POINTS),
+        lambda k: f"{named(k)} has {points[k]} points",
+        lambda k: {"points": points[k]},
+    )
+    yield from view.where(
+        "object/no-depth",
+        asked & (missing > MOST_MISSING),
+        lambda k: f"{missing[k]:.0%} of the mask of {named(k)} has no depth",
+        lambda k: {"depth_missing": missing[k]},
+    )
+    yield from view.where(
+        "object/border", asked & objects["touches_border"], lambda k: f"{named(k)} is cut by the image border"
+    )
 
 
 def _bbox(view: FrameView, sound: np.ndarray, mask_box: np.ndarray) -> Iterator[Finding]:
-    bbox = view.objects["bbox"]
+    bbox, named = view.objects["bbox"], view.named
     finite = np.asarray(np.isfinite(bbox).all(axis=1))
-    for k in indices_where(finite & ((bbox[:, 2] <= bbox[:, 0]) | (bbox[:, 3] <= bbox[:, 1]))):
-        yield view.finding("object/bbox-mask", (view.ids[k],), f"the 2D box of {view.named(k)} is empty")
-        finite[k] = False
-    slack = np.full((len(bbox), 1), SLACK_PIXELS / 2 * view.size[1] / 640)
+    empty = finite & ((bbox[:, 2] <= bbox[:, 0]) | (bbox[:, 3] <= bbox[:, 1]))
+    yield from view.where("object/bbox-mask", empty, lambda k: f"the 2D box of {named(k)} is empty")
     within = clipped(bbox, view.size)
-    overlap = paired_iou_2d(moved_towards(within, mask_box, slack), mask_box)
+    overlap = paired_iou_2d(moved_towards(within, mask_box, SLACK_PIXELS / 2 * view.size[1] / 640), mask_box)
     # Of an object without a mask of its own, pixels inside its annotated 3D box were taken: a part of the 2D box.
     overlap = np.where(view.objects["mask_source"] == "box3d", shared_share(mask_box, within), overlap)
-    for k in indices_where(finite & sound & (overlap < BBOX_MASK_WARNED)):
-        yield view.finding(
-            "object/bbox-mask",
-            (view.ids[k],),
-            f"the 2D box of {view.named(k)} and its mask agree to {overlap[k]:.0%}",
-            {"agreement": overlap[k]},
-            "error" if overlap[k] < BBOX_MASK else "warning",
-        )
+    yield from view.where(
+        "object/bbox-mask",
+        finite & ~empty & sound & (overlap < BBOX_MASK_WARNED),
+        lambda k: f"the 2D box of {named(k)} and its mask agree to {overlap[k]:.0%}",
+        lambda k: {"agreement": overlap[k]},
+        overlap < BBOX_MASK,
+    )
 
 
 def shared_share(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -134,103 +152,62 @@ def shared_share(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.divide(shared, area, out=np.zeros_like(area), where=area > 0)
 
 
-def _projection(
-    view: FrameView, boxed: np.ndarray, corners: np.ndarray, sound: np.ndarray, mask_box: np.ndarray
-) -> Iterator[Finding]:
+def _projection(view: FrameView, seen: np.ndarray, box: np.ndarray, mask_box: np.ndarray) -> Iterator[Finding]:
     """3D boxes against masks, in the picture."""
-    behind = boxed & ((corners[..., 2].mean(axis=1) <= 0) | (corners[..., 2] <= 0).all(axis=1))
-    for k in indices_where(behind):
-        yield view.finding(
-            "object/box-mask",
-            (view.ids[k],),
-            f"the 3D box of {view.named(k)} is behind the camera",
-            {"z": float(corners[k, :, 2].mean())},
-        )
-    K = view.K
-    if K is None:
-        return
-    box = moved_towards(
-        clipped(projected(corners, K), view.size),
-        mask_box,
-        np.full((len(corners), 1), SLACK_PIXELS * view.size[1] / 640),
-    )
-    on_mask, in_box = shared_share(box, mask_box), shared_share(mask_box, box)
-    relative = in_box / np.maximum(view.objects["kept"], 1e-6)
+    on_mask, in_box, kept = shared_share(box, mask_box), shared_share(mask_box, box), view.objects["kept"]
+    relative = in_box / np.maximum(kept, 1e-6)
     # The raw mask of an object too small to clean holds pixels of what is behind it.
     raw = view.objects["fallback"]
     bad = np.where(raw, on_mask <= 0, (on_mask < BOX_ON_MASK) | (relative < MASK_IN_BOX))
     warned = (on_mask < np.where(raw, BOX_ON_MASK, BOX_ON_MASK_WARNED)) | (relative < MASK_IN_BOX_WARNED)
-    for k in indices_where(boxed & ~behind & sound & (bad | warned)):
-        yield view.finding(
-            "object/box-mask",
-            (view.ids[k],),
+    yield from view.where(
+        "object/box-mask",
+        seen & (bad | warned),
+        lambda k: (
             f"seen by the camera, {on_mask[k]:.0%} of the 3D box of {view.named(k)} is where its mask is, "
-            f"and {in_box[k]:.0%} of the mask where the box is",
-            {"box_on_mask": on_mask[k], "mask_in_box": in_box[k], "kept": float(view.objects["kept"][k])},
-            "error" if bad[k] else "warning",
-        )
+            f"and {in_box[k]:.0%} of the mask where the box is"
+        ),
+        lambda k: {"box_on_mask": on_mask[k], "mask_in_box": in_box[k], "kept": kept[k]},
+        bad,
+    )
 
 
-def _extents(view: FrameView, boxed: np.ndarray, corners: np.ndarray, viewer: ViewerAxes) -> Iterator[Finding]:
-    """lo, hi and the mean point against the box, along (right, up, forward)."""
-    lo, hi = view.extents
+def _extents(view: FrameView, boxed: np.ndarray, level: np.ndarray) -> Iterator[Finding]:
+    """Extents and mean point against the (N, 8, 3) corners of the box, along (right, up, forward)."""
+    (lo, hi), named = view.extents, view.named
     known = np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1)
-    level = corners @ viewer.matrix.T
     first, last = level.min(axis=1), level.max(axis=1)
     length = last - first
-    reach = np.maximum(np.maximum(first - lo, hi - last), 0)
     # An upright box is exactly as high as the object; along the other axes, and tilted, it may be longer.
     upright = (view.objects["estimator"] == "gravity")[:, None] & (np.arange(3) == 1)
+    reach = np.maximum(np.maximum(first - lo, hi - last), 0)
     reach = np.where(upright, np.maximum(np.abs(lo - first), np.abs(hi - last)), reach)
     warn, fail = (m + s * length for m, s in zip(OUTSIDE_M, OUTSIDE_SHARE, strict=True))
     warn = np.where(upright, OUTSIDE_M[0], warn)
     filled = np.where(length - (hi - lo) > FLAT_M, (hi - lo) / np.maximum(length, 1e-3), 1.0)
     bad = (reach > fail).any(axis=1) | (filled < FILLED).any(axis=1) | (hi < lo).any(axis=1)
-    warned = (reach > warn).any(axis=1) | (filled < FILLED_WARNED).any(axis=1)
-    off = known & boxed & (bad | warned)
-    for k in indices_where(off):
-        axis = int(np.argmax(reach[k] - warn[k])) if (reach[k] > warn[k]).any() else int(np.argmin(filled[k]))
-        yield view.finding(
-            "object/extent-box",
-            (view.ids[k],),
-            f"along {('right', 'up', 'forward')[axis]} the extents of {view.named(k)} are {lo[k, axis]:.3f} to "
-            f"{hi[k, axis]:.3f} m, its box {first[k, axis]:.3f} to {last[k, axis]:.3f} m",
-            {"axis": ("right", "up", "forward")[axis], "off": reach[k, axis], "filled": filled[k, axis]},
-            "error" if bad[k] else "warning",
-        )
+    off = known & boxed & (bad | (reach > warn).any(axis=1) | (filled < FILLED_WARNED).any(axis=1))
+    axes = np.where((reach > warn).any(axis=1), np.argmax(reach - warn, axis=1), np.argmin(filled, axis=1)).tolist()
+    yield from view.where(
+        "object/extent-box",
+        off,
+        lambda k: (
+            f"along {AXES[axes[k]]} the extents of {named(k)} are {lo[k, axes[k]]:.3f} to "
+            f"{hi[k, axes[k]]:.3f} m, its box {first[k, axes[k]]:.3f} to {last[k, axes[k]]:.3f} m"
+        ),
+        lambda k: {"axis": AXES[axes[k]], "off": reach[k, axes[k]], "filled": filled[k, axes[k]]},
+        bad,
+    )
     centroid = view.objects["centroid"]
     stray = np.maximum(np.maximum(lo - centroid, centroid - hi), 0)
-    for k in indices_where(known & ~off & (stray > OUTSIDE_M[0] + OUTSIDE_SHARE[0] * np.abs(hi - lo)).any(axis=1)):
-        yield view.finding(
-            "object/extent-box",
-            (view.ids[k],),
-            f"the mean point of {view.named(k)} is {stray[k].max():.3f} m outside its extents",
-            {"outside": float(stray[k].max())},
-            "warning",
-        )
-    for k in indices_where(boxed & ~known):
-        yield view.finding("object/extent-box", (view.ids[k],), f"{view.named(k)} has a 3D box and no extents")
-
-
-def _quality(view: FrameView) -> Iterator[Finding]:
-    objects = view.objects
-    asked = objects["usable"]
-    for k in indices_where(asked & (objects["points"] < FEW_POINTS)):
-        yield view.finding(
-            "object/few-points",
-            (view.ids[k],),
-            f"{view.named(k)} has {objects['points'][k]} points",
-            {"points": int(objects["points"][k])},
-        )
-    for k in indices_where(asked & (objects["depth_missing"] > MOST_MISSING)):
-        yield view.finding(
-            "object/no-depth",
-            (view.ids[k],),
-            f"{objects['depth_missing'][k]:.0%} of the mask of {view.named(k)} has no depth",
-            {"depth_missing": float(objects["depth_missing"][k])},
-        )
-    for k in indices_where(asked & objects["touches_border"]):
-        yield view.finding("object/border", (view.ids[k],), f"{view.named(k)} is cut by the image border")
+    yield from view.where(
+        "object/extent-box",
+        known & ~off & (stray > OUTSIDE_M[0] + OUTSIDE_SHARE[0] * np.abs(hi - lo)).any(axis=1),
+        lambda k: f"the mean point of {named(k)} is {stray[k].max():.3f} m outside its extents",
+        lambda k: {"outside": stray[k].max()},
+        np.zeros(len(known), np.bool_),
+    )
+    yield from view.where("object/extent-box", boxed & ~known, lambda k: f"{named(k)} has a 3D box and no extents")
 
 
 SAME_NAME_IOU = 0.7
@@ -238,23 +215,23 @@ OTHER_NAME_IOU = 0.9
 
 
 def check_duplicates(view: FrameView) -> Iterator[Finding]:
-    """Pairs of objects that share their pixels or their volume."""
+    """Find pairs of objects that share their pixels or their volume."""
     if len(view.ids) < 2:
         return
-    masks, boxes = mask_overlaps(view), box_overlaps(view, view.alike)
+    masks, boxes, named = mask_overlaps(view), box_overlaps(view, view.alike), view.named
     same = view.alike & ((masks >= SAME_NAME_IOU) | (boxes >= SAME_NAME_IOU))
-    other = ~view.alike & (masks >= OTHER_NAME_IOU)
-    for a, b in pairs_where(np.triu(same | other, 1)):
-        names = f"{view.named(a)} and {view.named(b)}"
-        yield view.finding(
-            "object/duplicate",
-            (view.ids[a], view.ids[b]),
-            f"{names} are one thing: their masks overlap by {masks[a, b]:.0%}, their boxes by {boxes[a, b]:.0%}"
+    yield from view.where(
+        "object/duplicate",
+        np.triu(same | (~view.alike & (masks >= OTHER_NAME_IOU)), 1),
+        lambda a, b: (
+            f"{named(a)} and {named(b)} are one thing: their masks overlap by {masks[a, b]:.0%}, their boxes by "
+            f"{boxes[a, b]:.0%}"
             if same[a, b]
-            else f"{names} share {masks[a, b]:.0%} of their pixels: one thing under two names?",
-            {"mask_iou": masks[a, b], "box_iou": boxes[a, b]},
-            "error" if same[a, b] else "warning",
-        )
+            else f"{named(a)} and {named(b)} share {masks[a, b]:.0%} of their pixels: one thing under two names?"
+        ),
+        lambda a, b: {"mask_iou": masks[a, b], "box_iou": boxes[a, b]},
+        same,
+    )
 
 
 def mask_overlaps(view: FrameView) -> np.ndarray:
@@ -345,52 +322,47 @@ def seen_whole(rows: Rows) -> np.ndarray:
 
 
 def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
-    """Objects that are too large or too small."""
+    """Find objects that are too large or too small for their class, or unlike others of it."""
     rows = view.objects
-    lifted, exact = lengths(rows)
-    whole = seen_whole(rows)
-    own_pixels = np.isin(rows["mask_source"].astype(str), ["annotation", "detector"]) & ~rows["fallback"]
-    for k, label in enumerate(view.labels):
-        found = _against_table(label, lifted[k], exact[k], bool(whole[k]), bool(own_pixels[k])) or _against_kind(
-            label, lifted[k], bool(whole[k]), survey
+    columns = (*lengths(rows), seen_whole(rows), np.isin(rows["mask_source"].astype(str), ["annotation", "detector"]))
+    for k, (label, lifted, exact, whole, own) in enumerate(zip(view.labels, *columns, strict=True)):
+        own_pixels = bool(own) and not rows["fallback"][k]
+        found = _against_table(label, lifted, exact, bool(whole), own_pixels) or _against_kind(
+            label, lifted, bool(whole), survey
         )
         if found:
-            message, figures, error = found
+            message, figures, severity = found
             yield view.finding(
-                "object/implausible-size",
-                (view.ids[k],),
-                f"{view.named(k)} {message}",
-                figures,
-                "error" if error else "warning",
+                "object/implausible-size", (view.ids[k],), f"{view.named(k)} {message}", figures, severity
             )
 
 
 def check_depth(view: FrameView) -> Iterator[Finding]:
-    """Frames whose things are all too large or too small by one factor, as a wrong depth scale makes them."""
+    """Find a frame whose things are all too large or too small by one factor, as a wrong depth scale makes them."""
     if not view.usable:
         return
     lifted, whole = lengths(view.objects)[0], seen_whole(view.objects)
     found = size_factor([label for label, sound in zip(view.labels, whole, strict=True) if sound], lifted[whole])
     doubt = doubt_by_sizes(found)
     if found is not None and doubt is not None:
-        figures: dict[str, float | int | str] = {"factor": found.middle, "things": found.things, "fit": found.fitting}
+        figures = {"factor": found.middle, "things": found.things, "fit": found.fitting}
         yield view.finding("frame/implausible-depth", (), doubt.text, figures)
 
 
-Verdict = tuple[str, dict[str, float | int | str], bool]
+Verdict = tuple[str, dict[str, Any], Severity]
 
 
 def _against_table(label: str, lifted: float, exact: float, whole: bool, own_pixels: bool) -> Verdict | None:
     low, high = size_range(label) or (0.0, np.inf)
-    longest = np.fmax(lifted, exact)
-    figures: dict[str, float | int | str] = {"longest_edge": float(longest), "least": low, "most": high}
+    longest, shortest = np.fmax(lifted, exact), exact if np.isfinite(exact) else lifted
     if longest > high:
         # A box around pixels that are not all the object's own proves little.
-        return f"is {longest:.2f} m long; its class is at most {high:g} m", figures, exact > high or own_pixels
-    shortest = exact if np.isfinite(exact) else lifted
+        severity: Severity = "error" if exact > high or own_pixels else "warning"
+        figures = {"longest_edge": longest, "least": low, "most": high}
+        return f"is {longest:.2f} m long; its class is at most {high:g} m", figures, severity
     if shortest < low and (whole or np.isfinite(exact)):
-        figures["longest_edge"] = float(shortest)
-        return f"is {shortest:.3f} m long; its class is at least {low:g} m", figures, False
+        figures = {"longest_edge": shortest, "least": low, "most": high}
+        return f"is {shortest:.3f} m long; its class is at least {low:g} m", figures, "warning"
     return None
 
 
@@ -399,16 +371,10 @@ def _against_kind(label: str, lifted: float, whole: bool, survey: SizeSurvey) ->
     if n < LEAST_EXAMPLES or not lifted > 0:
         return None
     away = float(np.log(lifted)) - median
-    far = abs(away) > max(DEVIATIONS * deviation, np.log(LEAST_FACTOR))
-    if not far or (away < 0 and not whole):
+    if abs(away) <= max(DEVIATIONS * deviation, np.log(LEAST_FACTOR)) or (away < 0 and not whole):
         return None
-    figures: dict[str, float | int | str] = {
-        "longest_edge": float(lifted),
-        "median": float(np.exp(median)),
-        "deviations": away / deviation,
-        "examples": n,
-    }
-    return f"is {lifted:.2f} m long; the median of {n} is {np.exp(median):.2f} m", figures, False
+    figures = {"longest_edge": lifted, "median": np.exp(median), "deviations": away / deviation, "examples": n}
+    return f"is {lifted:.2f} m long; the median of {n} is {np.exp(median):.2f} m", figures, "warning"
 
 
 def rotation_fault(rotation: np.ndarray) -> np.ndarray:

@@ -31,10 +31,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from pipeline.labels.check.view import Finding, FrameView, Severity, pairs_where, state_letter
+from pipeline.labels.check.view import Finding, FrameView, state_letter
 from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
 from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
 from pipeline.relations.pair_measures import NOT_JUDGED, Measured
@@ -49,100 +50,96 @@ STRICT = tuple(name for name in PAIRWISE if MIRRORED.get(name) != name)
 
 
 def check_relations(view: FrameView, expected: Expected | None, profile: str) -> Iterator[Finding]:
-    """All rules of the group but the comparison with geometry.
+    """All rules on relations but the comparison with geometry.
 
-    Parameters
-    ----------
-    expected : Expected or None
-        What geometry allows, where it can be recomputed.
-    profile : str
-        The name of the rule profile.
+    `expected` is what the extents say, from `EXPECTED`; without it contradictions that geometry may allow stay
+    warnings.
     """
     if not len(view.ids):
         return
-    yield from _missing(view)
-    yield from _unexpected(view)
-    if profile in MIRRORED_PROFILES:
-        yield from _inverse(view)
-    yield from _exclusive(view)
-    strict = [relation for relation in STRICT if relation in view.states]
+    states, named = view.states, view.named
+    both, relations = view.related[:, None] & view.related[None, :], view.relations
+    lacking = both & ~np.eye(len(view.ids), dtype=np.bool_) & ~view.present
+    yield from view.where(
+        "relation/pair-missing",
+        lacking & (view.present.T | np.triu(np.ones_like(lacking), 1)),
+        lambda a, b: (
+            f"{named(a)} to {named(b)} has no row, "
+            + ("the other way has one" if view.present[b, a] else "nor has the other way")
+        ),
+    )
+    for relation in states:
+        yield from _stateless(view, relation)
+    yield from view.where(
+        "relation/unexpected",
+        view.present & ~both,
+        lambda a, b: f"{named(a)} to {named(b)}: background takes part in no relation",
+    )
+    for number in relations["a"][relations["a"] == relations["b"]]:
+        yield view.finding("relation/unexpected", (number, number), "a relation of an object with itself")
+    opposites = [(one, other) for one, other in OPPOSITES if one in states and other in states]
+    for pair in opposites if profile in MIRRORED_PROFILES else ():
+        yield from _inverse(view, *pair)
+    for pair in opposites:
+        yield from _exclusive(view, *pair)
+    strict = [relation for relation in STRICT if relation in states]
     for relation in strict:
         yield from _both_ways(view, relation, expected)
     yield from _cycles(view, strict, expected)
 
 
-def _missing(view: FrameView) -> Iterator[Finding]:
-    wanted = view.related[:, None] & view.related[None, :] & ~np.eye(len(view.ids), dtype=np.bool_)
-    for a, b in pairs_where(wanted & ~view.present):
-        if view.present[b, a] or a < b:
-            told = "has no row, the other way has one" if view.present[b, a] else "has no row, nor has the other way"
-            yield view.finding(
-                "relation/pair-missing", (view.ids[a], view.ids[b]), f"{view.named(a)} to {view.named(b)} {told}"
-            )
-    for relation, states in view.states.items():
-        for a, b in pairs_where(view.present & (states == NOT_JUDGED)):
-            yield view.finding(
-                "relation/pair-missing",
-                (view.ids[a], view.ids[b]),
-                f"{view.relation_text(a, relation, b)} has no state",
-                {"relation": relation},
-            )
+def _stateless(view: FrameView, relation: str) -> Iterator[Finding]:
+    return view.where(
+        "relation/pair-missing",
+        view.present & (view.states[relation] == NOT_JUDGED),
+        lambda a, b: f"{view.relation_text(a, relation, b)} has no state",
+        lambda *_: {"relation": relation},
+    )
 
 
-def _unexpected(view: FrameView) -> Iterator[Finding]:
-    for a, b in pairs_where(view.present & ~(view.related[:, None] & view.related[None, :])):
-        yield view.finding(
-            "relation/unexpected",
-            (view.ids[a], view.ids[b]),
-            f"{view.named(a)} to {view.named(b)}: background takes part in no relation",
-        )
-    rows = view.relations
-    for number in rows["a"][rows["a"] == rows["b"]]:
-        yield view.finding("relation/unexpected", (number, number), "a relation of an object with itself")
+def _inverse(view: FrameView, one: str, other: str) -> Iterator[Finding]:
+    state, mirrored, text = view.states[one], view.states[other].T, view.relation_text
+    return view.where(
+        "relation/inverse",
+        (state != mirrored) & (state != NOT_JUDGED) & (mirrored != NOT_JUDGED),
+        lambda a, b: (
+            f"{text(a, one, b)} is {state_letter(state[a, b])}, {text(b, other, a)} is {state_letter(mirrored[a, b])}"
+        ),
+        lambda a, b: {"relation": one, one: state[a, b], other: mirrored[a, b]},
+    )
 
 
-def _inverse(view: FrameView) -> Iterator[Finding]:
-    for one, other in _opposites(view):
-        state, mirrored = view.states[one], view.states[other].T
-        for a, b in pairs_where((state != mirrored) & (state != NOT_JUDGED) & (mirrored != NOT_JUDGED)):
-            yield view.finding(
-                "relation/inverse",
-                (view.ids[a], view.ids[b]),
-                f"{view.relation_text(a, one, b)} is {state_letter(state[a, b])}, "
-                f"{view.relation_text(b, other, a)} is {state_letter(mirrored[a, b])}",
-                {"relation": one, one: int(state[a, b]), other: int(mirrored[a, b])},
-            )
-
-
-def _opposites(view: FrameView) -> list[tuple[str, str]]:
-    return [(one, other) for one, other in OPPOSITES if one in view.states and other in view.states]
-
-
-def _exclusive(view: FrameView) -> Iterator[Finding]:
-    for one, other in _opposites(view):
-        for a, b in pairs_where((view.states[one] == T) & (view.states[other] == T)):
-            yield view.finding(
-                "relation/exclusive",
-                (view.ids[a], view.ids[b]),
-                f"{view.relation_text(a, one, b)} and {PHRASE[other]} it",
-                {"relation": one},
-            )
+def _exclusive(view: FrameView, one: str, other: str) -> Iterator[Finding]:
+    return view.where(
+        "relation/exclusive",
+        (view.states[one] == T) & (view.states[other] == T),
+        lambda a, b: f"{view.relation_text(a, one, b)} and {PHRASE[other]} it",
+        lambda *_: {"relation": one},
+    )
 
 
 def _both_ways(view: FrameView, relation: str, expected: Expected | None) -> Iterator[Finding]:
     holds = view.states[relation] == T
-    for a, b in pairs_where(np.triu(holds & holds.T)):
-        yield view.finding(
-            "relation/antisymmetry",
-            (view.ids[a], view.ids[b]),
-            f"{view.relation_text(a, relation, b)}, and the other way too",
-            {"relation": relation},
-            _severity(relation, np.array([[a, b], [b, a]]), expected),
-        )
+    impossible = _impossible(relation, expected, len(holds))
+    return view.where(
+        "relation/antisymmetry",
+        np.triu(holds & holds.T),
+        lambda a, b: f"{view.relation_text(a, relation, b)}, and the other way too",
+        lambda *_: {"relation": relation},
+        np.asarray(impossible | impossible.T),
+    )
+
+
+def _impossible(relation: str, expected: Expected | None, n: int) -> np.ndarray:
+    """(N, N) bool: pairs of which a relation surely does not hold, so that a contradiction is an error."""
+    if relation in INVERSE:
+        return np.ones((n, n), np.bool_)
+    high = None if expected is None else expected.high.get(relation)
+    return np.zeros((n, n), np.bool_) if high is None else high == F
 
 
 def _cycles(view: FrameView, relations: Sequence[str], expected: Expected | None) -> Iterator[Finding]:
-    """One finding for each knot of objects: a shortest cycle in it; cycles of two are `relation/antisymmetry`."""
+    """Of each knot of objects whose relation leads back to its start, the shortest cycle."""
     n = len(view.ids)
     holds = np.array([view.states[relation] == T for relation in relations]).reshape(-1, n, n)
     # Two ways at once is a finding of its own; without those edges the longer cycles remain.
@@ -155,33 +152,23 @@ def _cycles(view: FrameView, relations: Sequence[str], expected: Expected | None
 
     # All relations as one graph without edges between them.
     size = len(relations) * n
-    _, knot = connected_components(
-        csr_matrix((np.ones(len(which), np.int8), (which * n + a, which * n + b)), (size, size)),
-        directed=True,
-        connection="strong",
-    )
+    graph = csr_matrix((np.ones(len(which), np.int8), (which * n + a, which * n + b)), (size, size))
+    knot = connected_components(graph, directed=True, connection="strong")[1]
     for number in np.flatnonzero(np.bincount(knot) > 1):
         nodes = np.flatnonzero(knot == number)
-        k, members = int(nodes[0] // n), nodes % n
-        cycle = members[shortest_cycle(holds[k][np.ix_(members, members)])]
-        yield _cycle(view, relations[k], cycle, len(members), expected)
-
-
-def _cycle(view: FrameView, relation: str, cycle: np.ndarray, knot: int, expected: Expected | None) -> Finding:
-    edges = np.stack([cycle, np.roll(cycle, -1)], axis=1)
-    margins = view.margins[relation][edges[:, 0], edges[:, 1]]
-    chain = f" {PHRASE[relation]} ".join(view.named(k) for k in [*cycle, cycle[0]])
-    return view.finding(
-        "relation/cycle",
-        tuple(view.ids[cycle]),
-        f"{chain}; margins {', '.join(f'{m:.3f}' for m in margins)} m",
-        {
-            "relation": relation,
-            "objects_in_knot": knot,
-            **{f"margin_{a}_{b}": float(m) for (a, b), m in zip(view.ids[edges], margins, strict=True)},
-        },
-        _severity(relation, edges, expected),
-    )
+        relation, members = relations[int(nodes[0] // n)], nodes % n
+        cycle = members[shortest_cycle(holds[nodes[0] // n][np.ix_(members, members)])]
+        edges = np.stack([cycle, np.roll(cycle, -1)])
+        margins = view.margins[relation][tuple(edges)]
+        chain = f" {PHRASE[relation]} ".join(view.named(k) for k in [*cycle, cycle[0]])
+        named = {f"margin_{a}_{b}": m for a, b, m in zip(*view.ids[edges], margins, strict=True)}
+        yield view.finding(
+            "relation/cycle",
+            tuple(view.ids[cycle]),
+            f"{chain}; margins {', '.join(f'{m:.3f}' for m in margins)} m",
+            {"relation": relation, "objects_in_knot": len(members), **named},
+            "error" if _impossible(relation, expected, n)[tuple(edges)].any() else "warning",
+        )
 
 
 def shortest_cycle(holds: np.ndarray) -> np.ndarray:
@@ -198,14 +185,6 @@ def shortest_cycle(holds: np.ndarray) -> np.ndarray:
         path.append(int(before[start, path[-1]]))
     path.reverse()
     return np.roll(path, -int(np.argmin(path)))
-
-
-def _severity(relation: str, edges: np.ndarray, expected: Expected | None) -> Severity:
-    """Warning for on and in, unless geometry rules out one of the edges."""
-    if relation in INVERSE:
-        return "error"
-    high = None if expected is None else expected.high.get(relation)
-    return "error" if high is not None and (high[edges[:, 0], edges[:, 1]] == F).any() else "warning"
 
 
 SURFACE_SLACK = 0.10
@@ -343,52 +322,58 @@ EXPECTED: dict[str, Callable[[FrameView], Expected]] = {
 
 
 def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
-    """States, margins and distances against what the extents allow."""
-    for relation, states in view.states.items():
-        if relation not in expected.high:
-            continue
-        doubted = view.doubted(relation)
-        low, high = (np.where(doubted, U, bound) for bound in (expected.low[relation], expected.high[relation]))
-        wanted = np.where(doubted, 0.0, expected.margins[relation])
-        margins = view.margins[relation]
-        judged = view.present & (states != NOT_JUDGED)
-        off = judged & ((states < low) | (states > high))
-        for a, b in pairs_where(off):
-            nearest = int(np.clip(states[a, b], low[a, b], high[a, b]))
-            opposite = abs(int(states[a, b]) - nearest) > 1
-            figures = {"relation": relation, "stored": int(states[a, b]), "geometry": nearest}
-            if np.isfinite(wanted[a, b]):
-                figures["margin"] = float(wanted[a, b])
-            yield view.finding(
-                "relation/geometry",
-                (view.ids[a], view.ids[b]),
-                f"{view.relation_text(a, relation, b)}: stored {state_letter(states[a, b])}, "
-                f"the extents say {letter(nearest)}",
-                figures,
-                "error" if opposite else "warning",
-            )
-        signed = np.where(states == T, margins >= 0, np.where(states == F, margins <= 0, margins == 0))
-        with np.errstate(invalid="ignore"):
-            differs = np.abs(margins - wanted) > MARGIN_TOLERANCE + MARGIN_TOLERANCE_RELATIVE * np.abs(wanted)
-        for a, b in pairs_where(judged & ~off & (~signed | differs)):
-            known = np.isfinite(wanted[a, b])
-            reason = f"the extents say {wanted[a, b]:.4f} m" if known else "its sign is that of another state"
-            yield view.finding(
-                "relation/geometry",
-                (view.ids[a], view.ids[b]),
-                f"{view.relation_text(a, relation, b)}: margin {margins[a, b]:.4f} m, {reason}",
-                {"relation": relation, "stored_margin": float(margins[a, b]), "margin": float(wanted[a, b])},
-                "warning",
-            )
+    """Compare states, margins and distances with what the extents say."""
+    for relation in view.states:
+        if relation in expected.high:
+            yield from _against_extents(view, expected, relation)
     with np.errstate(invalid="ignore"):
         far = np.abs(view.distance - expected.distance) > MARGIN_TOLERANCE * (1 + np.abs(expected.distance))
     far |= np.isfinite(view.distance) != np.isfinite(expected.distance)
-    for a, b in pairs_where(view.present & far):
-        yield view.finding(
-            "relation/geometry",
-            (view.ids[a], view.ids[b]),
+    yield from view.where(
+        "relation/geometry",
+        view.present & far,
+        lambda a, b: (
             f"{view.named(a)} to {view.named(b)}: distance {view.distance[a, b]:.4f} m, "
-            f"the extents say {expected.distance[a, b]:.4f} m",
-            {"stored": float(view.distance[a, b]), "geometry": float(expected.distance[a, b])},
-            "warning",
-        )
+            f"the extents say {expected.distance[a, b]:.4f} m"
+        ),
+        lambda a, b: {"stored": view.distance[a, b], "geometry": expected.distance[a, b]},
+        np.zeros_like(far),
+    )
+
+
+def _against_extents(view: FrameView, expected: Expected, relation: str) -> Iterator[Finding]:
+    states, doubted, margins = view.states[relation], view.doubted(relation), view.margins[relation]
+    low, high = (np.where(doubted, U, bound[relation]) for bound in (expected.low, expected.high))
+    wanted = np.where(doubted, 0.0, expected.margins[relation])
+    judged, nearest = view.present & (states != NOT_JUDGED), np.clip(states, low, high)
+    off = judged & (states != nearest)
+    told = partial(view.relation_text, relation=relation)
+    yield from view.where(
+        "relation/geometry",
+        off,
+        lambda a, b: f"{told(a=a, b=b)}: stored {state_letter(states[a, b])}, the extents say {letter(int(nearest[a, b]))}",
+        lambda a, b: {
+            "relation": relation,
+            "stored": states[a, b],
+            "geometry": nearest[a, b],
+            "margin": wanted[a, b],
+        },
+        np.abs(states.astype(np.int64) - nearest) > 1,
+    )
+    signed = np.where(states == T, margins >= 0, np.where(states == F, margins <= 0, margins == 0))
+    with np.errstate(invalid="ignore"):
+        differs = np.abs(margins - wanted) > MARGIN_TOLERANCE + MARGIN_TOLERANCE_RELATIVE * np.abs(wanted)
+    yield from view.where(
+        "relation/geometry",
+        judged & ~off & (~signed | differs),
+        lambda a, b: (
+            f"{told(a=a, b=b)}: margin {margins[a, b]:.4f} m, "
+            + (
+                f"the extents say {wanted[a, b]:.4f} m"
+                if np.isfinite(wanted[a, b])
+                else "its sign is that of another state"
+            )
+        ),
+        lambda a, b: {"relation": relation, "stored_margin": margins[a, b], "margin": wanted[a, b]},
+        np.zeros_like(off),
+    )

@@ -8,7 +8,7 @@ first, and only a sound one is handed on.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, partial
 from typing import Any, Literal
@@ -32,12 +32,7 @@ def pairs_where(chosen: np.ndarray) -> list[tuple[int, int]]:
     return list(zip(rows.tolist(), columns.tolist(), strict=True))
 
 
-def indices_where(chosen: np.ndarray) -> list[int]:
-    """Indices of the true entries of (N,) bool."""
-    return np.flatnonzero(chosen).tolist()
-
-
-def state_letter(state: int) -> str:
+def state_letter(state: Any) -> str:
     """ "T", "U", "F", or a number that is none of the three as it is."""
     return letter(state) if state in (T, U, F) else str(int(state))
 
@@ -74,7 +69,7 @@ class FrameView:
         rule: str,
         objects: tuple[Any, ...],
         message: str,
-        figures: dict[str, Figure] | None = None,
+        figures: dict[str, Any] | None = None,
         severity: Severity | None = None,
     ) -> Finding:
         """A finding of this frame, as severe as the rule says unless told otherwise.
@@ -90,6 +85,24 @@ class FrameView:
             message,
             {k: v for k, v in plain if not isinstance(v, float) or np.isfinite(v)},
         )
+
+    def where(
+        self,
+        rule: str,
+        chosen: np.ndarray,
+        message: Callable[..., str],
+        figures: Callable[..., dict[str, Any]] | None = None,
+        error: np.ndarray | None = None,
+    ) -> Iterator[Finding]:
+        """Findings of the objects of (N,) or the pairs of (N, N) bool, in their order.
+
+        `message` and `figures` take the rows of the objects; `error` (of the same shape) tells the errors from the
+        warnings, where that is not as the rule says.
+        """
+        for at in np.argwhere(chosen).tolist():
+            severity: Severity | None = None if error is None else "error" if error[tuple(at)] else "warning"
+            told = {} if figures is None else figures(*at)
+            yield self.finding(rule, tuple(self.ids[at]), message(*at), told, severity)
 
     def named(self, k: int) -> str:
         """An object in words, by its row: "mug 3"."""
