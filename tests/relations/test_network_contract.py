@@ -16,7 +16,7 @@ from pipeline.language import DIRECTIONAL
 from pipeline.metrics import antisymmetric, sigmoid
 from pipeline.proposals import AnnotationDetector
 from pipeline.relations import FEATURES, OnnxScorer, RuleScorer, make_scorer, shipped_network
-from pipeline.relations.model import Contract
+from pipeline.relations.model import NetworkContract
 from pipeline.system import InputError
 
 # The contract.
@@ -33,7 +33,7 @@ def written(path: Path, metadata: dict[str, str], inputs: int = 14, outputs: int
 
 
 def said(**changes: Any) -> dict[str, str]:
-    contract = Contract(
+    contract = NetworkContract(
         "rel14", FEATURES["rel14"].columns, np.zeros(14), np.ones(14), DIRECTIONAL,
         dict.fromkeys(DIRECTIONAL, (1.0, 0.0)), 0, "abc",
     )  # fmt: skip
@@ -45,7 +45,7 @@ def said(**changes: Any) -> dict[str, str]:
 def test_a_contract_survives_the_file_to_the_last_digit(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     calibration: dict[str, tuple[float, float]] = {r: (1.1, 1 / 3) for r in DIRECTIONAL}  # noqa: C420
-    contract = Contract(
+    contract = NetworkContract(
         "canon30", FEATURES["canon30"].columns, rng.normal(size=30), rng.uniform(0.1, 2, 30), DIRECTIONAL,
         calibration, 7, "f00d",
     )  # fmt: skip
