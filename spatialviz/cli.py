@@ -155,6 +155,11 @@ OPTIONS = {
 RENAMED = {"bench srm": "ablation", "bench-srm": "ablation"}
 """Earlier names of commands, which still work."""
 REMOVED = {"bench": "benches are scripts of a checkout: `cd tests; python -m benchmarks.stages`, and others beside it"}
+REMOVED_OPTIONS = {
+    ("view", "--also"): "two detectors are compared by `spatialviz agree`, their answers by `spatialviz failures A "
+    "--compare B --answers`, of runs or of files that `ask --json` wrote",
+    ("review", "--detector"): "label the frames with the other detector, and `review LABELS --other ITS_LABELS`",
+}
 """Earlier commands, and where they went."""
 COMMANDS = {name: command for group in (*GROUPS.values(), FORMS) for name, command in group.items()}
 ABOUT = "See why an RGB-D spatial-reasoning pipeline answered what it answered."
@@ -289,6 +294,9 @@ def _run_words(arguments: list[str]) -> int:
         rest = arguments[1:]
         rest.remove(option)
         arguments = [OPTIONS[arguments[0], option], *rest]
+    for (name, option), gone in REMOVED_OPTIONS.items():
+        if arguments[0] == name and any(word.partition("=")[0] == option for word in arguments):
+            raise InputError(f"{name} has no option {option} any more", cause=gone)
     if gone := REMOVED.get(arguments[0].partition("-")[0]):
         raise InputError(f"'{arguments[0]}' is no command any more", cause=gone)
     return run(arguments)

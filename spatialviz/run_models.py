@@ -22,10 +22,12 @@ from pipeline.answering.model_catalogue import (
     is_fetched,
     look_around,
 )
+from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import RecordingReport, record_detections
 from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.proposals.score_calibration import ScoreCalibration, save_calibration
-from pipeline.system.errors import require
+from pipeline.system.detector_setup import named_model
+from pipeline.system.errors import InputError, require
 from pipeline.system.model_files import KnownModel
 from pipeline.system.onnx_session import ACCELERATORS
 from spatialviz.cli_models import AgreeCommand, CalibrateCommand, DetectCommand, ModelsCommand
@@ -70,13 +72,24 @@ def run_agree(command: AgreeCommand) -> int:
         "frames are named twice",
         got=f"{command.frame} and --frames {command.source.frames}",
     )
-    source, _ = command.source.open(command.dataset, command.also)
+    if command.also is None:
+        raise InputError("there is nothing to compare the detector with", expected="--also NAME or --also NAME=MODEL")
+    source, _ = command.source.open(command.dataset)
     frames = command.source.frames if command.frame == ALL_FRAMES else command.frame
-    names = source.detector_names
+    kind, model = named_model(command.also)
+    shared = ("min_score", "segmenter", "segmenter_model", "synonyms")
+    options = {name: getattr(command.source, name) for name in shared}
+    second = open_pipeline(source.dataset, detector=kind, model=model, srm="rule", **options).needed_detector()
+    names = [source.needed_detector().name, second.name]
+    models = [command.source.model, model]
+    if names[0] == names[1] and models[0] != models[1]:
+        # Two models of one kind go by their files.
+        names = [path.stem if path else name for path, name in zip(models, names, strict=True)]
     found = []
     with rate_bar("comparing", "frames") as advance:
         for frame_id, one in agree_frames(
             source,
+            second,
             frames,
             names=command.classes or None,
             min_iou=command.iou,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,8 +13,7 @@ from pipeline.corrections.journal.effective_frame import setting_of
 from pipeline.corrections.journal.events import outcome_record
 from pipeline.corrections.journal.journal import JOURNAL_FILE
 from pipeline.corrections.review.bulk import accept_all, found_items, pace_of
-from pipeline.corrections.review.detector_evidence import detector_evidence
-from pipeline.corrections.review.evidence import ItemEvidence, read_relation_labels
+from pipeline.corrections.review.evidence import read_relation_labels
 from pipeline.corrections.review.items import STATES, ItemKey, State, item_keys, left_to_review, with_states
 from pipeline.corrections.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
 from pipeline.corrections.review.queue import QueueConfig, review_queue
@@ -32,17 +31,14 @@ from pipeline.corrections.review.reviewed import (
 from pipeline.corrections.review.worklist import read_queue, worklist, write_queue
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
-from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PHRASE
-from pipeline.proposals.registry import open_detector
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError, MissingExtra, needed, require
-from pipeline.system.onnx_session import use_execution
+from pipeline.system.errors import MissingExtra, needed, require
 from pipeline.system.whole_files import scratch_folder
 from pipeline.training.train import TrainConfig, need_torch
 from spatialviz.cli_labels import ReviewCommand
-from spatialviz.options import FINE, NO, warn, warn_skipped
+from spatialviz.options import FINE, NO, warn
 from spatialviz.printing import figure, print_rows, progress_bars, say
 
 
@@ -99,7 +95,6 @@ def _pace(command: ReviewCommand, labels: Labels) -> dict[str, Any]:
 
 def _check(command: ReviewCommand) -> None:
     require(command.limit >= 0, "--limit must not be negative", got=command.limit)
-    command.second.check()
     require(
         command.author is not None or (not command.overlap and command.second_opinion_of is None),
         "--overlap and --second-opinion-of need --author",
@@ -107,7 +102,7 @@ def _check(command: ReviewCommand) -> None:
     )
     require(command.author is None or not command.all, "--all and --author exclude each other")
     require(
-        command.queue is None or (command.other is None and command.second.detector is None),
+        command.queue is None or command.other is None,
         "--queue is a queue that was built before",
         cause="leave out --queue, or the other options",
     )
@@ -135,30 +130,9 @@ def _queue(command: ReviewCommand, reviewed: Reviewed, labels: Labels) -> pa.Tab
             reviewed.labels,
             QueueConfig(doubts, linter=command.linter),
             other=other,
-            found_elsewhere=_seen(command, reviewed.labels, labels, advance),
             judgements=reviewed.judgements,
             progress=lambda done, of: advance("networks", done, of),
         )
-
-
-def _seen(
-    command: ReviewCommand, labels: Labels, automatic: Labels, advance: Callable[[str, int, int], None]
-) -> tuple[ItemEvidence, ...]:
-    setup = command.second
-    if setup.detector is None:
-        return ()
-    use_execution(setup.provider, False)
-    dataset = command.source.open(automatic)
-    if dataset is None:
-        raise InputError("--detector needs the pictures", expected="--dataset DATASET")
-    table = Synonyms.load(setup.synonyms)
-    detector = open_detector(setup, dataset.class_names, table, dataset.frame_ids)
-    found = detector_evidence(
-        labels, dataset, detector, synonyms=table, progress=lambda n, of: advance("frames", n, of)
-    )
-    for frame, reason in found.skipped.items():
-        warn_skipped(frame, reason)
-    return found.items
 
 
 def _shown(command: ReviewCommand, queue: pa.Table, reviewed: Reviewed, states: dict[ItemKey, State]) -> pa.Table:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from platformdirs import user_data_path
 
-from pipeline.answering.opening import Pipeline, open_pipeline, open_sources
+from pipeline.answering.opening import Pipeline, open_sources
 from pipeline.corrections.journal_location import JournalLocation, journal_words
 from pipeline.datasets.demo import DEMO_NAME, demo_run
 from pipeline.diagnosis.whatif.state import ViewState, decode
-from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run
+from pipeline.evaluation.run_folder import RUN_FILE, open_run
 from pipeline.labels.by_hand import begun_labels, default_folder, grows
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.system.errors import InputError, require
@@ -42,7 +42,7 @@ def run_view(command: ViewCommand) -> None:
         own = None if command.labels is None else str(command.labels)
         run = open_run(folder, dataset=None if dataset == DEMO_NAME else dataset, labels=own)
         name = Path(run.spec.dataset).name
-        sources, runs = {name: _with_second(command, run)}, {name: run}
+        sources, runs = {name: run.source}, {name: run}
         if own is not None:
             _check_labels(run.labels, run.source)
         if command.compare is not None:
@@ -52,7 +52,7 @@ def run_view(command: ViewCommand) -> None:
         found = None if command.labels is None or begun else open_labels(command.labels)
         options = command.source.arguments()
         options = options if found is None else labelled_up(found.manifest, options)
-        sources, left_out = open_sources(dataset, **options, also=command.also, browse=True)
+        sources, left_out = open_sources(dataset, **options, browse=True)
         for name, reason in left_out.items():
             warn(f"left out {name}: {reason}")
         for name, opened in sources.items():
@@ -117,14 +117,6 @@ def _by_hand(command: ViewCommand, sources: Mapping[str, Pipeline]) -> dict[str,
     return found
 
 
-def _with_second(command: ViewCommand, run: Run) -> Pipeline:
-    """The run's source, with the second detector beside its own."""
-    if command.also is None:
-        return run.source
-    opened = open_pipeline(run.spec.dataset, **{**run.spec.options, "also": command.also})
-    return replace(run.source, second_detector=opened.second_detector, second_setup=opened.second_setup)
-
-
 def _journal(command: ViewCommand, labels: Labels) -> JournalLocation:
     """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""
     where: str | Path | None = command.journal.journal
@@ -161,7 +153,7 @@ def _words(command: ViewCommand, dataset: str, folder: Path | None) -> list[str]
     words = ["view"]
     if folder is None or command.dataset != "demo":
         words.append(dataset)
-    given = {"run": folder, "compare": command.compare, "labels": command.labels, "also": command.also}
+    given = {"run": folder, "compare": command.compare, "labels": command.labels}
     words += [word for name, value in given.items() if value is not None for word in (f"--{name}", str(value))]
     words += journal_words(command.journal.journal, command.journal.project)
     words += [] if command.author is None else ["--author", command.author]

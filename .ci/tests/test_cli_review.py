@@ -62,8 +62,8 @@ def test_a_queue_is_shown_to_a_person(work: Path, words: list[object]) -> None:
     assert "to look at" in printed.out
 
 
-def test_a_detector_that_looks_again_is_evidence_too(work: Path) -> None:
-    words = ["review", work / "labels", "--no-networks", "--detector", "simulated", "--limit", 3]
+def test_labels_of_another_detector_are_evidence_too(work: Path) -> None:
+    words = ["review", work / "labels", "--no-networks", "--other", work / "labels", "--limit", 3]
     assert "labels to look at" in spatialviz(0, *words).out
 
 
@@ -72,7 +72,7 @@ def test_a_detector_that_looks_again_is_evidence_too(work: Path) -> None:
     [
         (["--queue", "LABELS/objects.parquet"], "queue"),
         (["--overlap", 0.5], "--author"),
-        (["--no-networks", "--detector", "recorded"], "recorded"),
+        (["--no-networks", "--detector", "recorded"], "review LABELS --other"),
     ],
 )
 def test_options_that_make_no_sense_are_told_in_a_line(work: Path, words: list[object], message: str) -> None:

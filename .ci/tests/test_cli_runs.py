@@ -77,6 +77,22 @@ def test_failures_are_compared_with_those_of_another_run(run: Path, with_one_pro
     assert found["failures"][0]["marks"] == []
 
 
+def test_answers_are_compared_without_labels(run: Path, with_one_proposal: Path, tmp_path: Path) -> None:
+    found = spatialviz(0, "failures", run, "--compare", with_one_proposal, "--answers", "--limit", 3, "--json").record
+    assert found["differ"] + found["same"] == found["shared"] > 0
+    assert len(found["answers"]) == 3
+    files = {}
+    for name in ("annotations", "simulated"):
+        words = ("ask", "demo", "0", "mug", "mug left of the laptop", "a laptop", "--detector", name, "--json")
+        files[name] = tmp_path / f"{name}.jsonl"
+        files[name].write_text(spatialviz(0, *words).out, encoding="utf-8")
+    both = ("failures", files["annotations"], "--answers", "--compare")
+    assert spatialviz(1, *both, files["annotations"], "--json").record["same"] == 3
+    assert "alike" in spatialviz(0, *both, files["simulated"]).out
+    assert "--compare" in spatialviz(2, *both[:3]).err
+    assert "no expression in common" in spatialviz(2, *both, run).err
+
+
 def test_the_tables_of_a_run_are_printed_again(run: Path) -> None:
     assert spatialviz(0, "tables", run, "--json").record
 

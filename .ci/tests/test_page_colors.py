@@ -10,7 +10,7 @@ from pipeline.geometry.palette import hex_color, palette
 CSS = (resources.files("spatialviz.app") / "static" / "page.css").read_text("utf-8")
 GROUNDS = ("bg", "panel", "raised", "hover", "field")
 ACCENTS = ("accent-explain", "accent-evaluate", "accent-label")
-TEXTS = ("text", "dim", "good", "doubt", "bad", "idle", "target", "reference", "truth", "edited", "other", "second")
+TEXTS = ("text", "dim", "good", "doubt", "bad", "idle", "target", "reference", "truth", "edited", "other")
 
 
 def colors(dark: bool) -> dict[str, str]:

@@ -17,7 +17,6 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from pipeline.answering.agreement.frames import SecondDetections, second_detections
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
@@ -70,8 +69,6 @@ class LoadedFrame:
         Everything the detector finds in it; empty without a detector.
     problem : str
         Why a detector could not be asked about this frame.
-    beside : SecondDetections or None
-        What a second detector finds in it.
     told : ToldUp or None
         What was said of up since the program began.
     doubt : str
@@ -81,7 +78,6 @@ class LoadedFrame:
     context: PreparedFrame
     objects: tuple[SceneObject, ...]
     problem: str = ""
-    beside: SecondDetections | None = None
     told: ToldUp | None = None
     doubt: str = ""
     _thumbs: dict[bytes, bytes] = field(default_factory=dict, repr=False, compare=False)
@@ -100,7 +96,6 @@ class LoadedFrame:
     def nbytes(self) -> int:
         """What it holds, about."""
         masks = len(self.context.frame.annotations) + len(self.objects)
-        masks += 0 if self.beside is None else len(self.beside.objects)
         return self.context.frame.depth.size * (PIXEL_BYTES + masks)
 
     @cached_property
@@ -242,16 +237,14 @@ class FrameStore:
         self._give_way(making)
         context = prepare_frame(opened.dataset, raw, opened.config.lift)
         self._give_way(making)
-        objects, problem, second = tuple[SceneObject, ...](), "", None
+        objects, problem = tuple[SceneObject, ...](), ""
         if opened.detector is not None:
             try:
                 objects = all_objects(context, opened.detector)
-                self._give_way(making)
-                second = second_detections(opened, context, objects)
             except InputError as error:
                 problem = str(error)
         doubt = _doubt(context.frame, opened.dataset.root)
-        return LoadedFrame(context, objects, problem, second, self.told.get(key[0]), doubt)
+        return LoadedFrame(context, objects, problem, self.told.get(key[0]), doubt)
 
     def _give_way(self, making: _Making | None = None) -> None:
         """What nobody waits for waits itself while somebody is being answered."""

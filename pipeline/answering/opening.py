@@ -23,7 +23,7 @@ from pipeline.language.tree import Query
 from pipeline.proposals import Detector, Segmented, Segmenter, make_segmenter
 from pipeline.proposals.registry import SegmenterFiles, open_detector
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
-from pipeline.system.detector_setup import DetectorSetup, Fusion, named_model
+from pipeline.system.detector_setup import DetectorSetup, Fusion
 from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat, require
 from pipeline.system.remote import local_path
 
@@ -46,10 +46,6 @@ class Pipeline:
     synonyms : Synonyms or None
     open_unfiltered : callable or None
         Opens the same detector without a minimum score.
-    second_detector : Detector or None
-        Another detector, to compare with; it answers nothing.
-    setup, second_setup : DetectorSetup or None
-        What the two detectors are made from, without the segmenter.
     reader : Reader
         What reads expressions: the grammar, unless another was asked for.
     """
@@ -60,9 +56,6 @@ class Pipeline:
     config: AskConfig = field(default_factory=AskConfig)
     synonyms: Synonyms | None = None
     open_unfiltered: Callable[[], Detector | None] | None = None
-    second_detector: Detector | None = None
-    setup: DetectorSetup | None = None
-    second_setup: DetectorSetup | None = None
     reader: Reader = parse
 
     def __repr__(self) -> str:
@@ -80,16 +73,6 @@ class Pipeline:
         if not isinstance(frame, Frame):
             frame = self.dataset.load(resolve_frame(self.dataset, frame))
         return prepare_frame(self.dataset, frame, self.config.lift)
-
-    @property
-    def detector_names(self) -> tuple[str, str]:
-        """The names of both detectors; those of their model files where they are of one kind."""
-        a, b = (None if one is None else one.name for one in (self.detector, self.second_detector))
-        files = [None if one is None else one.model for one in (self.setup, self.second_setup)]
-        models = [None if path is None else path.stem for path in files]
-        if a == b and models[0] != models[1]:
-            a, b = (model or name for name, model in zip((a, b), models, strict=True))
-        return a or "", b or ""
 
     def unfiltered_detector(self) -> Detector:
         """The detector without a minimum score, for what it sees and does not say; itself where it has none."""
@@ -172,7 +155,6 @@ def open_pipeline(
     config: AskConfig | None = None,
     fuse: Sequence[str] = (),
     fusion: Fusion = "wbf",
-    also: str | None = None,
     reader: Literal["grammar", "llm"] | Reader = "grammar",
     reader_url: str | None = None,
     reader_model: str | None = None,
@@ -189,8 +171,8 @@ def open_pipeline(
     `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote;
     `vectors` the file of text vectors it was trained with, for classes it was not trained on.
     `fuse` names further detectors ("NAME" or "NAME=MODEL") whose detections are fused with the detector's, by weighted
-    boxes ("wbf") or non-maximum suppression ("nms") as `fusion` says; `also` names one to compare with. The minimum
-    score and the segmenter are for all of them.
+    boxes ("wbf") or non-maximum suppression ("nms") as `fusion` says. The minimum score and the segmenter are for all
+    of them.
     `reader` is what reads expressions: "grammar", "llm" (the model `reader_model` of the OpenAI-compatible server
     `reader_url`, its key in SPATIALVIZ_VLM_KEY), or a function of one's own.
 
@@ -217,7 +199,6 @@ def open_pipeline(
     for option, given, needed, what, cause in (
         ("--model", model, named, "--detector", "which kind of model is it?"),
         ("--fuse", fuse or None, named, "--detector", "what is fused with what?"),
-        ("--also", also, detector is not None, "--detector", "what is it compared with?"),
         ("--model-config", model_config, detector is not None, "--detector", "what is it for?"),
         ("--segmenter-model", segmenter_model, segmenter is not None, "--segmenter", "what is it for?"),
         ("--reader-url", reader_url, reader == "llm", "--reader llm", "what is it for?"),
@@ -232,28 +213,24 @@ def open_pipeline(
     elif detector is not None:
         own = {"model": model, "model_config": model_config, "min_score": min_score, "fuse": fuse or None}
         _refuse(own, f"the detector {detector.name}, which is made already")
-    second_setup = None if also is None else DetectorSetup(*named_model(also), min_score=min_score, synonyms=synonyms)
-
-    def opened(setup: DetectorSetup) -> Detector:
-        return open_detector(setup, dataset.class_names, table, dataset.frame_ids)
 
     def make(min_score: float | None) -> Detector | None:
-        return None if setup is None else opened(replace(setup, min_score=min_score))
+        if setup is None:
+            return None
+        return open_detector(replace(setup, min_score=min_score), dataset.class_names, table, dataset.frame_ids)
 
     found = make(min_score) if detector is None or isinstance(detector, str) else detector
-    second = None if second_setup is None else opened(second_setup)
     if segmenter is not None:
         masks = segmenter
         if isinstance(masks, str):
             masks = make_segmenter(masks, model=segmenter_model, synonyms=table)
         found = None if found is None else Segmented(found, masks)
-        second = None if second is None else Segmented(second, masks)
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
     scorer = make_scorer(srm, vectors) if isinstance(srm, str | Path) else srm
     read = make_reader(reader, reader_url, reader_model)
-    return Pipeline(dataset, found, scorer, config, table, lambda: make(0.0), second, setup, second_setup, read)
+    return Pipeline(dataset, found, scorer, config, table, lambda: make(0.0), read)
 
 
 def make_reader(reader: str | Reader, url: str | None, model: str | None) -> Reader:

@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from pipeline.corrections.label_view import LabelView, paired
     from pipeline.corrections.object_card import ExpressionCard, back_to_automatic, bring_back, set_answer
     from pipeline.corrections.review.bulk import accept_all, found_items, pace_of, say_of_item
-    from pipeline.corrections.review.detector_evidence import detector_evidence, second_setup
     from pipeline.corrections.review.evidence import read_relation_labels
     from pipeline.corrections.review.items import STATES, ItemKey, State, item_keys, left_to_review, with_states
     from pipeline.corrections.review.label_jobs import (

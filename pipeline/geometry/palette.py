@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.geometry.lifting import Pixel
 
-Role = Literal["target", "reference", "other", "truth", "edited", "second", "bad"]
+Role = Literal["target", "reference", "other", "truth", "edited", "bad"]
 RGB = tuple[int, int, int]
 
 ON_DARK: dict[Role, RGB] = {
@@ -21,7 +21,6 @@ ON_DARK: dict[Role, RGB] = {
     "other": (155, 158, 166),
     "truth": (93, 218, 156),
     "edited": (246, 219, 90),
-    "second": (194, 109, 189),
     "bad": (246, 116, 106),
 }
 ON_LIGHT: dict[Role, RGB] = {
@@ -30,10 +29,9 @@ ON_LIGHT: dict[Role, RGB] = {
     "other": (100, 108, 119),
     "truth": (10, 125, 69),
     "edited": (92, 57, 0),
-    "second": (158, 3, 139),
     "bad": (180, 17, 35),
 }
-"""As on a dark ground: "second" is a second detector's boxes, always dashed; "bad" what failed, a word beside it."""
+"""As on a dark ground: "bad" what failed, a word beside it."""
 
 LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.2, "target": 3.2, "truth": 1.6, "edited": 2.5}
 FACE_OPACITY: dict[Role, float] = {"other": 0.035, "reference": 0.15, "target": 0.15}

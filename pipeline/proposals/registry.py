@@ -18,7 +18,7 @@ from pipeline.proposals.cache import CachedDetector, CachedSegmenter
 from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.ensemble import EnsembleDetector
 from pipeline.proposals.recorded import RecordedDetector
-from pipeline.proposals.segmenter import DetectorSegmenter, Segmented, Segmenter
+from pipeline.proposals.segmenter import DetectorSegmenter, Segmenter
 from pipeline.system.detector_setup import DetectorSetup, named_model
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.model_files import resolve_model
@@ -212,21 +212,6 @@ def open_detector(
     others = [make(*named_model(text)) for text in setup.fuse]
     first = make(setup.detector or "annotations", setup.model, setup.model_config)
     return EnsembleDetector((first, *others), setup.fusion, table) if others else first
-
-
-def made_by(text: str | None, detector: Detector) -> bool:
-    """Whether a detector is the one that labels or a run name as theirs; the segmenter of either does not count.
-
-    Parameters
-    ----------
-    text : str or None
-        "name: fingerprint", with the segmenter's behind "+" and "|": `models["detector"]` of a manifest.
-    detector : Detector
-    """
-    own = detector.detector if isinstance(detector, Segmented) else detector
-    name, fingerprint = own.name, own.fingerprint()
-    text = text or ""
-    return text == f"{name}: {fingerprint}" or (text.startswith(f"{name}+") and f": {fingerprint}|" in text)
 
 
 @dataclass(frozen=True)

@@ -79,11 +79,6 @@ class Shared:
         """Whether a dataset has a robot's moves."""
         return any(has_moves(opened.dataset) for opened in self.store.sources.values())
 
-    @property
-    def second(self) -> bool:
-        """Whether a second detector stands beside the own one."""
-        return any(opened.second_detector is not None for opened in self.store.sources.values())
-
 
 class Context:
     """One page: its state, its browser, its scene, and what can be done with all of it (the session does it).

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.datasets import has_moves, moves
-from spatialviz.app import answer, beside, picture, sentences, stage_objects, stages, toolbar
+from spatialviz.app import answer, picture, sentences, stage_objects, stages, toolbar
 from spatialviz.app.context import Context
 
 
@@ -24,7 +24,6 @@ def fill_page(ctx: Context) -> None:
         "scene-tools": toolbar.scene_tools_html(state),
         "depth-legend": picture.depth_bar(state),
         "objects": picture.objects_html(state, state.loaded) if state.loaded else None,
-        "agreement": beside.agreement_html(state) if shared.second else None,
         "image": picture.image_html(state),
         "object": stage_objects.object_html(state) if state.labels is None else None,
         "log": picture.log_html(ctx.log),

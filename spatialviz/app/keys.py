@@ -127,13 +127,6 @@ LABEL_KEYS: Mapping[str, Rows] = {
 
 KEYS_OF_ONE = "Of one object, or a sentence: Y accepts, N rejects, Shift+U is unsure"
 
-LAYER_KEYS: Rows = (
-    ("Shift+B", "Boxes of both detectors, of the own, of the second", "layer:next"),
-    ("Shift+J", "Next disagreement of the two detectors", "next-disagreement:1"),
-    ("Shift+O", "Previous disagreement of the two detectors", "next-disagreement:-1"),
-)
-"""The keys where a second detector stands beside the own one."""
-
 MOVE_KEYS: Rows = (
     ("7", "Turn left", "move:rotate_ccw"),
     ("8", "Step forward", "move:forward"),
@@ -172,14 +165,14 @@ LIST, SEARCH = "Keys", "Find a command"
 """Titles of the dialogs."""
 
 
-def keys_of(labelling: bool, moving: bool = True, second: bool = True) -> dict[str, Rows]:
-    """Every key by what it is for now; those of moves and of a second detector only where there are any.
+def keys_of(labelling: bool, moving: bool = True) -> dict[str, Rows]:
+    """Every key by what it is for now; those of moves only where there are any.
 
     While labels are shown their keys come first, and mean nothing else.
     """
     own = LABEL_KEYS if labelling else {}
     taken = {key for rows in own.values() for key, _, _ in rows}
-    always = {**KEYS, "Two detectors": LAYER_KEYS if second else (), "Moves": MOVE_KEYS if moving else ()}
+    always = {**KEYS, "Moves": MOVE_KEYS if moving else ()}
     return {**own, **{group: tuple(r for r in rows if r[0] not in taken) for group, rows in always.items()}}
 
 
@@ -188,7 +181,7 @@ def meant(message: str, correcting: bool) -> str:
     kind, _, pressed = message.partition(":")
     if kind != "key":
         return message
-    groups = keys_of(correcting, second=not correcting)
+    groups = keys_of(correcting)
     return next((m for rows in groups.values() for key, _, m in rows if key == pressed), "")
 
 
@@ -202,7 +195,7 @@ class Keys(Part):
         ctx.page.call("keys", list(dict.fromkeys(key for rows in every for key, _, message in rows if message)))
 
     def _keys(self, labelling: bool) -> dict[str, Rows]:
-        return keys_of(labelling, self.ctx.shared.moving, self.ctx.shared.second)
+        return keys_of(labelling, self.ctx.shared.moving)
 
     @command("help")
     def toggle(self) -> None:

@@ -16,8 +16,7 @@ from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.masks import decode_crop, outlines
-from pipeline.geometry.palette import ON_DARK, RGB, depth_colors, depth_ends, hex_color, instance_colors, palette
-from spatialviz.app.beside import name_tag, second_overlay
+from pipeline.geometry.palette import ON_DARK, RGB, depth_colors, depth_ends, hex_color, ink, instance_colors, palette
 from spatialviz.app.context import Context
 from spatialviz.app.frames import jpeg_url, png_url, thumb_url
 from spatialviz.app.markup import Child, Element, chosen, detector_score, h, heading, named, note, panel
@@ -33,7 +32,7 @@ def image_html(state: State) -> Element:
         return panel(note(state.problem or "no frame"), cls="picture")
     frame = state.loaded.context.frame
     if state.colors == "rgb":
-        picture = tinted(frame.rgb, state.shown.objects, state.roles if state.own_layer else {})
+        picture = tinted(frame.rgb, state.shown.objects, state.roles)
     else:
         picture = frame_colors(state.colors, frame, state.loaded.objects, state.roles, state.dark)
     step = max(1, round(frame.width / IMAGE_WIDTH))
@@ -68,7 +67,7 @@ def _svg(frame: Frame, marks: Child, name: str) -> Element:
 
 def _quiet_boxes(state: State, unit: float) -> Element | None:
     """The 2D boxes of all objects, the same whatever is chosen."""
-    if not state.boxes_shown or not state.own_layer:
+    if not state.boxes_shown:
         return None
     drawn = "".join(_rectangle(entry.bbox) for entry in state.shown.objects)
     return _path(drawn, hex_color(palette(True)["other"]), 0.7 * unit, opacity=".75")
@@ -84,14 +83,15 @@ def overlay_marks(state: State) -> list[Element]:
         return []
     frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
     unit, shape = frame.width / 360, (frame.height, frame.width)
-    own = range(len(state.shown.objects)) if state.own_layer else range(0)
     marks: list[Element] = []
-    order = sorted((i for i in own if i in roles or i == state.selected), key=lambda i: i == state.selected)
+    order = sorted(
+        (i for i in range(len(state.shown.objects)) if i in roles or i == state.selected),
+        key=lambda i: i == state.selected,
+    )
     for i in order:
         entry = state.shown.objects[i]
         drawn = _rectangle(entry.bbox) if entry.lifted.box is None else edges_path(entry.lifted.box, frame.camera)
         marks.append(_path(drawn, hex_color(colors[roles[i]]) if i in roles else "#ffffff", 1.3 * unit))
-    marks += () if state.beside is None else second_overlay(state, state.beside, unit)
     for i in order:
         x0, y0 = _name_place(state, i)
         color = hex_color(colors[roles.get(i, "other")])
@@ -104,6 +104,21 @@ def overlay_marks(state: State) -> list[Element]:
         text = f"{state.measured.distance:.3f} m"
         marks += name_tag(text, (x0 + x1) / 2, (y0 + y1) / 2 + 3 * unit, shape, unit, "#f5f7fa")
     return marks
+
+
+def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> tuple[Element, Element]:
+    """A name on its colour in the picture, its upper left corner at (x, y) or as near as the picture's `shape` lets."""
+    width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
+    x, y = max(min(x, shape[1] - width), 0), min(max(y, 0), shape[0] - height)
+    return (
+        h.rect(
+            x=f"{x:.1f}", y=f"{y:.1f}", width=f"{width:.1f}", height=f"{height:.1f}", rx=f"{2 * unit:.1f}", fill=color
+        ),
+        h.text(
+            text, x=f"{x + 4 * unit:.1f}", y=f"{y + 10.4 * unit:.1f}", font_size=f"{10.5 * unit:.1f}",
+            font_weight=600, fill=ink(color), font_family="system-ui,sans-serif",
+        ),
+    )  # fmt: skip
 
 
 def _ghost_marks(state: State, frame: Frame) -> Iterator[Element]:
@@ -175,7 +190,7 @@ def objects_html(state: State, loaded: LoadedFrame) -> Element:
     head = [h.tr(h.th(words, colspan=4)) for words in ("of the pair", "all")] if pair else [None, None]
     every = (_row(state, i, "object") for i in range(count))
     table = h.table(h.tbody(head[0], pair, id="of-pair"), h.tbody(head[1], every), cls="objects")
-    return panel(heading(f"Objects{' of A' if state.beside else ''} ({count})"), table)
+    return panel(heading(f"Objects ({count})"), table)
 
 
 def _row(state: State, i: int, kind: str) -> Element:

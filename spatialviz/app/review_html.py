@@ -134,8 +134,6 @@ def doubt_html(card: PairCard, line: RelationLine, state: int) -> Element:
 
 
 ROWS, STEP = 40, 20
-SKIPPED = 8
-"""Frames that a hint names."""
 STATUS_MARKS = {
     "unreviewed": ("", "inherit"),
     "accepted": ("✓", GOOD),
@@ -151,7 +149,6 @@ def queue_html(
     work: Worklist | None,
     making: QueueProgress,
     asked: Mapping[str, bool],
-    named: str,
     kind: str,
     item: ItemKey | None,
     names: Names,
@@ -159,13 +156,13 @@ def queue_html(
 ) -> Element:
     """What the queue is made of, how far that is, what filters it, and the list from the current item on.
 
-    `asked` says what the next one is made of besides the rules and the linter, `named` the detector that can be asked.
+    `asked` says what the next one is made of besides the rules and the linter.
     """
     again = "build again" if work is not None else "build"
     stop = button("stop", "stop-queue", "ends the asking; the queue that there is stays")
     make = button(again, "make-queue", "ranks the labels by what is switched on here")
     head = heading("Queue", stop if making.running else make).with_(id="queue-head")
-    parts = [head, _asked(asked, named), h.div(_busy(making), id="queue-busy")]
+    parts = [head, _asked(asked), h.div(_busy(making), id="queue-busy")]
     if work is None:
         return panel(parts, None if making.running else h.div("No queue yet.", cls="dim"))
     counts = work.counts
@@ -181,13 +178,11 @@ def queue_html(
     )
 
 
-def _asked(asked: Mapping[str, bool], named: str) -> Element:
-    """What goes into the next queue besides the rules and the linter: switches; `named` is the detector, if any."""
-    hint = f"what the detector {named} sees otherwise in the labelled frames"
+def _asked(asked: Mapping[str, bool]) -> Element:
+    """What goes into the next queue besides the rules and the linter: switches."""
     return h.div(
         h.span("rules and linter", cls="try fixed", title="always in it"),
         _switch("networks", "networks", asked["networks"], "networks that have not learnt from a label"),
-        named and _switch("detector", f"detector {named}", asked["detector"], hint),
         id="queue-asks",
         cls="asks",
     )
@@ -203,29 +198,21 @@ def _busy(making: QueueProgress) -> Child:
         failed = making.problem and making.problem != CANCELLED
         stays = "was not made" if making.work is None else "stays as it is"
         return note(f"The queue {stays}: {making.problem}", BAD) if failed else None
-    kind, done, of = making.step or ("", 0, 0)
-    what = f"asking network {done + 1} of {of}" if kind == "networks" else f"detector: frame {done + 1} of {of}"
-    what = what if done < of else "ranking the labels"
+    _, done, of = making.step or ("", 0, 0)
+    what = f"asking network {done + 1} of {of}" if done < of else "ranking the labels"
     return progress(what, done, of), h.div(what, cls="dim")
 
 
 def _known(made: Mapping[str, Any] | None) -> Element | None:
-    """What the queue was made of: what networks and a detector said; and how far reviewers agreed by then."""
+    """What the queue was made of: what networks said; and how far reviewers agreed by then."""
     if made is None:
         return None
-    wrong, detector = made["estimated_wrong"], made["detector"]
-    parts, hint = ["rules and linter"], "what this queue was made of"
-    parts += [] if wrong is None else [f"networks: {wrong:.0f} relations wrong"]
-    if detector is not None:
-        skipped = detector["skipped"]
-        left_out = f", {len(skipped)} skipped" if skipped else ""
-        parts.append(f"{detector['name']}: {counted(detector['frames'], 'frame')}{left_out}")
-        hint += "".join(f"\n{frame}: {why}" for frame, why in list(skipped.items())[:SKIPPED])
-        hint += f"\nand {len(skipped) - SKIPPED} more" if len(skipped) > SKIPPED else ""
+    wrong = made["estimated_wrong"]
+    parts = ["rules and linter"] + ([] if wrong is None else [f"networks: {wrong:.0f} relations wrong"])
     for pair in made["agreement"]:
         kappa = "–" if pair["kappa"] is None else f"{pair['kappa']:.2f}"
         parts.append(f"{' and '.join(pair['reviewers'])}: κ {kappa} on {counted(pair['items'], 'item')}")
-    return h.div(f"made of {' · '.join(parts)}", cls="dim", title=hint)
+    return h.div(f"made of {' · '.join(parts)}", cls="dim", title="what this queue was made of")
 
 
 def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[int]:

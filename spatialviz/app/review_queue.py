@@ -6,7 +6,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_view import Target
 from pipeline.corrections.review.bulk import MOST, Pace, accept_all, found_items, pace_of, say_of_item
-from pipeline.corrections.review.detector_evidence import second_setup
 from pipeline.corrections.review.items import BLOCK, ItemKey
 from pipeline.corrections.review.label_jobs import CANCELLED, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, refreshed_worklist
@@ -74,12 +72,7 @@ class SourceQueue:
     newest: Mark = NOTHING
     seen: QueueProgress = field(default_factory=QueueProgress)
     behind: bool = False
-    asked: dict[str, bool] = field(default_factory=lambda: {"networks": False, "detector": True})
-
-    @cached_property
-    def second(self) -> tuple[str, Any] | tuple[None, None]:
-        """The detector that can be asked, as it is called, and its setup."""
-        return second_setup(self.source, self.location.labels) or (None, None)
+    asked: dict[str, bool] = field(default_factory=lambda: {"networks": False})
 
     @cached_property
     def names(self) -> dict[tuple[str, int], str]:
@@ -123,7 +116,6 @@ class ReviewQueue(LabelPart):
         queue, place, asked = self._queue, self.location, self._queue.asked
         if place.jobs.queue.running:
             return
-        called, detector = queue.second if asked["detector"] else (None, None)
         place.jobs.make(
             lambda out: QueueJob(
                 place.labels.root,
@@ -132,8 +124,6 @@ class ReviewQueue(LabelPart):
                 place.project,
                 str(queue.source.dataset.root),
                 networks=asked["networks"],
-                detector=detector,
-                called=called,
             )
         )
 
@@ -144,7 +134,7 @@ class ReviewQueue(LabelPart):
 
     @command("queue-from")
     def switch(self, what: str) -> None:
-        """Put networks or the detector into the next queue, or leave them out."""
+        """Put networks into the next queue, or leave them out."""
         asked = self._queue.asked
         if what in asked:
             asked[what] = not asked[what]
@@ -162,11 +152,6 @@ class ReviewQueue(LabelPart):
             made = now.made or {}
             queue.work, queue.newest, queue.behind = now.work, made.get("last", NOTHING), True
             self.ctx.note(f"review queue: {counted(len(now.work), 'item')}")
-            detector = made.get("detector")
-            if detector and detector["skipped"]:
-                (frame, why), *_ = detector["skipped"].items()
-                number = counted(len(detector["skipped"]), "frame")
-                self.ctx.note(f"the detector {detector['name']} could not look at {number}, as {frame}: {why}")
         if now.problem and now.problem != was.problem:
             stopped = now.problem == CANCELLED
             self.ctx.note("the review queue is not made" if stopped else f"no review queue: {now.problem}")
@@ -392,7 +377,7 @@ class ReviewQueue(LabelPart):
             self.ctx.reviewed = work.frame_counts
             self.ctx.post(lambda: self.ctx.handle("strip"))
         bulk = None if work is None else bulk_html(self._find, len(self._found(work)), len(work))
-        rows = queue_html(work, queue.seen, queue.asked, queue.second[0] or "", self._kind, item, queue.names, bulk)
+        rows = queue_html(work, queue.seen, queue.asked, self._kind, item, queue.names, bulk)
         page.fill({"review-item": None if view is None else self._card(queue, item), "review-list": rows})
 
     def _card(self, queue: SourceQueue, item: ItemKey | None) -> Element:

@@ -16,7 +16,7 @@ import viser
 import viser.transforms as vtf
 
 from pipeline.diagnosis.whatif.answer_view import Ghost
-from pipeline.diagnosis.whatif.shown import NOTHING, Shown
+from pipeline.diagnosis.whatif.shown import Shown
 from pipeline.diagnosis.whatif.state import CameraView
 from pipeline.geometry.boxes import CUBE, CUBE_FACES, Box3D, boxes_on_ray, edge_lines
 from pipeline.geometry.camera import Camera
@@ -80,8 +80,7 @@ class SceneView:
     def draw(self, state: State) -> list[Tag]:
         """Draw boxes and pair lines, and return the names to show."""
         colors, flags, lines = palette(state.dark), state.flags, self._client.lines
-        shown = state.shown if state.own_layer else NOTHING
-        boxes = ((i, entry.lifted.box) for i, entry in enumerate(shown.objects))
+        boxes = ((i, entry.lifted.box) for i, entry in enumerate(state.shown.objects))
         self._boxed = {i: self.shown_box(box) for i, box in boxes if box is not None}
         role_of: dict[int, Role] = {i: state.roles.get(i, "other") for i in self._boxed}
         wanted = [i for i in self._boxed if state.boxes_shown or role_of[i] != "other"]
@@ -98,7 +97,7 @@ class SceneView:
             self._draw_faces(wanted, role_of, colors)
             self._draw_pairs(state.pair_lines if flags.pairs else (), colors)
             tags = self._draw_axes(state) + self._draw_ghosts(state.ghosts if flags.ghosts else (), colors)
-            return tags + self._draw_tags(shown, role_of, selected, flags.labels, colors)
+            return tags + self._draw_tags(state.shown, role_of, selected, flags.labels, colors)
 
     def _draw_ghosts(self, ghosts: Sequence[Ghost], colors: Mapping[Role, RGB]) -> list[Tag]:
         """Boxes beside the answer's, in lines of their own and a little larger."""

@@ -37,22 +37,16 @@ class Selection(Part):
         if 0 <= i < len(state.shown.objects):
             now = None if i == state.selected else i
             pair = state.pair if state.labels is None else paired(state.pair, now, state.selected)
-            self.ctx.show(selected=now, pair=pair, second=None)
+            self.ctx.show(selected=now, pair=pair)
 
     def click(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
-        """A click in the scene or the picture: what its pixel shows, else the smallest box on the way.
-
-        What only the second detector has there is selected of it.
-        """
+        """A click in the scene or the picture: what its pixel shows, else the smallest box on the way."""
         state = self.state
         if state.loaded is None or (pixel is not None and self._taken(*pixel)):
             return
-        own = smallest_at(state.shown.objects if state.own_layer else (), pixel)
-        second = smallest_at(state.second_layer, pixel) if own is None else None
+        own = smallest_at(state.shown.objects, pixel)
         found = next((i for i in (own, *boxes) if i is not None), None)
-        if second is not None:
-            self.ctx.show(selected=None, second=second)
-        elif found is not None and found != state.selected:
+        if found is not None and found != state.selected:
             self.select(found)
 
     @command("chip")
@@ -77,7 +71,7 @@ class Selection(Part):
         # A click may be on a row that a newer answer has replaced.
         if 0 <= place < len(self.state.ranked):
             pair = self.state.at(self.state.ranked[place])
-            self.ctx.show(pair=pair, selected=pair[0], second=None)
+            self.ctx.show(pair=pair, selected=pair[0])
 
     @command("next-pair")
     def step_pair(self, step: int) -> None:
@@ -90,11 +84,8 @@ class Selection(Part):
     @command("focus")
     def focus(self) -> None:
         """Look at the selected object."""
-        state = self.state
-        chosen = None if state.selected is None else state.shown.objects[state.selected]
-        if chosen is None and state.beside is not None and state.second_selected is not None:
-            chosen = state.beside.objects[state.second_selected]
-        self.ctx.scene.viewpoint.focus(there(there(chosen).lifted.box))
+        chosen = self.state.shown.objects[there(self.state.selected)]
+        self.ctx.scene.viewpoint.focus(there(chosen.lifted.box))
 
 
 class Pointing(Part):

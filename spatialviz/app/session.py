@@ -23,7 +23,6 @@ from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError, UnknownClass, require
 from spatialviz.app import (
-    beside,
     depth_check,
     evaluate,
     filling,
@@ -67,7 +66,6 @@ class Session(Context):
         pointing = selection.Pointing(self, {"level": level.on_pixel})
         self._selection = selection.Selection(self, pointing.on_pixel)
         self._aids, self._cloud = frame_cloud.SceneAids(self), frame_cloud.FrameCloud(self)
-        self._beside = beside.BesideLayer(self)
         self._runs = evaluate.Evaluate(self)
         self._what_if, self._browse = what_if.WhatIf(self, self._judged), Browse(self)
         self._labels, self._strings = Labelling(self), view_strings.ViewStrings(self, self._runs.reveal)
@@ -77,7 +75,6 @@ class Session(Context):
             self._runs,
             self._what_if,
             self._strings,
-            self._beside,
             self._browse,
             level,
             pointing,
@@ -441,7 +438,7 @@ class Session(Context):
     def _draw_scene(self, live: bool = False) -> None:
         """Boxes, pair lines and names, and what belongs to the edits; `live` follows a drag."""
         self._cloud.dress()
-        tags = [*self.scene.draw(self.state), *self._beside.follow(live), *self._aids.follow()]
+        tags = [*self.scene.draw(self.state), *self._aids.follow()]
         self.page.call("tags", [asdict(tag) for tag in tags])
         self._what_if.follow(live)
         self._labels.object.follow(live)

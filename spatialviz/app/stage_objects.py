@@ -18,7 +18,6 @@ from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
-from spatialviz.app.beside import hollow, second_name
 from spatialviz.app.edit_scene import REGION_COLORS
 from spatialviz.app.markup import (
     Child,
@@ -120,16 +119,9 @@ def lift_evidence(state: State, trace: Trace) -> list[Child]:
 
 
 def object_html(state: State) -> Element | None:
-    """What is selected, of the detector that answers and of one beside it, as far as they are shown."""
-    i, j, second = state.selected, state.second_selected, None
-    own = i is not None and i < len(state.shown.objects) and state.own_layer
-    if j is not None and state.beside is not None and state.second_layer:
-        title = h.b(hollow(hex_color(palette(state.dark)["second"])), f"B {second_name(state.beside, j)}")
-        second = (_brief if own else _facts)(state.second_layer[j], title)
-    if i is None or not own:
-        return None if second is None else panel(second)
-    # In front of it: below the facts it would not be seen.
-    return panel(second, _own(state, i))
+    """What is selected."""
+    i = state.selected
+    return None if i is None or i >= len(state.shown.objects) else panel(_own(state, i))
 
 
 def _named(state: State, i: int) -> Element:
@@ -142,15 +134,6 @@ def _own(state: State, i: int) -> Element:
 
 def _score(entry: SceneObject) -> str:
     return f"score {said}" if (said := detector_score(entry.score)) else ""
-
-
-def _brief(entry: SceneObject, title: Child) -> Element:
-    """An object in one line, beside one that is told in full."""
-    box, facts = entry.lifted.box, [_score(entry)]
-    if box is not None:
-        sides = " × ".join(f"{side:.2f}" for side in box.size)
-        facts = [f"{sides} m", f"{entry.lifted.quality.distance:.2f} m away", *facts]
-    return h.h3(title, h.span(" · ".join(filter(None, facts))))
 
 
 def _facts(entry: SceneObject, title: Child) -> Element:

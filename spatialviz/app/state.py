@@ -8,8 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.answering.agreement.frames import SecondDetections
-from pipeline.answering.objects import SceneObject
 from pipeline.corrections.label_view import LabelView
 from pipeline.diagnosis.offers import Offers
 from pipeline.diagnosis.whatif.answer_view import AnswerView
@@ -20,7 +18,6 @@ from spatialviz.app.place import CameraMode, Place, Task
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
 EditMode = Literal["off", "move", "turn", "resize"]
-Layers = Literal["both", "a", "b"]
 Tool = Literal["", "level", "measure"]
 
 
@@ -66,10 +63,6 @@ class State(AnswerView):
         The labels that are shown, and may be corrected, in place of an answer.
     correctable : bool
         Labels are open that may be corrected.
-    layers : str
-        Whose boxes are shown where there is a second detector.
-    second : int or None
-        The selected object of the second detector, where it is not the one that stands for `selected`.
     picking : str
         What the next click on a surface is for, "level" or "measure"; "" selects.
     marks : tuple of (int, int)
@@ -99,8 +92,6 @@ class State(AnswerView):
     mode: EditMode = "off"
     labels: LabelView | None = None
     correctable: bool = False
-    layers: Layers = "both"
-    second: int | None = None
     picking: Tool = ""
     marks: tuple[tuple[int, int], ...] = ()
     point_size: float = 1.0
@@ -138,35 +129,13 @@ class State(AnswerView):
         """The same without any answer."""
         return replace(
             self, trace=None, pair=None, selected=None, hovered=None, error="", stopped="", judged=None, other=None,
-            edited=None, labels=None, second=None, stage="",
+            edited=None, labels=None, stage="",
         )  # fmt: skip
-
-    @property
-    def beside(self) -> SecondDetections | None:
-        """What a second detector finds, where that is looked at."""
-        return None if self.loaded is None or self.labels is not None else self.loaded.beside
 
     @property
     def boxes_shown(self) -> bool:
         """Whether all boxes are shown: where they are wanted, and where there is no pair, not even a labelled one."""
         return self.flags.boxes or not (self.roles or self.ghosts)
-
-    @property
-    def own_layer(self) -> bool:
-        """The objects of the detector that answers are shown."""
-        return self.beside is None or self.layers != "b"
-
-    @property
-    def second_layer(self) -> tuple[SceneObject, ...]:
-        """The objects of the second detector that are shown."""
-        return () if self.beside is None or self.layers == "a" else self.beside.objects
-
-    @property
-    def second_selected(self) -> int | None:
-        """The selected object of the second detector: the one that was selected, else what it has of the own one."""
-        if self.beside is None:
-            return None
-        return self.beside.partner(self.selected) if self.second is None else self.second
 
     @property
     def about(self) -> np.ndarray | None:

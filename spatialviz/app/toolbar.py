@@ -8,7 +8,6 @@ from dataclasses import asdict
 from pipeline.datasets.settings import ASSUMED, SOURCES
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.palette import DROPPED
-from spatialviz.app.beside import layers_html
 from spatialviz.app.keys import KEYS, MOVE_KEYS
 from spatialviz.app.markup import BAD, DOUBT, IDLE, Element, button, dot, h, hint_of, note, panel, segments, term, words
 from spatialviz.app.state import State
@@ -67,7 +66,6 @@ def scene_tools_html(state: State) -> Element:
     return h.div(
         segments("color", COLORS, state.colors, "paint"),
         segments("camera", CAMERAS, state.camera, "look from"),
-        layers_html(state),
         h.button(
             "Measure",
             cls="toggle",

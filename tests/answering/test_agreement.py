@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import permutations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,26 +15,23 @@ from shelf import NAMES, SHELF
 
 from pipeline.answering import (
     FrameAgreement,
-    PreparedFrame,
+    Pipeline,
     agree_frames,
     agreement_record,
-    all_objects,
     figures,
     open_pipeline,
 )
 from pipeline.answering.agreement.agreement import (
     Layer,
     agree,
-    layer_of_objects,
     layer_of_proposals,
     matched,
     overlaps,
     rank_correlation,
 )
-from pipeline.answering.agreement.frames import second_detections
 from pipeline.geometry import iou_2d
-from pipeline.proposals import SimulatedDetector, SimulationOptions
-from pipeline.system import DetectorSetup, InputError
+from pipeline.proposals import Detector, SimulatedDetector, SimulationOptions
+from pipeline.system import InputError
 
 WORDS = ("mug", "trash can", "bin", "lamp")
 
@@ -144,21 +140,6 @@ def test_masks_decide_where_both_have_them() -> None:
     np.testing.assert_allclose(mixed[:, 1:], found[:, 1:])
 
 
-def test_lifted_objects_match_as_their_proposals_do() -> None:
-    context = PreparedFrame(SHELF)
-    sums = []
-    for make in (
-        lambda d: layer_of_proposals(d.detect(SHELF, None)),
-        lambda d: layer_of_objects(all_objects(context, d)),
-    ):
-        sums.append(figures([agree(make(simulated(1)), make(simulated(2)))]))
-    for name in (*COUNTS, "share", "name_kappa"):
-        assert getattr(sums[0], name) == getattr(sums[1], name)
-    assert sums[0].mean_iou == pytest.approx(sums[1].mean_iou)
-    assert sums[0].score_correlation == pytest.approx(sums[1].score_correlation)
-    assert sums[0].both > 10
-
-
 BOX, FAR, THIRD = [0.0, 0.0, 10.0, 10.0], [40.0, 40.0, 50.0, 50.0], [80.0, 0.0, 90.0, 9.0]
 
 
@@ -252,10 +233,15 @@ def test_kappa_is_one_where_all_names_are_alike_and_none_without_a_choice() -> N
 # The job.
 
 
+def pipeline_and_simulated() -> tuple[Pipeline, Detector]:
+    second = open_pipeline("demo", detector="simulated", srm="rule").needed_detector()
+    return open_pipeline("demo", detector="annotations", srm="rule"), second
+
+
 @pytest.mark.slow
 def test_the_job_compares_frame_by_frame_and_sums() -> None:
-    source = open_pipeline("demo", detector="annotations", also="simulated", srm="rule")
-    found = dict(agree_frames(source, "0:3"))
+    source, second = pipeline_and_simulated()
+    found = dict(agree_frames(source, second, "0:3"))
     assert list(found) == list(source.dataset.frame_ids[:3])
     sums = figures(found.values())
     assert sums.a == sum(len(source.dataset.load(f).annotations) for f in found)
@@ -264,50 +250,14 @@ def test_the_job_compares_frame_by_frame_and_sums() -> None:
     assert 0.5 < sums.share < 1
     assert sum(row.a for row in sums.classes) == sums.a
     assert sum(row.b for row in sums.classes) == sums.b
-    alike = open_pipeline("demo", detector="simulated", also="simulated", srm="rule")
-    same = figures(f for _, f in agree_frames(alike, "0"))
+    same = figures(f for _, f in agree_frames(replace(source, detector=second), second, "0"))
     assert (same.share, same.mean_iou, same.only_a, same.only_b) == (1, 1, 0, 0)
     assert same.score_correlation == pytest.approx(1)
 
 
 def test_both_are_asked_for_the_same_names() -> None:
-    source = open_pipeline("demo", detector="annotations", also="simulated", srm="rule")
-    ((_, found),) = agree_frames(source, "0", names=["mug", "zebra"])
+    source, second = pipeline_and_simulated()
+    ((_, found),) = agree_frames(source, second, "0", names=["mug", "zebra"])
     assert set(found.labels_a) == {"mug"}
     with pytest.raises(InputError, match="knows none of the names; got zebra"):
-        list(agree_frames(source, "0", names=["zebra"]))
-
-
-def test_there_must_be_something_to_compare_with() -> None:
-    with pytest.raises(InputError, match="nothing to compare"):
-        list(agree_frames(open_pipeline("demo", srm="rule"), "0"))
-
-
-def test_objects_of_both_detectors_stand_beside_each_other() -> None:
-    source = open_pipeline("demo", detector="annotations", also="simulated", srm="rule")
-    context = PreparedFrame(source.dataset.load(source.dataset.frame_ids[0]))
-    objects = all_objects(context, source.needed_detector())
-    shown = second_detections(source, context, objects)
-    assert shown is not None
-    assert shown.names == ("annotations", "simulated")
-    ((_, found),) = agree_frames(source, "0")
-    assert shown.sums.share == figures([found]).share
-    rows = shown.disagreements
-    assert len(set(rows)) == len(rows) == shown.sums.otherwise + shown.sums.only_a + shown.sums.only_b
-    for i, j in rows:
-        assert i is None or i < len(objects)
-        assert j is None or j < len(shown.objects)
-        assert shown.partner(i) == (j if i is not None else None)
-        assert shown.partner_of_b(j) == (i if j is not None else None)
-    assert second_detections(open_pipeline("demo", srm="rule"), context, objects) is None
-
-
-def test_two_models_of_one_kind_go_by_their_files() -> None:
-    source = open_pipeline("demo", detector="simulated", also="simulated", srm="rule")
-    assert source.detector_names == ("simulated", "simulated")
-    small, large = (DetectorSetup("simulated", Path(f"a/{name}.onnx")) for name in ("small", "large"))
-    both = replace(source, setup=small, second_setup=large)
-    assert both.detector_names == ("small", "large")
-    assert replace(source, second_setup=large).detector_names == ("simulated", "large")
-    other = replace(both, detector=open_pipeline("demo", srm="rule").detector)
-    assert other.detector_names == ("annotations", "simulated")
+        list(agree_frames(source, second, "0", names=["zebra"]))

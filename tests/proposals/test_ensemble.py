@@ -293,7 +293,6 @@ def test_models_are_named_with_their_detector() -> None:
         ({"detector": "simulated", "fuse": ("nonsense",)}, "there is no detector 'nonsense'"),
         ({"detector": "simulated", "fuse": ("recorded",)}, "needs --model"),
         ({"detector": "simulated", "fuse": ("simulated",), "fusion": "mean"}, "no fusion 'mean'"),
-        ({"detector": "simulated", "also": "yolo-seg"}, "needs --model"),
     ],
 )
 def test_detectors_that_cannot_be_fused_say_why(options: dict[str, Any], message: str) -> None:

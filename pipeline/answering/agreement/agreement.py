@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.objects import SceneObject
 from pipeline.geometry.boxes import iou_2d
 from pipeline.language.naming import Synonyms
 from pipeline.metrics.intervals import cohen_kappa
@@ -54,15 +53,6 @@ def layer_of_proposals(found: Proposals, names: Sequence[str] | None = None) -> 
     masks = tuple(found.masks[i] if found.masks is not None and has[i] else None for i in range(len(found)))
     labels = tuple(found.label(i) for i in range(len(found)))
     return Layer(found.boxes, found.scores, labels, masks, None if names is None else tuple(names))
-
-
-def layer_of_objects(objects: Sequence[SceneObject], names: Sequence[str] | None = None) -> Layer:
-    """Lifted proposals as a layer, in their order."""
-    # Pixels that an annotated 3D box picked out are no mask of a detector.
-    masks = tuple(None if o.lifted.quality.mask_source in ("box", "box3d") else o.mask for o in objects)
-    boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
-    scores = np.array([o.score for o in objects], np.float64)
-    return Layer(boxes, scores, tuple(o.label for o in objects), masks, None if names is None else tuple(names))
 
 
 @dataclass(frozen=True)

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from pipeline.answering.agreement.agreement import (
     MIN_IOU,
-    AgreementFigures,
     FrameAgreement,
     Layer,
     agree,
     figures,
-    layer_of_objects,
     layer_of_proposals,
 )
-from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
 from pipeline.answering.opening import ALL_FRAMES, Pipeline, Skipped, frame_range, skip_or_raise
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
@@ -38,6 +34,7 @@ def find_layer(
 
 def agree_frames(
     source: Pipeline,
+    second: Detector,
     frames: str = ALL_FRAMES,
     *,
     names: Sequence[str] | None = None,
@@ -45,12 +42,13 @@ def agree_frames(
     skipped: Skipped | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[str, FrameAgreement]]:
-    """How far the source's detector agrees with its second one, frame by frame.
+    """Compare the detections of two detectors frame by frame.
 
     Parameters
     ----------
     source : Pipeline
-        With a detector and a `second_detector`.
+        With the first detector.
+    second : Detector
     frames : str
         As in `pipeline.answering.opening.frame_range`.
     names : sequence of str, optional
@@ -69,11 +67,9 @@ def agree_frames(
     Raises
     ------
     InputError
-        There is no second detector; a frame that was asked for by name is broken; a detector knows none of the names.
+        A frame that was asked for by name is broken; a detector knows none of the names.
     """
-    detector, second = source.needed_detector(), source.second_detector
-    if second is None:
-        raise InputError("there is nothing to compare the detector with", expected="--also NAME or --also NAME=MODEL")
+    detector = source.needed_detector()
     if names is not None:
         for one in (detector, second):
             require(
@@ -94,64 +90,6 @@ def agree_frames(
             yield frame_id, found
         if progress is not None:
             progress(done, len(chosen))
-
-
-@dataclass(frozen=True)
-class SecondDetections:
-    """What the detector beside the source's finds in a frame, lifted.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the source's detector (A) and of the other (B).
-    objects : tuple of SceneObject
-        Of B.
-    found : FrameAgreement
-        Places are those in A's list of objects and in `objects`.
-    sums : AgreementFigures
-    """
-
-    names: tuple[str, str]
-    objects: tuple[SceneObject, ...]
-    found: FrameAgreement
-    sums: AgreementFigures
-
-    def partner(self, i: int | None) -> int | None:
-        """What B has of A's object `i`."""
-        return next((int(b) for a, b in self.found.pairs if a == i), None)
-
-    def partner_of_b(self, j: int | None) -> int | None:
-        """What A has of B's object `j`."""
-        return next((int(a) for a, b in self.found.pairs if b == j), None)
-
-    @property
-    def disagreements(self) -> tuple[tuple[int | None, int | None], ...]:
-        """Places in A and in B: named otherwise, only A, only B; each with the highest scores first."""
-        found = self.found
-        otherwise = [(int(found.pairs[p, 0]), int(found.pairs[p, 1])) for p in found.named_otherwise]
-        return (*otherwise, *((int(i), None) for i in found.only_a), *((None, int(j)) for j in found.only_b))
-
-
-def second_detections(
-    source: Pipeline, context: PreparedFrame, objects: Sequence[SceneObject]
-) -> SecondDetections | None:
-    """What the detector beside the source's finds, and how far it agrees with these objects of the source's.
-
-    Raises
-    ------
-    InputError
-        The other detector cannot be asked about this frame.
-    """
-    if source.second_detector is None:
-        return None
-    detector = source.needed_detector()
-    others = all_objects(context, source.second_detector)
-    found = agree(
-        layer_of_objects(objects, known_names(detector)),
-        layer_of_objects(others, known_names(source.second_detector)),
-        synonyms=source.synonyms,
-    )
-    return SecondDetections(source.detector_names, others, found, figures([found], source.synonyms))
 
 
 def agreement_record(frame_id: str, found: FrameAgreement, synonyms: Synonyms | None = None) -> dict[str, Any]:

@@ -66,14 +66,11 @@ class ItemEvidence:
     key : ItemKey
     weight : float
     reason : str
-    label : str or None
-        The class of an object that may be missing; of others the labels know it.
     """
 
     key: ItemKey
     weight: float
     reason: str
-    label: str | None = None
 
 
 def network_evidence(

@@ -61,8 +61,8 @@ class ItemKey(NamedTuple):
     b : int or None
         The other object of a pair.
     what : str
-        The relation, or the expression's id; empty for objects. Where one may be missing, the place: see
-        `missing_object`.
+        The relation, or the expression's id; empty for objects. Where one may be missing (in queues and
+        journals of earlier versions), its place x0,y0,x1,y1 in pixels.
     """
 
     frame: str
@@ -98,11 +98,6 @@ class ItemKey(NamedTuple):
             got=repr(text)[:80],
         )
         return cls(frame, kind, a, b, what)
-
-
-def missing_object(frame: str, bbox: Sequence[float]) -> ItemKey:
-    """The key of a place (x0, y0, x1, y1, pixels) where an object may be missing."""
-    return ItemKey(frame, "object", NOBODY, None, ",".join(str(round(float(x))) for x in bbox))
 
 
 def item_keys(queue: pa.Table) -> list[ItemKey]:

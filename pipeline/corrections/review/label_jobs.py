@@ -17,7 +17,6 @@ from typing import Any
 from pipeline.corrections.journal.effective_frame import setting_of
 from pipeline.corrections.journal.journal import journal_of
 from pipeline.corrections.journal.materialise import MARKS_FILE, materialise
-from pipeline.corrections.review.detector_evidence import SecondDetector, detector_evidence
 from pipeline.corrections.review.evidence import read_relation_labels
 from pipeline.corrections.review.items import by_frame, with_states
 from pipeline.corrections.review.out_of_fold import DoubtConfig
@@ -33,18 +32,15 @@ from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.evaluation.shared_makers import scorer_share
 from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
-from pipeline.language.naming import Synonyms
-from pipeline.proposals.registry import open_detector
 from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.background import SharedJob
-from pipeline.system.detector_setup import DetectorSetup
 from pipeline.system.errors import InputError, require
 from pipeline.system.whole_files import scratch_folder, staged_folder
 from pipeline.training.label_data import read_label_data
 
 Step = tuple[str, int, int]
-"""What is asked ("frames" of a detector, "networks"), how many are done, of how many."""
+"""What is asked ("networks"), how many are done, of how many."""
 CANCELLED = "cancelled"
 """The problem of what was stopped."""
 
@@ -90,15 +86,9 @@ class QueueJob(CorrectedLabelsJob):
     ----------
     networks : bool
         Ask networks that have not learnt from a label; that takes the most time.
-    detector : DetectorSetup or None
-        Asked about the labelled frames too; see `second_setup`.
-    called : str or None
-        What the detector is called. Default: its own name.
     """
 
     networks: bool = True
-    detector: DetectorSetup | None = None
-    called: str | None = None
 
 
 def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
@@ -112,8 +102,7 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
     Returns
     -------
     dict
-        items (how many), detector (the one that was asked: its name, frames it looked at, skipped ones with the reason;
-        None without one), estimated_wrong (relation labels that networks hold for wrong; None without networks),
+        items (how many), estimated_wrong (relation labels that networks hold for wrong; None without networks),
         agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing),
         and last (the newest event that surely counts in it, a `worklist.Mark`). The states of the items then are the
         queue's column `state`.
@@ -121,8 +110,7 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
     Raises
     ------
     InputError
-        The labels or the journal cannot be read, or hold nothing to learn from; the detector cannot be made, or
-        could look at no frame.
+        The labels or the journal cannot be read, or hold nothing to learn from.
     MissingExtra
         torch is not installed, and networks are to be asked.
     """
@@ -130,11 +118,12 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
     with scratch_folder() as folder:
         reviewed, last = _reviewed(job, labels, Path(folder) / "labels")
         config = QueueConfig(DoubtConfig() if job.networks else None)
-        name, seen = _seen(job, labels, reviewed.labels, report)
         queue = review_queue(
-            reviewed.labels, config, found_elsewhere=() if seen is None else seen.items,
-            judgements=reviewed.judgements, progress=lambda done, of: report(("networks", done, of)),
-        )  # fmt: skip
+            reviewed.labels,
+            config,
+            judgements=reviewed.judgements,
+            progress=lambda done, of: report(("networks", done, of)),
+        )
         states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
     metadata = queue.schema.metadata
     write_queue(with_states(by_frame(queue), states).replace_schema_metadata(metadata), job.out)
@@ -143,25 +132,9 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
     return {
         "items": queue.num_rows,
         "last": last,
-        "detector": None if seen is None else {"name": name, "frames": seen.frames, "skipped": seen.skipped},
         "estimated_wrong": None if wrong is None else float(wrong),
         "agreement": [{key: pair[key] for key in ("reviewers", "items", "kappa")} for pair in pairs],
     }
-
-
-def _seen(
-    job: QueueJob, automatic: Labels, labels: Labels, report: Callable[[Step], None]
-) -> tuple[str, SecondDetector | None]:
-    if job.detector is None:
-        return "", None
-    dataset = labelled_dataset(automatic.manifest, job.dataset, **job.options)
-    table = Synonyms.load(job.detector.synonyms)
-    detector = open_detector(job.detector, dataset.class_names, table, dataset.frame_ids)
-    name = job.called or detector.name
-    found = detector_evidence(
-        labels, dataset, detector, synonyms=table, progress=lambda n, of: report(("frames", n, of)), name=name
-    )
-    return name, found
 
 
 def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, Mark]:
@@ -242,8 +215,7 @@ class LabelJobs:
     def make(self, job_for: Callable[[Path], QueueJob]) -> bool:
         """Make the queue; whether it was started, see `SharedJob.start`.
 
-        The first is made without networks and detector, so that there is something to begin with; what was asked for
-        follows it.
+        The first is made without networks, so that there is something to begin with; what was asked for follows it.
 
         Parameters
         ----------
@@ -252,7 +224,7 @@ class LabelJobs:
         """
         folder = ExitStack()
         job = job_for(folder.enter_context(scratch_folder()) / "queue.parquet")
-        now = job if self.queue.seen.work is not None else replace(job, networks=False, detector=None)
+        now = job if self.queue.seen.work is not None else replace(job, networks=False)
 
         def ended(seen: QueueProgress, record: Any, problem: str) -> QueueProgress:
             seen = replace(seen, running=False, step=None)

@@ -67,7 +67,6 @@ def review_queue(
     config: QueueConfig | None = None,
     *,
     other: Labels | None = None,
-    found_elsewhere: Sequence[ItemEvidence] = (),
     judgements: Judgements | None = None,
     doubts: tuple[LabelData, Doubts] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -80,8 +79,6 @@ def review_queue(
     config : QueueConfig, optional
     other : Labels, optional
         Of the same dataset, by another detector or run: what they say otherwise counts too.
-    found_elsewhere : sequence of ItemEvidence
-        More evidence against objects, as of `detector_evidence`.
     judgements : Judgements, optional
         What people said of these labels, which are effective ones then: see `reviewed_labels`. What is settled has no
         evidence against it, and stands last, with a score of 0.
@@ -140,7 +137,6 @@ def review_queue(
         found, of_items = disputed_evidence(labels, cells, other)
         parts.append(found)
         items += of_items
-    items += found_elsewhere
     if judgements is not None:
         parts = [without_settled(part, settled) for part in parts]
         items = [item for item in items if states.get(item.key.plain) not in SETTLED]
@@ -198,10 +194,9 @@ def _item_rows(labels: Labels, items: Sequence[ItemEvidence]) -> dict[str, Any]:
         column: _looked_up(labels.expressions, column, "id") if keys else {}
         for column in ("text", "target_object", "reference_object")
     }
-    missing = {item.key: item.label for item in items if item.label is not None}
     known = [(k.frame, k.a if k.kind == "object" else k.what) for k in keys]
     of = {"object": names, "expression": sentences["text"]}
-    label = [missing.get(k) or of[k.kind].get(name) for k, name in zip(keys, known, strict=True)]
+    label = [of[k.kind].get(name) for k, name in zip(keys, known, strict=True)]
     numbers = [
         (sentences["target_object"].get(n, k.a), sentences["reference_object"].get(n, k.b))
         if k.kind == "expression" else (k.a, k.b) for k, n in zip(keys, known, strict=True)
