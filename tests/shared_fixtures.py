@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import gc
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -144,11 +146,14 @@ def word_vectors(label_sets: dict[str, Labels], tmp_path_factory: pytest.TempPat
 
 
 @pytest.fixture
-def clock() -> Clock:
-    """Time that passes only where it is slept."""
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Time that passes only where it is slept, also between the tries of the chat client's library."""
+    import openai._base_client
     from chat_server import Clock
 
-    return Clock()
+    clock = Clock()
+    monkeypatch.setattr(openai._base_client, "time", SimpleNamespace(sleep=clock.sleep, time=time.time))
+    return clock
 
 
 @pytest.fixture
@@ -167,7 +172,7 @@ def client_of(server: ChatServer, clock: Clock, tmp_path: Path, monkeypatch: pyt
     from chat_server import MODELS
 
     from pipeline.system import ChatClient
-    from pipeline.system.chat.client import KEY_VARIABLE
+    from pipeline.system.chat import KEY_VARIABLE
 
     monkeypatch.delenv(KEY_VARIABLE, raising=False)
 

@@ -42,7 +42,7 @@ from pipeline.metrics.splits import DROPPED
 from pipeline.metrics.tables import Table
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa, pq
-from pipeline.system.chat.client import ChatClient
+from pipeline.system.chat import ChatClient
 from pipeline.system.errors import require
 
 VLM_FILE = "relation_records_vlm.parquet"
@@ -249,4 +249,4 @@ def ask_relations(
     pq.write_table(pa.concat_tables(tables), path, compression="zstd")
     title = f"VLM {options.model}, yes/no question, {len(rows)} pairs"
     system = SystemRecords("vlm", title, relations, p, np.full(len(rows), DROPPED, np.int8))
-    return system, dict(reasons), client.usage.requests
+    return system, dict(reasons), client.requests

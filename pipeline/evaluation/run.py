@@ -37,7 +37,7 @@ from pipeline.labels.reading import Labels, open_labels, read_table
 from pipeline.language.tree import Query
 from pipeline.proposals.base import Detector, detect_expression, reads_annotations
 from pipeline.system.arrow import pa
-from pipeline.system.chat.client import ChatClient
+from pipeline.system.chat import ChatClient
 from pipeline.system.errors import InputError, require
 from pipeline.system.worker_pool import results_of
 
@@ -406,7 +406,7 @@ class Vlm:
     Attributes
     ----------
     client : ChatClient
-        Its `usage` counts requests and tokens.
+        Its `requests` are counted.
     """
 
     def __init__(self, options: VlmOptions) -> None:

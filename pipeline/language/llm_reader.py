@@ -23,7 +23,7 @@ from pipeline.language.naming import DETERMINERS, Synonyms, default_synonyms
 from pipeline.language.relation_names import MIRRORED, PHRASE
 from pipeline.language.tokens import Vocabulary, check_text, label_of, tokenize, vocabulary
 from pipeline.language.tree import Attachment, Node, Query, Reading, Role, Span, described
-from pipeline.system.chat.client import ChatClient
+from pipeline.system.chat import ChatClient
 from pipeline.system.errors import InputError, ServerError, require
 from pipeline.system.reading import checked
 
@@ -69,7 +69,7 @@ class LlmReader:
     Parameters
     ----------
     url, model, options
-        As of `pipeline.system.chat.client.ChatClient`.
+        As of `pipeline.system.chat.ChatClient`.
     """
 
     def __init__(self, url: str, model: str, **options: Any) -> None:

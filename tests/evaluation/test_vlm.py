@@ -18,18 +18,16 @@ from chat_server import MODELS, ChatServer, Clock, CutOff, Make, Raw, Script, Sl
 from waiting import LONG_S
 
 from pipeline.system import InputError, Picture, Question, ServerError
-from pipeline.system.chat.client import KEY_VARIABLE
-from pipeline.system.chat.protocol import Usage
-from pipeline.system.chat.transport import wait_asked
+from pipeline.system.chat import KEY_VARIABLE
 
 
 def test_a_question_is_sent_as_the_protocol_has_it(server: ChatServer, client_of: Make) -> None:
     rgb = np.zeros((48, 64, 3), np.uint8)
     rgb[:, :32, 0], rgb[:, 32:, 2] = 250, 250
-    answer = client_of(api_key="secret", max_tokens=9, seed=3, top_logprobs=2).ask("Is it “blau”? 猫 🐱", rgb)
+    question = Question("Is it “blau”? 猫 🐱", Picture(rgb), max_tokens=9, top_logprobs=2)
+    (answer,) = client_of(api_key="secret", extra={"seed": 3}).ask_many([question])
     (request,) = server.requests
-    assert (answer.text, answer.finish, answer.cached, answer.estimated) == ("Yes", "stop", False, False)
-    assert (answer.prompt_tokens, answer.completion_tokens) == (600, 3)
+    assert (answer.text, answer.finish, answer.cached) == ("Yes", "stop", False)
     assert request.prompt == "Is it “blau”? 猫 🐱"
     body = {k: v for k, v in request.body.items() if k != "messages"}
     assert body == {
@@ -63,16 +61,6 @@ def test_replies_of_many_servers_are_read(server: ChatServer, client_of: Make, r
     assert client_of().ask("q", flat()).text == text
 
 
-def test_tokens_are_estimated_where_the_server_does_not_count(server: ChatServer, client_of: Make) -> None:
-    for reply in (completion("Yes", usage=False), completion("Yes") | {"usage": {"prompt_tokens": -1}}):
-        server.script = [reply]
-        client = client_of(cache=False)
-        answer = client.ask("x" * 40, flat())
-        assert answer.estimated
-        assert (answer.prompt_tokens, answer.completion_tokens) == (586, 1)
-        assert client.usage.estimated == 1
-
-
 RATE_LIMITED = error(429, "Rate limit reached", headers={"Retry-After": "7"})
 
 
@@ -98,8 +86,10 @@ def test_passing_troubles_are_waited_out(
     server.script = [*troubles, "No"]
     client = client_of()
     assert client.ask("q", flat()).text == "No"
-    assert clock.slept == pytest.approx(waits)
-    assert client.usage.requests == len(troubles) + 1
+    assert len(clock.slept) == len(waits)
+    # The library shortens its own waits by chance, by a quarter at most.
+    assert all(0.75 * most <= slept <= most for slept, most in zip(clock.slept, waits, strict=True))
+    assert client.requests == len(troubles) + 1
     assert len({json.dumps(r.body) for r in server.requests}) == 1
 
 
@@ -121,7 +111,7 @@ def test_tries_end_and_the_error_says_where_and_what(server: ChatServer, client_
     assert f"{server.url}/chat/completions" in str(caught.value)
     assert "500 Internal Server Error, 3 times; got 'CUDA out of memory'" in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert (caught.value.status, len(server.requests), clock.slept) == (500, 3, [0.5, 1.0])
+    assert (caught.value.status, len(server.requests), len(clock.slept)) == (500, 3, 2)
 
 
 @pytest.mark.parametrize(
@@ -161,7 +151,6 @@ def test_a_wrong_key_a_wrong_model_and_a_wrong_address(
     monkeypatch.setenv(KEY_VARIABLE, "right")
     assert client_of().ask("q", flat()).text == "Yes"
     assert len(server.requests) == 3
-    assert client_of().models() == MODELS
     with pytest.raises(ServerError, match=r"404 Not Found.*has no model 'lava', only: llava-1\.5-7b, qwen-vl"):
         client_of(model="lava").ask("q", flat())
     with pytest.raises(ServerError, match=r"404 Not Found.*does the base address end in /v1"):
@@ -186,7 +175,7 @@ def test_nobody_listens(client_of: Make, clock: Clock) -> None:
     with pytest.raises(ServerError, match=r"no server listens there, 2 times \(is it running") as caught:
         client_of(base_url=f"http://127.0.0.1:{port}/v1", retries=1).ask("q", flat())
     assert caught.value.everywhere
-    assert clock.slept == [0.5]
+    assert len(clock.slept) == 1
 
 
 def test_a_proxy_does_not_stand_before_this_machine(
@@ -207,10 +196,9 @@ def test_the_cache_answers_the_second_time(server: ChatServer, client_of: Make, 
     known = again.ask("größer?", flat())
     assert len(server.requests) == 1
     assert asked.logprobs == known.logprobs == place
-    assert (known.text, known.finish, known.cached, known.seconds) == ("Yes", "length", True, asked.seconds)
-    assert again.usage == Usage(cached=1, cached_prompt_tokens=600, cached_completion_tokens=3)
+    assert (known.text, known.finish, known.cached, again.requests) == ("Yes", "length", True, 0)
     changes: list[dict[str, Any]] = [
-        {"model": MODELS[1]}, {"temperature": 0.1}, {"seed": 1}, {"max_tokens": 5}, {"top_logprobs": 1},
+        {"model": MODELS[1]}, {"extra": {"temperature": 0.1}}, {"extra": {"seed": 1}}, {"max_tokens": 5},
         {"extra": {"stream": None}},
     ]  # fmt: skip
     for change in changes:
@@ -265,15 +253,6 @@ def test_the_wait_that_a_server_asks_for_holds_for_all_workers(
     assert [r.at for r in server.requests] == [1000.0] + [1007.0] * 6
 
 
-def test_waits_are_read_from_numbers_and_dates() -> None:
-    date = {"date": "Wed, 21 Oct 2015 07:28:00 GMT"}
-    assert wait_asked({"retry-after": "2.5"}) == 2.5
-    assert wait_asked({"retry-after": "Wed, 21 Oct 2015 07:28:42 GMT", **date}) == 42
-    assert wait_asked({"retry-after": "Wed, 21 Oct 2015 07:20:00 GMT", **date}) == 0
-    for value in ("", "soon", "-3", "nan", "1e9", "9" * 30):
-        assert wait_asked({"retry-after": value, **date}) is None
-
-
 def test_many_answers_come_in_order(server: ChatServer, client_of: Make) -> None:
     server.answer = lambda request: request.prompt[::-1]
     asked = [f"question {n}" for n in range(30)]
@@ -282,7 +261,7 @@ def test_many_answers_come_in_order(server: ChatServer, client_of: Make) -> None
     answers = client.ask_many((Question(q, Picture(flat())) for q in asked), workers=5, progress=seen.append)
     assert [a.text for a in answers] == [q[::-1] for q in asked]
     assert seen == list(range(1, 31))
-    assert client.usage == Usage(requests=30, answers=30, prompt_tokens=18_000, completion_tokens=90)
+    assert client.requests == 30
     assert client.ask_many([]) == []
 
 
@@ -373,9 +352,9 @@ def test_an_interrupt_is_heeded_while_answers_are_awaited(
         {"base_url": "localhost:8000"}, {"base_url": "ftp://host/v1"}, {"base_url": "http://"}, {"base_url": ""},
         {"base_url": "http://me:pw@host/v1"}, {"base_url": "http://host/v1?x=1"}, {"base_url": "http://h st/v1"},
         {"base_url": "http://host:99999/v1"}, {"model": " "}, {"api_key": "two words"}, {"api_key": "schlüssel"},
-        {"timeout_s": 0}, {"retries": -1}, {"requests_per_minute": 0}, {"max_tokens": 0}, {"temperature": -1},
-        {"temperature": float("nan")}, {"extra": {"messages": []}}, {"extra": {"stream": True}},
-        {"extra": {"a": {1}}}, {"top_logprobs": 21},
+        {"timeout_s": 0}, {"retries": -1}, {"requests_per_minute": 0}, {"max_tokens": 0},
+        {"extra": {"temperature": float("nan")}}, {"extra": {"messages": []}}, {"extra": {"stream": True}},
+        {"extra": {"a": {1}}},
     ],
 )  # fmt: skip
 def test_unusable_settings_are_refused(client_of: Make, options: dict[str, Any]) -> None:
@@ -397,3 +376,8 @@ def test_what_is_no_picture_is_refused(client_of: Make, image: Any) -> None:
 def test_a_question_without_words_is_refused(client_of: Make) -> None:
     with pytest.raises(InputError, match="without words"):
         client_of().ask(" ", flat())
+
+
+def test_more_alternatives_than_the_protocol_has_are_refused(client_of: Make) -> None:
+    with pytest.raises(InputError, match="top_logprobs"):
+        client_of().ask_many([Question("q", None, top_logprobs=21)])

@@ -19,7 +19,7 @@ from pipeline.evaluation import evaluate_sentences
 from pipeline.language import RELATIONS, LlmReader, parse
 from pipeline.language.llm_reader import MOST_CHARACTERS, tree_schema
 from pipeline.system import InputError, ServerError, Unsupported
-from pipeline.system.chat.client import KEY_VARIABLE
+from pipeline.system.chat import KEY_VARIABLE
 
 NAMES = ("front_door", "mug", "laptop")
 Make = Callable[..., LlmReader]

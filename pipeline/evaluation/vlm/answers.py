@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pipeline.system.chat.protocol import Alternatives
+from pipeline.system.chat import Alternatives
 from pipeline.system.errors import require
 
 _YES = frozenset({"yes", "yeah", "yep", "yup"})

@@ -8,16 +8,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-
 from pipeline.evaluation.vlm.answers import BoxScale, parse_box, parse_yes_no, yes_probability
 from pipeline.evaluation.vlm.view import View, marked, view_of
+
 from pipeline.geometry.frame import Frame
 from pipeline.labels.exports.vqa_questions import BRIEF, ask_grounding, ask_relation, can_be_asked
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import noun_phrase, readable
 from pipeline.language.relation_names import PAIRWISE, PHRASE
-from pipeline.system.chat.client import Answer, ChatClient, Question
-from pipeline.system.chat.protocol import Picture
+from pipeline.system.chat import Answer, ChatClient, Picture, Question
 from pipeline.system.errors import InputError, require
 
 _Key = tuple[tuple[int, int] | None, str, str, str]
@@ -218,7 +217,7 @@ def _with_pictures(
         if picture is None or pair != drawn:
             rgb = frame.rgb if pair is None else marked(frame.rgb, [objects[i].bbox for i in pair])
             picture, drawn = view_of(rgb, square=config.square, max_side=config.max_side).picture, pair
-        yield Question(prompt, picture, config.max_tokens, _TOP_LOGPROBS if config.logprobs else None)
+        yield Question(prompt, picture, config.max_tokens, _TOP_LOGPROBS if config.logprobs else 0)
 
 
 def _judged(answer: Answer) -> tuple[float, bool, str | None]:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.palette import ON_DARK
-from pipeline.system.chat.protocol import Picture
+from pipeline.system.chat import Picture
 from pipeline.system.errors import require
 
 PADDING = (122, 116, 104)

@@ -1,0 +1,381 @@
+"""Client of OpenAI's chat protocol: questions about words or pictures, many at once, answers kept on disk."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import os
+import queue
+import re
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import urlsplit
+
+import cv2
+import numpy as np
+from pydantic import TypeAdapter
+
+from pipeline.system.errors import InputError, ServerError, extra_module, require
+from pipeline.system.paths import cache_folder
+from pipeline.system.safe_files import read_json
+from pipeline.system.whole_files import keep_whole
+
+KEY_VARIABLE = "SPATIALVIZ_VLM_KEY"
+JPEG_QUALITY = 92
+_VERSION = "1"
+"""Part of every key: a change of what is made of a reply must change it."""
+
+Alternatives = tuple[tuple[str, float], ...]
+"""Tokens that could stand at one place of an answer, the one that does first, with their log-probabilities."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture to send, encoded and hashed once.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+    """
+
+    rgb: np.ndarray
+
+    def __post_init__(self) -> None:
+        rgb = self.rgb
+        good = isinstance(rgb, np.ndarray) and rgb.dtype == np.uint8 and rgb.ndim == 3 and rgb.shape[2] == 3
+        if not good or not rgb.size:
+            got = f"{rgb.dtype} {rgb.shape}" if isinstance(rgb, np.ndarray) else type(rgb).__name__
+            raise InputError("a picture must be uint8 (H, W, 3)", got=got)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the pixels and of how they are encoded."""
+        found = hashlib.sha256(f"jpeg {JPEG_QUALITY} {self.rgb.shape}".encode())
+        found.update(np.ascontiguousarray(self.rgb).data)
+        return found.hexdigest()
+
+    @cached_property
+    def data_url(self) -> str:
+        """JPEG in base64."""
+        options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+        done, data = cv2.imencode(".jpg", cv2.cvtColor(self.rgb, cv2.COLOR_RGB2BGR), options)
+        require(done, "the picture cannot be encoded as JPEG", got=str(self.rgb.shape))
+        return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question; None stands for the client's own setting. `check` raises for a text of no use: none is kept."""
+
+    prompt: str
+    picture: Picture | None
+    max_tokens: int | None = None
+    top_logprobs: int = 0
+    check: Callable[[str], object] = str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Text of a model.
+
+    Attributes
+    ----------
+    finish : str or None
+        Why it ends: "stop", or "length" where it was cut off.
+    logprobs : tuple of Alternatives
+        One a token; empty where the server gives none.
+    cached : bool
+    failure : str or None
+        Why there is no answer, where a run was told to go on without it.
+    """
+
+    text: str
+    finish: str | None = None
+    logprobs: tuple[Alternatives, ...] = ()
+    cached: bool = False
+    failure: str | None = None
+
+
+_ANSWER = TypeAdapter(Answer)
+
+
+class ChatClient:
+    """Client of one model of one server.
+
+    Parameters
+    ----------
+    base_url : str
+        `http://localhost:8000/v1` (vLLM), `http://localhost:11434/v1` (Ollama), `http://localhost:8080/v1` (llama.cpp).
+    model : str
+        As the server names it; also a part of the cache's keys.
+    api_key : str, optional
+        SPATIALVIZ_VLM_KEY of the environment by default; servers on one's own machine need none.
+    timeout_s : float
+        Seconds for one try.
+    retries : int
+        Further tries after 408, 409, 429, 5xx, a timeout, a broken connection or a broken reply.
+    requests_per_minute : float, optional
+        Evenly spaced.
+    extra : mapping, optional
+        Further keys of the request, such as `chat_template_kwargs`; a value of None takes a key away.
+    cache : bool or Path
+        Folder of kept answers; True for the one in the user's cache folder.
+    clock, sleep : callable
+        Seconds, and waiting for some: for `requests_per_minute`.
+
+    Attributes
+    ----------
+    requests : int
+        Requests sent so far, every try counted.
+
+    Raises
+    ------
+    InputError
+        A parameter that cannot be used.
+    MissingExtra
+        The library `openai` is not installed.
+    """
+
+    def __init__(
+        self,
+        base_url: str,
+        model: str,
+        *,
+        api_key: str | None = None,
+        timeout_s: float = 120.0,
+        retries: int = 4,
+        requests_per_minute: float | None = None,
+        max_tokens: int = 128,
+        extra: Mapping[str, Any] | None = None,
+        cache: bool | Path = True,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.base_url, self.requests = checked_base(base_url), 0
+        extra = dict(extra or {})
+        try:
+            json.dumps(extra, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise InputError("the extra keys of a request are no JSON", got=error) from None
+        require(
+            not (extra.keys() & {"messages", "model"} or extra.get("stream")),
+            "the extra keys of a request cannot replace model, messages or stream",
+            got=sorted(extra),
+        )
+        require(model.strip(), "the model needs a name", cause="the server's own list is at GET /models")
+        require(0 < timeout_s < math.inf, "a timeout must be above 0 seconds", got=timeout_s)
+        require(
+            retries >= 0 and max_tokens >= 1,
+            "retries must be 0 or more, max_tokens 1 or more",
+            got=f"{retries}, {max_tokens}",
+        )
+        require(
+            requests_per_minute is None or 0 < requests_per_minute < math.inf,
+            "a limit of requests a minute must be above 0",
+            got=requests_per_minute,
+        )
+        key = (api_key if api_key is not None else os.environ.get(KEY_VARIABLE, "")).strip()
+        require(
+            key.isascii() and key.isprintable() and " " not in key,
+            "the API key holds characters that no key has",
+            cause="was more than the key copied?",
+        )
+        http = extra_module("pipeline.system.chat_http", f"asking {model}", "llm")
+        self._server = http.Endpoint(self.base_url, key, KEY_VARIABLE, timeout_s, retries, self._begin)
+        self._model, self._max_tokens, self._extra = model, max_tokens, extra
+        self._folder = cache_folder() / "vlm" if cache is True else cache or None
+        self._interval, self._clock, self._sleep = 60 / (requests_per_minute or math.inf), clock, sleep
+        self._lock, self._free = threading.Lock(), clock()
+
+    def ask(self, prompt: str, rgb: np.ndarray | None, *, check: Callable[[str], object] = str) -> Answer:
+        """Ask one question; as `Question`.
+
+        Parameters
+        ----------
+        rgb : (H, W, 3) uint8, optional
+            Sent as it is, as JPEG.
+
+        Raises
+        ------
+        ServerError
+            There is no answer after all tries: an `InputError` that names address, status and the server's words.
+        """
+        return self._answer(Question(prompt, None if rgb is None else Picture(rgb), check=check))
+
+    def ask_many(
+        self,
+        questions: Iterable[Question],
+        *,
+        workers: int = 4,
+        progress: Callable[[int], None] = lambda _: None,
+        keep_going: bool = False,
+    ) -> list[Answer]:
+        """Ask many questions, `workers` at a time; answers in their order.
+
+        An error or Ctrl-C ends it at once. Earlier answers are in the cache, where the same call goes on from.
+
+        Parameters
+        ----------
+        questions : iterable of Question
+            May make its pictures as it goes.
+        progress : callable
+            Called in this thread with the number of answers so far.
+        keep_going : bool
+            Leave only its own answer empty, with `failure` set, where a question fails for itself (a timeout, a
+            refusal of its content). Errors of every question still raise.
+
+        Raises
+        ------
+        ServerError
+        """
+        require(workers >= 1, "at least one worker is needed", got=workers)
+
+        def answer(question: Question) -> Answer:
+            try:
+                return self._answer(question)
+            except ServerError as error:
+                if not keep_going or error.everywhere:
+                    raise
+                return Answer("", failure=str(error))
+
+        return _in_order(answer, questions, workers, progress)
+
+    def _answer(self, question: Question) -> Answer:
+        require(question.prompt.strip(), "a question without words")
+        tops = question.top_logprobs
+        require(0 <= tops <= 20, "top_logprobs", got=tops, expected="0 to 20, the most that the protocol allows")
+        tokens = self._max_tokens if question.max_tokens is None else question.max_tokens
+        request = {"model": self._model, "max_tokens": tokens, "temperature": 0.0, "seed": 0, "stream": False}
+        request |= {"logprobs": True, "top_logprobs": tops} if tops else {}
+        request = {name: value for name, value in {**request, **self._extra}.items() if value is not None}
+        picture = question.picture
+        # The server is no part of the key: the same model at another address gives the same answer.
+        asked = {"request": request, "prompt": question.prompt}
+        known = {"version": _VERSION, **asked, "picture": picture.digest if picture else ""}
+        key = hashlib.sha256(json.dumps(known, sort_keys=True).encode("ascii")).hexdigest()
+        path = self._folder / key[:2] / f"{key}.json" if self._folder else None
+        if path is not None and (kept := _kept(path, key)) is not None:
+            return kept
+        # The picture comes first, as in LLaVA's training; questions about one picture then begin alike.
+        content: list[dict[str, Any]] = [{"type": "text", "text": question.prompt}]
+        if picture is not None:
+            content.insert(0, {"type": "image_url", "image_url": {"url": picture.data_url}})
+        body = {**request, "messages": [{"role": "user", "content": content}]}
+        found = _read(self._server.post(body, self._model)["choices"][0])
+        question.check(found.text)
+        if path is not None:
+            table = json.dumps({"key": key, **asked, "answer": asdict(found)}).encode("ascii")
+            keep_whole(path, lambda file: file.write(table))
+        return found
+
+    def _begin(self) -> None:
+        """Count a try, and wait for its turn."""
+        with self._lock:
+            self.requests += 1
+            now = self._clock()
+            start = max(now, self._free)
+            self._free = start + self._interval
+        if start > now:
+            self._sleep(start - now)
+
+
+def _kept(path: Path, key: str) -> Answer | None:
+    """A kept answer; None where there is none, or a damaged one."""
+    try:
+        table = read_json(path)
+        return _ANSWER.validate_python({**table["answer"], "cached": True}) if table["key"] == key else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _read(choice: dict[str, Any]) -> Answer:
+    content, finish = choice["message"].get("content"), choice.get("finish_reason")
+    parts = [content] if isinstance(content, str) else [p.get("text") for p in content or () if isinstance(p, dict)]
+    try:
+        rows = choice["logprobs"]["content"]
+        logprobs = tuple(_alternatives([row, *(row.get("top_logprobs") or ())]) for row in rows)
+    except (LookupError, TypeError, ValueError, AttributeError):
+        logprobs = ()
+    text = "".join(part for part in parts if isinstance(part, str))
+    return Answer(text, finish if isinstance(finish, str) else None, logprobs)
+
+
+def _alternatives(tokens: Sequence[dict[str, Any]]) -> Alternatives:
+    found = {str(token["token"]): min(0.0, float(token["logprob"])) for token in tokens}
+    require(not any(map(math.isnan, found.values())), "log-probabilities that are no numbers")
+    return tuple(found.items())
+
+
+def checked_base(url: str) -> str:
+    """Base address of a server, without a slash or `/chat/completions` at its end.
+
+    Raises
+    ------
+    InputError
+        No http address, or one with a user name or a query.
+    """
+    expected, url = "an address such as http://localhost:8000/v1", url.strip()
+    try:
+        parts = urlsplit(url)
+        host, _ = parts.hostname, parts.port
+    except ValueError as error:
+        raise InputError("the address of the server cannot be read", got=error, expected=expected) from None
+    sound = parts.scheme in ("http", "https") and host and not re.search(r"[\s\x00-\x1f\x7f?#]", url)
+    require("@" not in parts.netloc, "a key does not belong into the address of the server", expected=expected)
+    require(sound, "the address of the server cannot be used", got=repr(url)[:120], expected=expected)
+    return f"{parts.scheme}://{parts.netloc}" + parts.path.rstrip("/").removesuffix("/chat/completions").rstrip("/")
+
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def _in_order(
+    function: Callable[[Item], Result], items: Iterable[Item], workers: int, done: Callable[[int], None]
+) -> list[Result]:
+    """Results in the order of the items, which are taken one by one as workers come free; the first error is raised.
+
+    The threads are daemons: those of `concurrent.futures` would hold Ctrl-C up until the last answer comes.
+    """
+    source, lock, stop = enumerate(items), threading.Lock(), threading.Event()
+    results: queue.SimpleQueue[tuple[int, Result] | BaseException | None] = queue.SimpleQueue()
+
+    def work() -> None:
+        try:
+            while not stop.is_set():
+                with lock:
+                    index, item = next(source)
+                results.put((index, function(item)))
+        except StopIteration:
+            results.put(None)
+        except BaseException as error:
+            results.put(error)
+
+    found: dict[int, Result] = {}
+    running = workers
+    try:
+        for _ in range(workers):
+            threading.Thread(target=work, daemon=True).start()
+        while running:
+            try:
+                # A wait without an end cannot be interrupted everywhere.
+                result = results.get(timeout=0.5)
+            except queue.Empty:
+                continue
+            if result is None:
+                running -= 1
+            elif isinstance(result, BaseException):
+                raise result
+            else:
+                found[result[0]] = result[1]
+                done(len(found))
+    finally:
+        stop.set()
+    return [found[index] for index in range(len(found))]
