@@ -16,8 +16,8 @@ from typing import Any
 from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import SENTENCES_FILE, Labels, arrow_schema
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
-from pipeline.system.arrow import pa, pc
-from pipeline.system.safe_files import open_parquet
+from pipeline.labels.statistics import open_database, relation_counts
+from pipeline.system.arrow import pa
 
 UNKNOWN_LICENCE = "unknown: ask the dataset's owner"
 _HUB_LICENCE = re.compile(r"[a-z0-9][a-z0-9.+-]*")
@@ -57,58 +57,6 @@ class DataFile:
     sha256: str
 
 
-@dataclass(frozen=True)
-class Counts:
-    """What the card counts.
-
-    Attributes
-    ----------
-    states : dict of str to (int, int, int)
-        By relation, pairs that are T, U and F.
-    expressions : dict of str to int
-        By relation.
-    ambiguous : int
-        Expressions that more than one object satisfies.
-    usable, boxed : int
-        Objects that are asked for, and those with a 3D box.
-    """
-
-    states: dict[str, tuple[int, int, int]]
-    expressions: dict[str, int]
-    ambiguous: int
-    usable: int
-    boxed: int
-
-
-def count_labels(labels: Labels) -> Counts:
-    """Count states, expressions and objects, a batch at a time."""
-    states = {name: [0, 0, 0] for name in labels.relation_names}
-    for batch in _columns(labels, "relations", tuple(states)):
-        for name, found in states.items():
-            for entry in pc.value_counts(batch.column(name)).to_pylist():  # pyright: ignore[reportAttributeAccessIssue]
-                if entry["values"] is not None:
-                    found[1 - entry["values"]] += entry["counts"]
-    expressions = dict.fromkeys(labels.relation_names, 0)
-    ambiguous = usable = boxed = 0
-    for batch in _columns(labels, "expressions", ("relation", "ambiguous")):
-        for entry in pc.value_counts(batch.column("relation")).to_pylist():  # pyright: ignore[reportAttributeAccessIssue]
-            expressions[entry["values"]] = expressions.get(entry["values"], 0) + entry["counts"]
-        ambiguous += _true(batch.column("ambiguous"))
-    for batch in _columns(labels, "objects", ("usable", "center")):
-        usable += _true(batch.column("usable"))
-        boxed += batch.num_rows - batch.column("center").null_count
-    return Counts({n: (t, u, f) for n, (t, u, f) in states.items()}, expressions, ambiguous, usable, boxed)
-
-
-def _columns(labels: Labels, name: str, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
-    with open_parquet(labels.root / f"{name}.parquet") as file:
-        yield from file.iter_batches(columns=list(columns))
-
-
-def _true(column: Any) -> int:
-    return pc.sum(column).as_py() or 0  # pyright: ignore[reportAttributeAccessIssue]
-
-
 def dataset_name(labels: Labels) -> str:
     """The source dataset by its last folder: a card must not tell where somebody keeps it."""
     return PurePosixPath(str(labels.manifest.dataset.get("path", "")).replace("\\", "/")).name or "dataset"
@@ -128,7 +76,7 @@ def dataset_card(labels: Labels, *, licence: str = UNKNOWN_LICENCE, files: Mappi
     paths = files or {table: labels.manifest.tables[table].file for table in TABLES}
     # The sentences stand in a labels folder, and in no export.
     sentences = "" if files else _sentences(labels.manifest)
-    return f"{_yaml(labels, licence, paths)}\n{_page(labels, count_labels(labels), licence, sentences)}"
+    return f"{_yaml(labels, licence, paths)}\n{_page(labels, licence, sentences)}"
 
 
 def _sentences(manifest: Manifest) -> str:
@@ -184,15 +132,18 @@ configs:
 """
 
 
-def _page(labels: Labels, counts: Counts, licence: str, sentences: str) -> str:
+def _page(labels: Labels, licence: str, sentences: str) -> str:
     manifest, name = labels.manifest, _plain(dataset_name(labels))
     total = {table: manifest.tables[table].rows for table in TABLES}
-    judged, undecided = sum(map(sum, counts.states.values())), sum(u for _, u, _ in counts.states.values())
-    ambiguity = counts.ambiguous / total["expressions"] if total["expressions"] else 0.0
+    with open_database(labels) as database:
+        relations, cells = relation_counts(database, labels.relation_names)
+        ((ambiguous,),) = database.rows("SELECT count(*) FILTER (ambiguous) FROM expressions")
+        ((usable, boxed),) = database.rows("SELECT count(*) FILTER (usable), count(center) FROM objects")
+    ambiguity = ambiguous / total["expressions"] if total["expressions"] else 0.0
+    undecided = cells["U"] / max(cells["T"] + cells["U"] + cells["F"], 1)
     makers = "\n".join(f"* {what.capitalize()}: {_plain(who)}." for what, who in makers_of(manifest).lines().items())
     states = "".join(
-        f"| {relation} | {t} | {u} | {f} | {counts.expressions.get(relation, 0)} |\n"
-        for relation, (t, u, f) in counts.states.items()
+        f"| {relation} | {n['T']} | {n['U']} | {n['F']} | {n['expressions']} |\n" for relation, n in relations.items()
     )
     tables = "".join(f"| {t} | {total[t]} | `{manifest.tables[t].content_hash}` |\n" for t in TABLES)
     return f"""\
@@ -215,9 +166,9 @@ level right, up and forward: T (1) it holds, F (-1) it does not, U (0) too close
 
 ## What is in them
 
-* Objects that are asked for: {counts.usable} of {total["objects"]}; with a 3D box: {counts.boxed}.
-* Too close to call (U): {undecided / max(judged, 1):.1%} of all judged relations of pairs.
-* Ambiguous expressions, with more than one acceptable answer: {counts.ambiguous} ({ambiguity:.1%}).
+* Objects that are asked for: {usable} of {total["objects"]}; with a 3D box: {boxed}.
+* Too close to call (U): {undecided:.1%} of all judged relations of pairs.
+* Ambiguous expressions, with more than one acceptable answer: {ambiguous} ({ambiguity:.1%}).
 
 | relation | T | U | F | expressions |
 |---|---:|---:|---:|---:|

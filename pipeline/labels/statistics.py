@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.labels.reading import Labels, read_table
 from pipeline.labels.schema import TABLES
-from pipeline.system.errors import InputError
+from pipeline.system.errors import as_input_error, first_line
 from pipeline.system.sql import bounded_database
 
 if TYPE_CHECKING:
@@ -72,15 +72,17 @@ def label_statistics(labels: Labels) -> dict[str, Any]:
     """
     relations = labels.relation_names
     with open_database(labels) as database:
-        counts = _counts(database)
-        counts["candidates"] = labels.manifest.counts.get("candidates")
-        by_relation, cells = _relations(database, relations)
+        by_relation, cells = relation_counts(database, relations)
         return {
-            "counts": counts,
-            "up_source": _pairs_of(
-                database,
-                "SELECT coalesce(up_source, 'unknown'), count(*) FROM frames WHERE ok GROUP BY 1 ORDER BY 2 DESC, 1",
-            ),
+            "counts": database.row(
+                "SELECT count(*) frames, count(*) FILTER (ok) frames_usable, count(DISTINCT scene) scenes FROM frames"
+            )
+            | database.row("SELECT count(*) objects, count(*) FILTER (usable) objects_usable FROM objects")
+            | {"unusable": _counted(database, "coalesce(reason, 'unknown')", "objects WHERE NOT usable")}
+            | database.row("SELECT count(*) pairs FROM relations")
+            | database.row("SELECT count(*) expressions FROM expressions")
+            | {"candidates": labels.manifest.counts.get("candidates")},
+            "up_source": _counted(database, "coalesce(up_source, 'unknown')", "frames WHERE ok"),
             "cells": cells,
             "relations": by_relation,
             "margins": {name: _margins(database, name) for name in relations},
@@ -97,31 +99,14 @@ def share(part: int, whole: int) -> float | None:
     return round(part / whole, 6) if whole else None
 
 
-def _pairs_of(database: Database, sql: str) -> dict[str, int]:
-    return {str(name): int(count) for name, count in database.rows(sql)}
+def _counted(database: Database, what: str, of: str) -> dict[str, int]:
+    """How many rows have each value, most frequent first."""
+    rows = database.rows(f"SELECT {what}, count(*) FROM {of} GROUP BY 1 ORDER BY 2 DESC, 1")
+    return {str(name): int(count) for name, count in rows}
 
 
-def _counts(database: Database) -> dict[str, Any]:
-    return {
-        **database.row("SELECT count(*) frames, count(*) FILTER (ok) frames_usable FROM frames"),
-        **database.row("SELECT count(DISTINCT scene) scenes FROM frames"),
-        **database.row("SELECT count(*) objects, count(*) FILTER (usable) objects_usable FROM objects"),
-        "unusable": _pairs_of(
-            database,
-            "SELECT coalesce(reason, 'unknown'), count(*) FROM objects WHERE NOT usable GROUP BY 1 ORDER BY 2 DESC, 1",
-        ),
-        **database.row("SELECT count(*) pairs FROM relations"),
-        **database.row("SELECT count(*) expressions FROM expressions"),
-    }
-
-
-def _relations(database: Database, relations: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Any]]:
-    asked = {
-        str(name): (int(count), int(ambiguous))
-        for name, count, ambiguous in database.rows(
-            "SELECT relation, count(*), count(*) FILTER (ambiguous) FROM expressions GROUP BY 1"
-        )
-    }
+def relation_counts(database: Database, relations: tuple[str, ...]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """`relations` and `cells` of `label_statistics`."""
     columns = [quoted(name) for name in relations]
     tallies = ", ".join(f"count(*) FILTER ({c} = {state})" for c in columns for state in (1, 0, -1))
     # Of several nulls the greatest is null.
@@ -129,29 +114,27 @@ def _relations(database: Database, relations: tuple[str, ...]) -> tuple[dict[str
     ((pairs, without, *cells),) = database.rows(
         f"SELECT count(*), count(*) FILTER ({most} < 1), {tallies} FROM relations"
     )
-    found = {}
-    for name, (t, u, f) in zip(relations, np.reshape(cells, (-1, 3)).tolist(), strict=True):
-        expressions, ambiguous = asked.get(name, (0, 0))
-        found[name] = {
-            "T": t,
-            "U": u,
-            "F": f,
-            "u_share": share(u, t + u + f),
-            "T_per_pair": share(t, pairs),
-            "expressions": expressions,
-            "ambiguous": ambiguous,
-            "ambiguous_share": share(ambiguous, expressions),
-        }
-    t, u, f = (sum(entry[state] for entry in found.values()) for state in ("T", "U", "F"))
-    return found, {
-        "T": t,
-        "U": u,
-        "F": f,
-        "u_share": share(u, t + u + f),
+    asked = database.rows("SELECT relation, count(*), count(*) FILTER (ambiguous) FROM expressions GROUP BY 1")
+    of = {relation: counts for relation, *counts in asked}
+    table: Any = np.reshape(cells, (-1, 3))
+    found = {
+        name: _states(*states)
+        | {"T_per_pair": share(states[0], pairs), "expressions": expressions, "ambiguous": ambiguous}
+        | {"ambiguous_share": share(ambiguous, expressions)}
+        for name, states, (expressions, ambiguous) in zip(
+            relations, table.tolist(), (of.get(name, [0, 0]) for name in relations), strict=True
+        )
+    }
+    t, u, f = table.sum(axis=0).tolist()
+    return found, _states(t, u, f) | {
         "positives_per_pair": share(t, pairs),
         "pairs_without_T": without,
         "pairs_without_T_share": share(without, pairs),
     }
+
+
+def _states(t: int, u: int, f: int) -> dict[str, Any]:
+    return {"T": t, "U": u, "F": f, "u_share": share(u, t + u + f)}
 
 
 def margin_counts(database: Database, relation: str) -> dict[str, np.ndarray]:
@@ -176,28 +159,25 @@ def _margins(database: Database, relation: str) -> dict[str, Any]:
     counted = margin_counts(database, relation)
     found: dict[str, Any] = {}
     for letter, state in (("T", 1), ("F", -1)):
-        rows = counted["state"] == state
-        n, found[letter] = counted["n"][rows], None
-        if len(n):
-            named = {
-                f"p{round(100 * q):02d}": mm / 1000
-                for q, mm in zip(MARGIN_SHARES, quantiles(counted["mm"][rows], n, MARGIN_SHARES), strict=True)
-            }
-            found[letter] = {"n": int(n.sum()), **named}
+        mm, n = (counted[column][counted["state"] == state] for column in ("mm", "n"))
+        named = zip(MARGIN_SHARES, quantiles(mm, n, MARGIN_SHARES) if len(n) else (), strict=False)
+        percentiles = {f"p{round(100 * q):02d}": value / 1000 for q, value in named}
+        found[letter] = {"n": int(n.sum()), **percentiles} if len(n) else None
     return found
 
 
 def _classes(database: Database) -> dict[str, dict[str, int]]:
-    found = {
-        str(name): {"objects": int(objects), "usable": int(usable), "as_target": 0, "as_reference": 0}
-        for name, objects, usable in database.rows(
-            "SELECT label, count(*), count(*) FILTER (usable) FROM objects GROUP BY 1 ORDER BY 2 DESC, 1"
-        )
-    }
-    for role in ("target", "reference"):
-        for name, count in database.rows(f"SELECT {role}, count(*) FROM expressions GROUP BY 1 ORDER BY 2 DESC, 1"):
+    found: dict[str, dict[str, int]] = {}
+    for count, of in (
+        ("objects", "label"),
+        ("usable", "label"),
+        ("as_target", "target"),
+        ("as_reference", "reference"),
+    ):
+        table = {"objects": "objects", "usable": "objects WHERE usable"}.get(count, "expressions")
+        for name, number in _counted(database, of, table).items():
             empty = {"objects": 0, "usable": 0, "as_target": 0, "as_reference": 0}
-            found.setdefault(str(name), empty)[f"as_{role}"] = int(count)
+            found.setdefault(name, empty)[count] = number
     return found
 
 
@@ -209,31 +189,23 @@ def _bin_of(distance: str) -> str:
 
 
 def _distances(database: Database, relations: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    columns = [quoted(name) for name in relations]
+    cells = " + ".join(f"count(r.{c})" for c in columns)
+    undecided = " + ".join(f"count(*) FILTER (r.{c} = 0)" for c in columns)
+    joined = "r JOIN objects o ON r.frame_index = o.frame_index AND o.object"
+    of_parts = {
+        f"{cells}, {undecided} FROM relations {joined} = r.a": [1, 2],
+        f"count(*) FROM expressions {joined} = r.target_object": [3],
+    }
     # objects, cells, undecided cells, expressions
     table = np.zeros((len(DISTANCE_BINS), 4), np.int64)
     for k, count in database.rows(f"SELECT {_bin_of('distance')}, count(*) FROM objects GROUP BY 1"):
         table[k, 0] = count
-    columns = [quoted(name) for name in relations]
-    cells = " + ".join(f"count(r.{c})" for c in columns)
-    undecided = " + ".join(f"count(*) FILTER (r.{c} = 0)" for c in columns)
     for first, last in database.frame_ranges():
-        within = "{0}.frame_index BETWEEN $first AND $last AND o.frame_index BETWEEN $first AND $last"
-        for k, some, doubted in database.rows(
-            f"SELECT {_bin_of('o.distance')}, {cells}, {undecided} FROM relations r"
-            f" JOIN objects o ON o.frame_index = r.frame_index AND o.object = r.a"
-            f" WHERE {within.format('r')} GROUP BY 1",
-            first=first,
-            last=last,
-        ):
-            table[k, 1:3] += (some, doubted)
-        for k, count in database.rows(
-            f"SELECT {_bin_of('o.distance')}, count(*) FROM expressions e"
-            f" JOIN objects o ON o.frame_index = e.frame_index AND o.object = e.target_object"
-            f" WHERE {within.format('e')} GROUP BY 1",
-            first=first,
-            last=last,
-        ):
-            table[k, 3] += count
+        within = f"r.frame_index BETWEEN {first} AND {last} AND o.frame_index BETWEEN {first} AND {last}"
+        for counted, of in of_parts.items():
+            for k, *counts in database.rows(f"SELECT {_bin_of('o.distance')}, {counted} WHERE {within} GROUP BY 1"):
+                table[k, of] += counts
     return {
         name: {"objects": objects, "cells": cells, "u_share": share(doubted, cells), "expressions": expressions}
         for name, (objects, cells, doubted, expressions) in zip(DISTANCE_BINS, table.tolist(), strict=True)
@@ -245,43 +217,29 @@ def _ambiguity(database: Database) -> dict[str, Any]:
         "SELECT len(acceptable), count(*), count(*) FILTER (ambiguous) FROM expressions GROUP BY 1 ORDER BY 1"
     )
     expressions, ambiguous = sum(row[1] for row in sizes), sum(row[2] for row in sizes)
-    return {
-        "expressions": expressions,
-        "ambiguous": ambiguous,
-        "share": share(ambiguous, expressions),
-        "set_sizes": {str(size): count for size, count, _ in sizes},
-    }
+    of_sizes = {"share": share(ambiguous, expressions), "set_sizes": {str(size): count for size, count, _ in sizes}}
+    return {"expressions": expressions, "ambiguous": ambiguous, **of_sizes}
 
 
 def _occlusion(database: Database) -> dict[str, Any]:
-    found = database.row(
-        # Summed as whole millionths, so that the order of reading cannot change the mean.
-        "SELECT count(*) n, coalesce(sum(CASE WHEN isfinite(occluded)"
-        " THEN CAST(round(occluded * 1e6) AS BIGINT) END), 0) occluded_sum,"
-        f" count(*) FILTER (occluded >= CAST({OCCLUDED_FROM} AS FLOAT)) occluded,"
-        " count(*) FILTER (touches_border) cut FROM objects"
+    # Summed as whole millionths, so that the order of reading cannot change the mean.
+    ((n, hidden, occluded, cut),) = database.rows(
+        "SELECT count(*), coalesce(sum(CASE WHEN isfinite(occluded)"
+        " THEN CAST(round(occluded * 1e6) AS BIGINT) END), 0),"
+        f" count(*) FILTER (occluded >= CAST({OCCLUDED_FROM} AS FLOAT)),"
+        " count(*) FILTER (touches_border) FROM objects"
     )
-    n = found["n"]
-    return {
-        "objects": n,
-        "mean": share(int(found["occluded_sum"]), n * 1_000_000),
-        "occluded": found["occluded"],
-        "occluded_share": share(found["occluded"], n),
-        "touching_border_share": share(found["cut"], n),
-    }
+    shares = {"occluded_share": share(occluded, n), "touching_border_share": share(cut, n)}
+    return {"objects": n, "mean": share(int(hidden), n * 1_000_000), "occluded": occluded, **shares}
 
 
 def _text(database: Database) -> dict[str, Any]:
-    sentences = database.rows("SELECT count(DISTINCT text) FROM expressions")[0][0]
-    questions, wordings = database.rows(
-        "SELECT count(*), coalesce(sum(n), 0) FROM"
+    ((sentences, questions, wordings),) = database.rows(
+        "SELECT (SELECT count(DISTINCT text) FROM expressions), count(*), coalesce(sum(n), 0) FROM"
         " (SELECT count(DISTINCT text) n FROM expressions GROUP BY target, relation, reference)"
-    )[0]
-    return {
-        "sentences": sentences,
-        "questions": questions,
-        "sentences_per_question": share(int(wordings), questions),
-    }
+    )
+    each = share(int(wordings), questions)
+    return {"sentences": sentences, "questions": questions, "sentences_per_question": each}
 
 
 FRAMES_AT_ONCE = 20_000
@@ -307,21 +265,16 @@ class Database:
         InputError
             A file turned out to be damaged.
         """
-        with self._plain_errors():
-            return self._connection.execute(sql, values or None).fetchall()
+        return self._asked(sql, values).fetchall()
 
     def row(self, sql: str, **values: Any) -> dict[str, Any]:
         """The only row of an aggregate, by column."""
-        with self._plain_errors():
-            found = self._connection.execute(sql, values or None)
-            (only,) = found.fetchall()
-            return dict(zip([column[0] for column in found.description or ()], only, strict=True))
+        found = self._asked(sql, values)
+        return dict(zip([column[0] for column in found.description or ()], found.fetchall()[0], strict=True))
 
     def columns(self, sql: str, **values: Any) -> dict[str, np.ndarray]:
         """All rows of a query whose columns hold numbers without nulls, as arrays."""
-        with self._plain_errors():
-            found = self._connection.execute(sql, values or None).fetchnumpy()
-        return {name: np.asarray(column) for name, column in found.items()}
+        return {name: np.asarray(column) for name, column in self._asked(sql, values).fetchnumpy().items()}
 
     def frame_ranges(self) -> Iterator[tuple[int, int]]:
         """(first, last) values of `frame_index`, FRAMES_AT_ONCE at a time: for queries that join tables."""
@@ -329,15 +282,12 @@ class Database:
         for first in range(0, 0 if last is None else last + 1, FRAMES_AT_ONCE):
             yield first, first + FRAMES_AT_ONCE - 1
 
-    @contextmanager
-    def _plain_errors(self) -> Iterator[None]:
+    def _asked(self, sql: str, values: dict[str, Any]) -> duckdb.DuckDBPyConnection:
         import duckdb
 
-        try:
-            yield
-        except (duckdb.IOException, duckdb.InvalidInputException, duckdb.ConversionException) as error:
-            reason = str(error).split("\n")[0]
-            raise InputError("the tables of the labels cannot be read", got=reason, path=self._labels.root) from error
+        damage = duckdb.IOException, duckdb.InvalidInputException, duckdb.ConversionException
+        with as_input_error("the tables of the labels cannot be read", *damage, got=first_line, path=self._labels.root):
+            return self._connection.execute(sql, values or None)
 
 
 @contextmanager
