@@ -28,13 +28,13 @@ from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge, labelled_truth
 from pipeline.diagnosis.offers import offers_of
 from pipeline.diagnosis.verdict import shown_verdict
-from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import open_run
+from pipeline.evaluation.systems import EvalSpec
 from pipeline.geometry.measure import Measurement, measure
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
-from pipeline.language.glossary import Term, find_term, glossary, glossary_markdown
+from pipeline.language.glossary import GlossaryTerm, find_term, glossary, glossary_markdown
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.relations.relations import letter
 from pipeline.synthetic import render_dataset
@@ -204,7 +204,7 @@ def run_glossary(command: GlossaryCommand) -> None:
     command.write(map(asdict, terms), print_terms, terms)
 
 
-def print_terms(terms: Iterable[Term]) -> None:
+def print_terms(terms: Iterable[GlossaryTerm]) -> None:
     """Words with what they mean."""
     for term in terms:
         say((term.name, "bold"), f" ({term.group}): {term.hint}")

@@ -20,20 +20,21 @@ from pipeline.diagnosis.verdict import VERDICTS, shown_verdict
 from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.comparing import CHANGES, Comparison, answer_differences, compare
 from pipeline.evaluation.job import RunReport, evaluate_dataset
-from pipeline.evaluation.paper_tables import tables_of_run
 from pipeline.evaluation.querying import QueryRows, open_database
 from pipeline.evaluation.recorded import doubts_of
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_cases import RelationSpec, uses_language
-from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.run_folder import labels_of, manifest_of, open_run
 from pipeline.evaluation.search import among_failures, find_failures
 from pipeline.evaluation.sentence_report import SentenceReport, evaluate_sentences
 from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
 from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, cost_words, need_verdicts, summarise_run, summary_tables
+from pipeline.evaluation.systems import EvalSpec
 from pipeline.language.counted import counted
 from pipeline.metrics.tables import latex, markdown
+from pipeline.paper.systems import Referring, Vlm, VlmOptions
+from pipeline.paper.tables import tables_of_folder, tables_of_run
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, require
 from spatialviz.cli_ask import EvalCommand, FailuresCommand, QueryCommand, TablesCommand
@@ -60,7 +61,7 @@ def run_eval(command: EvalCommand) -> None:
         )
     vlm = None
     if command.vlm_url is not None and command.vlm_model is not None:
-        vlm = VlmOptions(command.vlm_url, command.vlm_model, command.vlm_rate)
+        vlm = Vlm(VlmOptions(command.vlm_url, command.vlm_model, command.vlm_rate))
     elif command.system == "vlm":
         raise InputError("--system vlm needs a server and a model", expected="--vlm-url URL --vlm-model NAME")
     elif command.vlm_url is not None or command.vlm_model is not None:
@@ -74,7 +75,7 @@ def run_eval(command: EvalCommand) -> None:
         command.dataset,
         str(command.labels),
         options,
-        command.system,
+        {"pipeline": None, "referring": Referring(), "vlm": vlm}[command.system],
         vlm,
         command.limit,
         grounding=grounding,
@@ -90,7 +91,7 @@ def run_eval(command: EvalCommand) -> None:
             workers=command.workers,
             others=command.others,
             against=command.compare,
-            paper=command.tables == "paper",
+            paper=tables_of_folder if command.tables == "paper" else None,
             plots=command.plots,
             overwrite=command.overwrite,
             progress=advance,

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.evaluation.adapters import import_published
+from pipeline.evaluation.imported_rows import PREDICTIONS_FILE
 from pipeline.evaluation.importing import export_run
-from pipeline.evaluation.job import PREDICTIONS_FILE, RunReport
+from pipeline.evaluation.job import RunReport
 from pipeline.evaluation.judging_again import judge_again
 from pipeline.evaluation.run_folder import open_run
 from pipeline.language.counted import counted
+from pipeline.paper.systems import recorded_system
 from spatialviz.cli_ask import ExportRunCommand, ImportRunCommand, JudgeAgainCommand
 from spatialviz.options import warn
 from spatialviz.printing import rate_bar, say
@@ -55,7 +57,9 @@ def print_imported(report: RunReport, imported: Mapping[str, Any]) -> None:
 
 def run_judge_again(command: JudgeAgainCommand) -> None:
     with rate_bar("judging", "steps") as advance:
-        record = judge_again(command.folder, command.out, workers=command.workers, progress=advance)
+        record = judge_again(
+            command.folder, command.out, workers=command.workers, progress=advance, system=recorded_system
+        )
     counted_ = "; ".join(record["changes"]) or "the same answer" if record["kind"] == "case" else ", ".join(
         f"{record[what]:,} {what}" for what in ("expressions", "frames") if what in record
     )  # fmt: skip

@@ -8,14 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.training.ablation import AblationConfig, compare_features
-
 from pipeline.corrections.review.label_jobs import RetrainingJob, RetrainingRun, run_retraining
 from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.tables import shown
+from pipeline.paper.ablation import AblationConfig, compare_features
 from pipeline.relations.features import CLI_FEATURES
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import require

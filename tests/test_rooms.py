@@ -26,6 +26,7 @@ ROOMS = (
     "diagnosis",
     "evaluation",
     "corrections",
+    "paper",
 )
 """From the ground up."""
 

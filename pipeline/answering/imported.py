@@ -171,15 +171,25 @@ def scorer_of(predictions: Predictions, line: Prediction | None, stand_in: Relat
     return GivenRelations(relations, stand_in, name, predictions.header.scorer is not None)
 
 
+def file_of(source: Pipeline) -> Predictions:
+    """The predictions that a pipeline reads its answers from."""
+    assert source.predictions is not None
+    return source.predictions
+
+
+def line_of(source: Pipeline) -> Prediction:
+    """The prediction that a pipeline of one expression is about."""
+    assert source.line is not None
+    return source.line
+
+
 @dataclass(frozen=True)
 class ImportedPipeline(Pipeline):
-    """A dataset with the predictions of another pipeline.
+    """A dataset with the predictions of another pipeline, of the whole file or of one `line`.
 
     Attributes
     ----------
     predictions : Predictions
-    line : Prediction or None
-        The expression that this one is about; None for the whole file.
     rescore : callable or None
         Asks the other pipeline's ranking again; see `pair_rules.Rescore`.
     shown : RunRules or None
@@ -187,7 +197,6 @@ class ImportedPipeline(Pipeline):
     """
 
     predictions: Predictions = field(kw_only=True)
-    line: Prediction | None = None
     rescore: Rescore | None = None
     shown: RunRules | None = None
 
@@ -198,29 +207,28 @@ class ImportedPipeline(Pipeline):
 
     def asked(self, frame_id: str, text: str) -> Pipeline:
         """The source of one expression; InputError where the file has no line for it."""
-        line = self.predictions.line(frame_id, text)
+        file = self.predictions
+        line = file.line(frame_id, text)
         if line is None:
-            known = [p.text for p in self.predictions.of_frame(frame_id)]
+            known = [p.text for p in file.of_frame(frame_id)]
             close = suggest(text, known)
             raise InputError(
-                f"{label_of(self.predictions)} has no line for this expression on frame {frame_id}",
+                f"{label_of(file)} has no line for this expression on frame {frame_id}",
                 got=repr(text),
                 expected=f"one of {len(known)} lines" + (f", such as {close[0]!r}" if close else ""),
-                path=self.predictions.path,
+                path=file.path,
             )
         if line is self.line:
             return self
-        detector = GivenDetector(self.predictions, line)
+        detector = GivenDetector(file, line)
         assert isinstance(self.scorer, GivenRelations)
-        scorer = scorer_of(self.predictions, line, self.scorer.stand_in)
-        rule = line_rule(self.rules, self.predictions.header, line, self.rescore)
-        config = (
-            self.config
-            if rule is None
-            else replace(self.config, rank=RuledConfig(**vars(self.config.rank), pairs=rule))
-        )
-        below = GivenDetector(self.predictions, line, below=True)
-        reader = _given_reader(line, label_of(self.predictions)) if line.relation and line.target else self.reader
+        scorer = scorer_of(file, line, self.scorer.stand_in)
+        rule = line_rule(self.rules, file.header, line, self.rescore)
+        config = self.config
+        if rule is not None:
+            config = replace(config, rank=RuledConfig(**vars(config.rank), pairs=rule))
+        below = GivenDetector(file, line, below=True)
+        reader = _given_reader(line, label_of(file)) if line.relation and line.target else self.reader
         return replace(
             self,
             detector=detector,

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, appearance_of, prepare_frame
+from pipeline.answering.predictions import Prediction, Predictions
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
 from pipeline.datasets.base import Frames
 from pipeline.datasets.demo import DEMO_NAME, demo_path
@@ -48,6 +49,10 @@ class Pipeline:
         Opens the same detector without a minimum score.
     reader : Reader
         What reads expressions: the grammar, unless another was asked for.
+    predictions : Predictions or None
+        Of another pipeline, which answers are read from.
+    line : Prediction or None
+        Of these, the one expression that this pipeline is about.
     """
 
     dataset: Dataset
@@ -57,6 +62,8 @@ class Pipeline:
     synonyms: Synonyms | None = None
     open_unfiltered: Callable[[], Detector | None] | None = None
     reader: Reader = parse
+    predictions: Predictions | None = None
+    line: Prediction | None = None
 
     def __repr__(self) -> str:
         name = self.dataset.root.resolve().name

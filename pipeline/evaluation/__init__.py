@@ -18,13 +18,12 @@ if TYPE_CHECKING:
     from pipeline.evaluation.importing import export_run, import_run
     from pipeline.evaluation.job import RunReport, evaluate_dataset
     from pipeline.evaluation.judging_again import judge_again
-    from pipeline.evaluation.paper_tables import tables_of_run
     from pipeline.evaluation.querying import open_database
     from pipeline.evaluation.recorded import Recorded, doubts_of, judged_by, recorded_verdict
     from pipeline.evaluation.records import read_records
     from pipeline.evaluation.relation_cases import RelationSpec
     from pipeline.evaluation.robospatial import Question, published_right, read_question_answers, read_questions
-    from pipeline.evaluation.run import EvalSpec, VlmOptions, evaluate_labels
+    from pipeline.evaluation.run import evaluate_labels
     from pipeline.evaluation.run_folder import Run, open_run, spec_record
     from pipeline.evaluation.search import complete, find_failures, find_rows
     from pipeline.evaluation.search_words import quote
@@ -33,5 +32,6 @@ if TYPE_CHECKING:
     from pipeline.evaluation.shared_makers import AGREEMENT, PERFECT, scorer_share, shares_of_run, title_of
     from pipeline.evaluation.slices import Slices, slice_by, slice_table
     from pipeline.evaluation.summary import RunSummary, cost_words, summarise_run
+    from pipeline.evaluation.systems import EvalSpec
 
 __getattr__ = lazy_exports(__name__, __file__)

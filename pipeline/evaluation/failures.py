@@ -12,8 +12,8 @@ from pipeline.diagnosis.asking import answer, labelled_truth
 from pipeline.diagnosis.opened import Opened
 from pipeline.diagnosis.verdict import shown_verdict
 from pipeline.evaluation.browsing import SHOWN, RunRows
-from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.search import find_failures
+from pipeline.evaluation.systems import EvalSpec
 from pipeline.language.counted import counted
 from pipeline.system.arrow import pa
 from pipeline.system.errors import needed

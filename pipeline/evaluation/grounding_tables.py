@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, Field
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline
@@ -21,11 +19,6 @@ from pipeline.metrics.intervals import BootstrapConfig, Estimate, McNemar, boots
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.system.arrow import pa
-from pipeline.system.errors import InputError
-from pipeline.system.reading import checked
-from pipeline.system.safe_files import read_bytes
-
-FIGURES = Path(__file__).with_name("reported.json")
 
 ACCURACIES = {"Acc@0.5 single truth": "iou", "strict set": "strict_iou", "set-valued": "set_iou"}
 COLUMNS = (*ACCURACIES, "only with the relation", "only by OPM alone", "McNemar p", "n")
@@ -195,45 +188,6 @@ def gain_table(
         "Points of accuracy, paired, with 95 % bootstrap intervals as above; right only with the relation, right only "
         "by the detector's best target, and McNemar's exact test are of the single truth.",
     )
-
-
-class Reported(BaseModel, extra="forbid"):
-    """One published line: figures by the measure's name, as shares, and where they stand."""
-
-    table: str
-    name: str
-    source: str = Field(min_length=1)
-    figures: dict[str, float]
-
-
-class Publications(BaseModel, extra="forbid"):
-    """The file."""
-
-    rows: list[Reported]
-
-
-def read_reported(path: Path = FIGURES) -> tuple[Reported, ...]:
-    """All published lines of a file.
-
-    Raises
-    ------
-    InputError
-        It is missing or of another shape.
-    """
-    try:
-        text = read_bytes(path, "text")
-    except FileNotFoundError as error:
-        raise InputError("there is no such file of published figures", path=path) from error
-    return tuple(checked(Publications.model_validate_json, text, "published figures: {} is wrong", path).rows)
-
-
-def reported_rows(table: str = "grounding", columns: tuple[str, ...] = MEASURES, path: Path = FIGURES) -> list[Row]:
-    """The published lines of a table; a measure that was not published is left blank."""
-    return [
-        Row(f"{line.name}, {line.source}", tuple(line.figures.get(c) for c in columns), "reported")
-        for line in read_reported(path)
-        if line.table == table
-    ]
 
 
 BY_CALIBRATION = {

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.given_places import check_places
-from pipeline.answering.imported import ImportedPipeline
+from pipeline.answering.imported import ImportedPipeline, open_imported
 from pipeline.answering.objects import prepare_frame
 from pipeline.answering.pair_rules import Rescore
 from pipeline.answering.placing import box_2d
@@ -27,12 +27,13 @@ from pipeline.answering.predictions import (
 )
 from pipeline.answering.ranking import alone
 from pipeline.evaluation.job import RunReport, evaluate_dataset
-from pipeline.evaluation.run import EvalSpec, Progress
+from pipeline.evaluation.run import Progress
 from pipeline.evaluation.run_folder import Run
+from pipeline.evaluation.systems import OWN, EvalSpec
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.masks import RunLength
 from pipeline.labels.cases import HIT, FrameCases, read_cases
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, open_labels
 from pipeline.system.errors import InputError, require
 
 LEAST_BESIDE = 10
@@ -82,8 +83,7 @@ def import_run(
     if rescore is not None:
         given["rescore"], workers = rescore, 1
     spec = EvalSpec(str(dataset), str(labels), given)
-    source, read = spec.open()
-    assert isinstance(source, ImportedPipeline)
+    source, read = open_imported(dataset=spec.dataset, **given), open_labels(labels)
     file = source.predictions
     asked = {(t.frame, c.text) for t in read_cases(read, 0, 2**31 - 1) for c in t.cases if file.line(t.frame, c.text)}
     first = next(iter(file.lines.values()))
@@ -147,9 +147,9 @@ def export_run(run: Run, out: str | Path) -> int:
     kept = run.spec.options.get("predictions")
     require(not kept, "the run is made of predictions already", expected="nothing to write: the file", path=kept)
     require(
-        run.spec.system == "pipeline",
+        run.system == OWN,
         "only a run of the pipeline can be written as predictions",
-        got=run.spec.system,
+        got=run.system,
         path=run.folder,
     )
     require(not Path(out).exists(), "the file exists", expected="another name", path=out)

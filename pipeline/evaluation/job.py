@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from shutil import copyfile
 from time import perf_counter
 from typing import Any
 
-from pipeline.answering.imported import ImportedPipeline
 from pipeline.diagnosis.verdict import RULES_VERSION
 from pipeline.evaluation.comparing import Comparison, compare
 from pipeline.evaluation.confusion import Confusion, answer_confusion, network_confusion
@@ -27,27 +25,34 @@ from pipeline.evaluation.grounding_tables import (
     problem_warnings,
     recorded_config,
     relation_table,
-    reported_rows,
     stages_table,
     systems_table,
 )
 from pipeline.evaluation.loss_plots import draw_diagnosis
-from pipeline.evaluation.paper_tables import other_systems, tables_of_folder
 from pipeline.evaluation.plots import draw, draw_relations, need_plots
 from pipeline.evaluation.records import is_calibrated, raw_records, read_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.evaluation.relation_report import shares_by_title
-from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, median_confidence
-from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, spec_record
-from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
+from pipeline.evaluation.run import Progress, evaluate_labels, median_confidence, system_of
+from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, read_manifest, spec_record
+from pipeline.evaluation.shared_makers import (
+    Share,
+    measured_of_run,
+    rank,
+    shared_makers,
+    title_of,
+    titles_of,
+    with_caveats,
+)
 from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, has_verdicts, summarise_run, summary_tables
+from pipeline.evaluation.systems import OWN, EvalSpec
 from pipeline.labels.merge import environment
 from pipeline.labels.plan import files_hash
 from pipeline.labels.profiles import canonical_hash
-from pipeline.labels.provenance import makers_of
+from pipeline.labels.provenance import Makers, makers_of
 from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
@@ -57,6 +62,10 @@ from pipeline.system.version import __version__
 from pipeline.system.whole_files import staged_folder, write_json
 
 CHANGED = "files of the dataset changed while the run was made: some answers are of what was there before"
+
+
+PaperTables = Callable[..., "list[Table]"]
+"""Makes further tables of a run's folder: called as `pipeline.paper.tables_of_folder`."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +108,7 @@ def evaluate_dataset(
     workers: int = 1,
     others: Sequence[Path] = (),
     against: Path | None = None,
-    paper: bool = False,
+    paper: PaperTables | None = None,
     plots: bool = True,
     overwrite: bool = False,
     bootstrap: BootstrapConfig | None = None,
@@ -120,8 +129,8 @@ def evaluate_dataset(
         Runs on the same labels, whose systems become further rows.
     against : Path, optional
         The run to compare with: `comparison.json`.
-    paper : bool
-        The paper's tables stand first, and are those of the report.
+    paper : callable, optional
+        Makes the paper's tables, which stand first and are those of the report: `pipeline.paper.tables_of_folder`.
     plots : bool
         Draw; without the extra `report` they are left out with a warning.
 
@@ -144,21 +153,18 @@ def evaluate_dataset(
     )
     # Answers are judged by labels, and so in their axes.
     spec = replace(spec, options=labelled_up(open_labels(spec.labels).manifest, spec.options))
+    system = system_of(spec)
     source, labels = spec.open()
     detector = source.needed_detector() if spec.grounding else labelled_detector(source)
     seen = 0
-    if spec.system == "pipeline" and spec.grounding and spec.verdicts and spec.confidence is None:
+    if system.name == OWN and spec.grounding and spec.verdicts and spec.confidence is None:
         confidence, seen = median_confidence(source, labels)
         spec = replace(spec, confidence=confidence)
     if name is None:
-        name = {
-            "pipeline": f"{detector.name} + {source.scorer.name}",
-            "referring": f"{detector.name}, whole expression",
-            "vlm": f"VLM {spec.vlm.model}" if spec.vlm else "VLM",
-        }[spec.system]
+        name = system.title(replace(source, detector=detector))
     asked = labels.manifest.tables["expressions"].content_hash
     makers = makers_of(labels.manifest)
-    measured = measured_of(source, labels.relation_names, spec.system) if spec.grounding else None
+    measured = system.measured(source, labels.relation_names) if spec.grounding else None
     own = () if measured is None else shared_makers(makers, measured)
     of_others = other_systems(others, name, asked, makers)
     shares = {name: own, **{n: shared for n, (_, shared) in of_others.items()}}
@@ -177,17 +183,17 @@ def evaluate_dataset(
         tables = make_tables(systems, bootstrap, shares) if spec.grounding else []
         relations = None if sink is None else measure_relations(spec, source, labels, folder, bootstrap)
         tables += [] if relations is None else relations.tables
-        diagnosed = spec.grounding and spec.verdicts and spec.system == "pipeline"
+        diagnosed = spec.grounding and spec.verdicts and system.name == OWN
         pairs = None if relations is None else relations.records
         diagnosis = diagnose_run(systems, labels, pairs, bootstrap, shares) if diagnosed else None
         tables += [] if diagnosis is None else diagnosis.tables
         shown = tables
-        if paper:
+        if paper is not None:
             blocks = {n: title_of(found) for n, found in shares.items()}
             blocks |= {} if relations is None else {n: share.title for n, share in relations.shares.items()}
             held_out = spec.relations is not None and spec.relations.pairs == "held-out"
             answered = systems if spec.grounding else {}
-            shown = tables_of_folder(folder, labels, answered, blocks, held_out=held_out, config=bootstrap)
+            shown = paper(folder, labels, answered, blocks, held_out=held_out, config=bootstrap)
             tables = [*shown, *tables]
         write_tables(tables, folder, "tables.md")
         (folder / "tables.tex").write_text(latex(tables), encoding="utf-8")
@@ -208,14 +214,7 @@ def evaluate_dataset(
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
         config = {**recorded_config(source.config), "options": options}
         plain = json.loads(json.dumps(config, default=str))
-        imported = None
-        if isinstance(source, ImportedPipeline):
-            # The run keeps what it was made of.
-            copyfile(source.predictions.path, folder / PREDICTIONS_FILE)
-            kept = {k: v for k, v in spec.options.items() if k != "rescore"}
-            kept |= {"predictions": out.resolve() / PREDICTIONS_FILE}
-            spec = replace(spec, options=kept if source.rescore is None else {**kept, "rescored": True})
-            imported = source.predictions.record()
+        spec, more = system.kept(spec, source, folder, out.resolve())
         write_json(
             folder / RUN_FILE,
             {
@@ -226,11 +225,11 @@ def evaluate_dataset(
                 "labels": {"config_hash": labels.manifest.config_hash, "content_hash": asked},
                 "detector": f"{detector.name}: {detector.fingerprint()}",
                 "scorer": source.scorer.name,
-                "system": spec.system,
-                "vlm": None if spec.vlm is None else {"url": spec.vlm.url, "model": spec.vlm.model},
+                "system": system.name,
+                "vlm": None if spec.pairs is None else spec.pairs.record(),
                 "limit": spec.limit,
                 "spec": json.loads(json.dumps(spec_record(spec, out.resolve()), default=str)),
-                **({} if imported is None else {"imported": imported}),
+                **more,
                 "marks": len(spec.marks),
                 "recalled_confidence": {"median": spec.confidence, "of": seen},
                 "config": plain,
@@ -306,6 +305,49 @@ def evaluate(
     return open_run(report.folder)
 
 
+def other_systems(
+    runs: Sequence[Path], name: str, content_hash: str, makers: Makers
+) -> dict[str, tuple[pa.Table, tuple[Share, ...]]]:
+    """The systems of other runs by their names: records, and what they have in common with what made the labels.
+
+    A name that is taken is told apart by its run's folder, and by a number where that is not enough.
+
+    Parameters
+    ----------
+    runs : sequence of Path
+    name : str
+        Of the run that they stand beside.
+    content_hash : str
+        Of the expressions that were asked.
+    makers : Makers
+        Of the labels.
+
+    Raises
+    ------
+    InputError
+        There is no run, or it is of other labels.
+    """
+    found: dict[str, tuple[pa.Table, tuple[Share, ...]]] = {}
+    taken = {name}
+    for run in map(Path, runs):
+        manifest = read_manifest(run)
+        asked = manifest.get("labels", {}).get("content_hash")
+        require(
+            asked == content_hash,
+            "a run on other labels cannot be a row beside this one",
+            got=f"expressions {asked}",
+            expected=f"expressions {content_hash}",
+            path=run,
+        )
+        own = str(manifest["name"])
+        choices = [own, f"{own} ({run.resolve().name})"]
+        choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]
+        own = next(n for n in choices if n not in taken)
+        taken.add(own)
+        found[own] = read_records(run), shared_makers(makers, measured_of_run(manifest))
+    return found
+
+
 def write_tables(tables: Sequence[Table], folder: Path, name: str) -> None:
     """Write tables under each other into a file of Markdown of this name, and each as `tables/KEY.csv`."""
     (folder / name).write_text(markdown(tables), encoding="utf-8")
@@ -337,7 +379,7 @@ def make_tables(
         rows += [replace(row, shares=titles[name]) for row in found]
     unit = clusters_of(first)[1]
     tables = [
-        systems_table([*rows, *reported_rows()], unit, titles),
+        systems_table(rows, unit, titles),
         relation_table(systems, bootstrap, titles),
         stages_table(systems, titles),
         gain_table(systems, bootstrap, titles),
@@ -346,8 +388,6 @@ def make_tables(
     return [with_caveats(table, shares) for table in tables if table is not None]
 
 
-PREDICTIONS_FILE = "predictions.jsonl"
-"""The copy of what was imported, in its run's folder."""
 DIAGNOSIS_FILE = "diagnosis.json"
 MOST = 20
 """Classes, scenes and frames of their own in files; the rest is one slice."""

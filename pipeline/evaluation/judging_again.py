@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from pipeline.diagnosis.cases.saving import open_case
 from pipeline.evaluation.importing import import_run
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import RUN_FILE, open_run
+from pipeline.evaluation.systems import OWN, System
 from pipeline.labels.job import label_dataset
 from pipeline.labels.merge import SelectConfig
 from pipeline.labels.plan import load_plan
@@ -29,6 +31,7 @@ def judge_again(
     workers: int = 1,
     plots: bool = True,
     progress: Callable[[int, int], None] | None = None,
+    system: Callable[[Mapping[str, Any]], System | None] | None = None,
 ) -> dict[str, Any]:
     """Judge a run, labels or a saved case again, by this version, into a new folder; the old one stays as it is.
 
@@ -44,6 +47,8 @@ def judge_again(
         Draw those of a run.
     progress : callable, optional
         Called with (done, in all).
+    system : callable, optional
+        Gives the system of a `run.json` that is not the pipeline's: `pipeline.paper.recorded_system`.
 
     Returns
     -------
@@ -59,7 +64,7 @@ def judge_again(
     if (path / CASE_FILE).is_file():
         return {"kind": "case", "out": str(out), "changes": list(_case(path, out))}
     if (path / RUN_FILE).is_file():
-        return {"kind": "run", "out": str(out), "expressions": _run(path, out, workers, plots, progress)}
+        return {"kind": "run", "out": str(out), "expressions": _run(path, out, workers, plots, progress, system)}
     require(
         (path / PLAN_FILE).is_file(), "nothing here says how it was made",
         expected=f"a run ({RUN_FILE}), labels ({PLAN_FILE}) or a case ({CASE_FILE})", path=path,
@@ -76,8 +81,19 @@ def judge_again(
     return {"kind": "labels", "out": str(out), "frames": report.frames}
 
 
-def _run(path: Path, out: Path, workers: int, plots: bool, progress: Callable[[int, int], None] | None) -> int:
+def _run(
+    path: Path,
+    out: Path,
+    workers: int,
+    plots: bool,
+    progress: Callable[[int, int], None] | None,
+    system: Callable[[Mapping[str, Any]], System | None] | None,
+) -> int:
     run = open_run(path)
+    require(
+        run.system == OWN or system is not None, "a run of this system is not judged again from here",
+        got=run.system, expected="spatialviz judge-again", path=path,
+    )  # fmt: skip
     options = dict(run.spec.options)
     if (predictions := options.pop("predictions", None)) is not None:
         require(
@@ -90,7 +106,8 @@ def _run(path: Path, out: Path, workers: int, plots: bool, progress: Callable[[i
             progress=progress, **options,
         )  # fmt: skip
     else:
-        report = evaluate_dataset(run.spec, out, name=run.name, workers=workers, plots=plots, progress=progress)
+        spec = run.spec if system is None else replace(run.spec, system=system(run.manifest))
+        report = evaluate_dataset(spec, out, name=run.name, workers=workers, plots=plots, progress=progress)
     return report.expressions
 
 

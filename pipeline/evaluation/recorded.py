@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.imported import ImportedPipeline
+from pipeline.answering.imported import file_of
 from pipeline.diagnosis.verdict import RULES_VERSION, Diagnosis
 from pipeline.evaluation.run_folder import Run
 from pipeline.language.counted import counted
@@ -77,11 +77,10 @@ def doubts_of(run: Run) -> tuple[str, ...]:
 def _repeated(run: Run) -> str:
     """How many lines of imported predictions have one id under several names, or several times under one."""
     try:
-        source = run.source
+        file = file_of(run.source)
     except InputError:
         return "Its predictions cannot be read any more, and may have been replaced where an id stands several times."
-    assert isinstance(source, ImportedPipeline)
-    lines = source.predictions.lines.values()
+    lines = file.lines.values()
     ids = [[p.id for found in (line.proposals or {}).values() for p in found] for line in lines]
     count = sum(len(set(of_line)) < len(of_line) for of_line in ids)
     return (

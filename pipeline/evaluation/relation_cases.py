@@ -17,7 +17,7 @@ from pipeline.metrics.splits import FrameKey
 from pipeline.proposals import make_detector
 from pipeline.proposals.base import Detector
 from pipeline.relations import RULE, TRAINED, RelationScorer, make_scorer, shipped_network
-from pipeline.relations.contract import Contract, TrainedOn
+from pipeline.relations.contract import NetworkContract, TrainedOn
 from pipeline.relations.features import geometry_of
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
@@ -351,7 +351,7 @@ def uses_language(which: str) -> bool:
     path = shipped_network() if which == TRAINED else Path(which)
     if not path.is_file():
         return False  # `make_scorer` says what is wrong.
-    return Contract.read(metadata(open_session(path, threads=1)), path).language is not None
+    return NetworkContract.read(metadata(open_session(path, threads=1)), path).language is not None
 
 
 def _of_rooms(path: Path) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -12,12 +11,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.opening import Pipeline
-from pipeline.datasets import Dataset
-from pipeline.evaluation.relation_cases import RelationSystem, geometry_of_labels, open_systems, read_pairs
+from pipeline.evaluation.relation_cases import RelationSystem, geometry_of_labels, open_systems
 from pipeline.evaluation.relation_records import (
     FILE,
     RelationRecords,
-    SystemRecords,
     read_relation_records,
     relation_schema,
 )
@@ -30,22 +27,16 @@ from pipeline.evaluation.relation_report import (
     relation_tables,
     system_figures,
 )
-from pipeline.evaluation.run import EvalSpec, VlmOptions
 from pipeline.evaluation.shared_makers import Share, scorer_share
-from pipeline.evaluation.vlm.questions import RelationConfig, score_pairs
-from pipeline.geometry.frame import Annotation
+from pipeline.evaluation.systems import EvalSpec
 from pipeline.labels.provenance import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.metrics.intervals import BootstrapConfig
-from pipeline.metrics.splits import DROPPED
 from pipeline.metrics.tables import Table
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa, pq
-from pipeline.system.chat import ChatClient
 from pipeline.system.errors import require
-
-VLM_FILE = "relation_records_vlm.parquet"
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,24 +109,17 @@ def measure_relations(
     clusters, unit = records.clusters(counted)
     geometry = geometry_of_labels(how, labels)
     notes = [_about(records, counted, geometry, held_out)]
-    asked: dict[str, Any] | None = None
-    if spec.vlm is not None:
-        rows = sample_pairs(records, counted, how.vlm_pairs, how.seed)
-        first = records.systems[0]
-        model, reasons, requests = ask_relations(
-            spec.vlm, source.dataset, labels, records, rows, first.relations, folder / VLM_FILE
-        )
+    asked = None
+    if spec.pairs is not None:
+        asked = spec.pairs.ask(how, source.dataset, labels, records, counted, folder)
+        rows, first = asked.rows, records.systems[0]
         same = replace(first, title=f"{first.title}, on the VLM's pairs", p=first.p[rows], part=first.part[rows])
         if first.title in shares:
             shares[same.title] = shares[first.title]
-        for system in (same, model):
+        for system in (same, asked.system):
             truth = records.truth(system.relations)[rows]
             figures.append(system_figures(system, truth, clusters[rows], np.ones(len(rows), np.bool_), bootstrap))
-        notes.append(
-            f"The VLM was asked about {len(rows)} pairs drawn at random (seed {how.seed}), {sum(reasons.values())} of "
-            f"{model.p.size} answers are not known and count as no."
-        )
-        asked = {"pairs": len(rows), "answers": int(model.p.size), "unknown": reasons, "requests": requests}
+        notes.append(asked.note)
     notes += [f"Warning: {warning}." for warning in warnings]
     tables = relation_tables(figures, always_no(records, held_out=held_out), unit, notes, shares)
     record = {
@@ -145,7 +129,7 @@ def measure_relations(
         "frames_measured": len(np.unique(records.frame_index[counted])),
         "unit": unit,
         "systems": [_system_record(s) for s in systems],
-        "vlm": asked,
+        "vlm": None if asked is None else asked.record,
         "warnings": warnings,
         "shares": {title: share.record() for title, share in shares.items()},
     }
@@ -170,83 +154,3 @@ def _system_record(system: RelationSystem) -> dict[str, Any]:
         found |= {"features": contract.features, "output": contract.output, "seed": contract.seed,
                   "data": contract.data}  # fmt: skip
     return found | ({} if system.trained_on is None else {"trained_on": asdict(system.trained_on)})
-
-
-def sample_pairs(records: RelationRecords, counted: np.ndarray, number: int, seed: int) -> np.ndarray:
-    """(M,) int64: indices of at most so many of the counted pairs, without replacement, rising."""
-    indices = np.flatnonzero(counted)
-    if number >= len(indices):
-        return indices
-    return np.sort(np.random.default_rng([seed, 53]).choice(indices, number, replace=False))
-
-
-def ask_relations(
-    options: VlmOptions,
-    dataset: Dataset,
-    labels: Labels,
-    records: RelationRecords,
-    rows: np.ndarray,
-    relations: tuple[str, ...],
-    path: Path,
-) -> tuple[SystemRecords, dict[str, int], int]:
-    """Ask of each of these pairs whether each relation holds, and write every answer to `path`.
-
-    Returns
-    -------
-    system : SystemRecords
-        Of the M pairs that were asked; 0.5, a no, where the answer is not known.
-    unknown : dict of str to int
-        Why answers are not known, and how often.
-    requests : int
-        Sent to the server; the others stood in the cache.
-
-    Raises
-    ------
-    ServerError
-        The server gives no answer at all.
-    """
-    client = ChatClient(
-        options.url, options.model, timeout_s=options.timeout_s, requests_per_minute=options.requests_per_minute
-    )
-    config = RelationConfig(workers=options.workers, keep_going=True)
-    p = np.empty((len(rows), len(relations)), np.float32)
-    reasons: Counter[str] = Counter()
-    tables: list[pa.Table] = []
-    for index in np.unique(records.frame_index[rows]):
-        (pairs,) = read_pairs(labels, int(index), int(index) + 1)
-        # The rows of a frame stand in one piece and in the order of its pairs.
-        first = int(np.searchsorted(records.frame_index, index))
-        mine = np.flatnonzero(records.frame_index[rows] == index)
-        chosen = rows[mine] - first
-        named = zip(pairs.numbers.tolist(), pairs.labels, pairs.geometry["bbox"], strict=True)
-        objects = [Annotation(number, name, box) for number, name, box in named]
-        asked = np.stack([pairs.a[chosen], pairs.b[chosen]], axis=1)
-        frame = dataset.load(pairs.key.frame)
-        found = score_pairs(client, frame, objects, asked, relations, config=config)
-        p[mine] = found.probabilities
-        reasons.update(found.reasons)
-
-        def struct(columns: list[pa.Array]) -> pa.StructArray:
-            return pa.StructArray.from_arrays(columns, names=list(relations))
-
-        tables.append(
-            pa.table(
-                {
-                    "frame": pa.array([pairs.key.frame] * len(mine), pa.string()),
-                    "frame_index": pa.array(np.full(len(mine), index, np.int32)),
-                    "a": pa.array(pairs.numbers[asked[:, 0]].astype(np.int32)),
-                    "b": pa.array(pairs.numbers[asked[:, 1]].astype(np.int32)),
-                    "ambiguous": pa.array(found.ambiguous),
-                    "state": struct([pa.array(pairs.states[chosen, pairs.relations.index(r)]) for r in relations]),
-                    "p": struct([pa.array(p[mine, k]) for k in range(len(relations))]),
-                    "known": struct([pa.array(found.known[:, k]) for k in range(len(relations))]),
-                    "answer": struct(
-                        [pa.array([t[k] for t in found.texts], pa.string()) for k in range(len(relations))]
-                    ),
-                }
-            )
-        )
-    pq.write_table(pa.concat_tables(tables), path, compression="zstd")
-    title = f"VLM {options.model}, yes/no question, {len(rows)} pairs"
-    system = SystemRecords("vlm", title, relations, p, np.full(len(rows), DROPPED, np.int8))
-    return system, dict(reasons), client.requests

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.evaluation.grounding_tables import reported_rows
 from pipeline.evaluation.relation_cases import RelationSystem
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.shared_makers import Share, with_caveats
@@ -219,7 +218,7 @@ def relation_tables(
     """
     text = " ".join(notes)
     titles = {f.title: shares[f.title].title if f.title in shares else "" for f in figures}
-    rows = (*(system_row(f, titles[f.title]) for f in figures), *no_rows, *reported_rows("srm", MEASURES))
+    rows = (*(system_row(f, titles[f.title]) for f in figures), *no_rows)
     tables = [
         Table(
             "srm",

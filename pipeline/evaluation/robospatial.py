@@ -23,7 +23,7 @@ from pipeline.datasets.files import Blob
 from pipeline.datasets.images import read_color
 from pipeline.datasets.parquet import Cell, tables_in
 from pipeline.datasets.robospatial import FILE, KEYS, item_name, robospatial_entries
-from pipeline.evaluation.vlm.answers import parse_yes_no
+from pipeline.evaluation.model_answers import parse_yes_no
 from pipeline.metrics.tables import Row, Table
 from pipeline.system.arrow import pa
 from pipeline.system.errors import as_input_error, first_line, require

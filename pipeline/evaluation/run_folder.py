@@ -24,8 +24,8 @@ from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.browsing import RunRows
 from pipeline.evaluation.failures import Failures, asked_again, found_failures
 from pipeline.evaluation.records import read_records
-from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, shares_of_run
+from pipeline.evaluation.systems import OWN, EvalSpec
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.system.arrow import pa
 from pipeline.system.detector_setup import with_files
@@ -65,6 +65,11 @@ class Run(InNotebook):
 
     def __repr__(self) -> str:
         return f"<Run {self.folder.name}: {self.name}, {self.manifest.get('expressions')} expressions>"
+
+    @property
+    def system(self) -> str:
+        """Kind of what answered: "pipeline", "referring", "vlm"."""
+        return str(self.manifest.get("system", OWN))
 
     @cached_property
     def tables(self) -> dict[str, list[dict[str, str | float]]]:
@@ -162,7 +167,7 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
         "labels": written_path(spec.labels, folder),
         "options": with_files(given, lambda path: _written_model(path, folder)),
         "config": None if config is None else asdict(config),
-        "system": spec.system,
+        "system": OWN if spec.system is None else spec.system.name,
         "limit": spec.limit,
         "confidence": spec.confidence,
         "marks": [[frame, expression, mark] for (frame, expression), mark in sorted(spec.marks.items())],
@@ -270,7 +275,6 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
         dataset if dataset == DEMO_NAME else resolved_path(dataset, folder),
         resolved_path(str(record["labels"]), folder),
         options,
-        record["system"],
         limit=record["limit"],
         confidence=record["confidence"],
         marks={(frame, expression): mark for frame, expression, mark in record["marks"]},

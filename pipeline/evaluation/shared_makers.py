@@ -107,7 +107,7 @@ class Measured:
         return {"masks": masks, "scorer": self.scorer, "network": self.network, "rule_too": list(self.rule_too)}
 
 
-def measured_of(source: Pipeline, relations: Sequence[str], system: str = "pipeline") -> Measured:
+def measured_of(source: Pipeline, relations: Sequence[str]) -> Measured:
     """What of a source a run measures.
 
     Parameters
@@ -115,15 +115,9 @@ def measured_of(source: Pipeline, relations: Sequence[str], system: str = "pipel
     source : Pipeline
     relations : sequence of str
         Those that are asked.
-    system : str
-        "pipeline", "referring" or "vlm".
     """
-    if system == "vlm":
-        return Measured(None, None)
     detector = source.needed_detector()
     masks = mask_makers(f"{detector.name}: {detector.fingerprint()}")
-    if system != "pipeline":
-        return Measured(masks, None)
     scorer = source.scorer
     if not isinstance(scorer, OnnxScorer):
         return Measured(masks, scorer.name)

@@ -1,10 +1,9 @@
-"""The relation network made from labels or rendered rooms: data, fitting, cards, ablation."""
+"""The relation network made from labels or rendered rooms: data, fitting, cards."""
 
 from pipeline.system.lazy_exports import lazy_exports
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from pipeline.training.ablation import AblationConfig
     from pipeline.training.card import RoomConfig, write_onnx
     from pipeline.training.label_data import LabelData, pair_set, read_label_data
     from pipeline.training.label_training import LabelTraining, train_on_labels

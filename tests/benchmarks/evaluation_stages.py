@@ -21,11 +21,11 @@ from pipeline.evaluation.job import make_tables
 from pipeline.evaluation.relation_cases import frames_in, spread
 from pipeline.evaluation.run import (
     FRAMES_A_BLOCK,
-    EvalSpec,
     Evaluator,
     blocks_of,
     evaluate_labels,
 )
+from pipeline.evaluation.systems import EvalSpec
 from pipeline.labels.engines import one_thread
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
@@ -144,7 +144,6 @@ def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], pa.Table]:
     # The first frame pays for imports and for the network's own preparations.
     evaluator.block(blocks[0][0], blocks[0][0] + 1)
     evaluator.clock.seconds.clear()
-    evaluator.parsed.clear()
     records = pa.concat_tables([evaluator.block(*block)[0] for block in blocks])
     stages = dict(evaluator.clock.seconds)
     start = process_time()

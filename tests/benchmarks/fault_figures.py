@@ -10,7 +10,7 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -30,14 +30,12 @@ from benchmarks.foreign_pipelines import (
     scenes,
 )
 
-from pipeline.answering.imported import open_imported
-from pipeline.answering.objects import prepare_frame
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.predictions import Prediction, write_predictions
 from pipeline.datasets.base import Dataset
 from pipeline.datasets.demo import demo_labels
-from pipeline.evaluation.imported_rows import imported_rows
-from pipeline.evaluation.run import class_names_of
+from pipeline.evaluation.run import Evaluator
+from pipeline.evaluation.systems import EvalSpec
 from pipeline.labels.cases import read_cases
 from pipeline.labels.job import label
 from pipeline.labels.reading import Labels, open_labels
@@ -125,16 +123,10 @@ def verdicts(own: ForeignPipeline, dataset: str | Path, labels: Labels, found: S
     with TemporaryDirectory() as folder:
         path = Path(folder) / "predictions.jsonl"
         write_predictions(path, own.header, [f.line for f in found])
-        source = open_imported(path, dataset)
+        evaluator = Evaluator(EvalSpec(str(dataset), str(labels.root), {"predictions": path}))
         lines = {(f.line.frame, f.line.text): f for f in found}
-        rows: list[Row] = []
-        for truth in read_cases(labels, 0, 2**31 - 1):
-            kept = tuple(c for c in truth.cases if (truth.frame, c.text) in lines)
-            if kept:
-                context = prepare_frame(source.dataset, source.dataset.load(truth.frame), source.config.lift)
-                judgements = imported_rows(source, replace(truth, cases=kept), context, class_names_of(labels))
-                rows += [Row(lines[truth.frame, r["text"]], r["verdict"], r["detail"]) for r in judgements]
-        return rows
+        judged = (row for truth in read_cases(labels, 0, 2**31 - 1) for row in evaluator.frame(truth))
+        return [Row(lines[r["frame"], r["text"]], r["verdict"], r["detail"]) for r in judged]
 
 
 def tally(rows: Iterable[Row]) -> dict[str, Counter[str]]:

@@ -38,7 +38,7 @@ from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.records import record
-from pipeline.evaluation.run import class_names_of
+from pipeline.evaluation.systems import class_names_of
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import Case, FrameCases, read_cases, read_query

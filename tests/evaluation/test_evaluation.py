@@ -19,8 +19,8 @@ from slow_cases import mostly_slow
 
 from pipeline.answering import AskConfig, FrameAnswers, PreparedFrame, alone, open_pipeline
 from pipeline.datasets import demo_path
-from pipeline.evaluation import EvalSpec, VlmOptions, compare, evaluate_dataset, evaluate_labels, read_records
-from pipeline.evaluation.grounding_tables import problem_warnings, read_reported, reported_rows
+from pipeline.evaluation import EvalSpec, compare, evaluate_dataset, evaluate_labels, read_records
+from pipeline.evaluation.grounding_tables import problem_warnings
 from pipeline.evaluation.job import CHANGED, make_tables
 from pipeline.evaluation.records import COLUMNS, DETECTIONS, records_schema
 from pipeline.evaluation.run import Evaluator, table_of
@@ -28,6 +28,7 @@ from pipeline.geometry import iou_2d
 from pipeline.labels import HIT, SourceSpec, label_dataset, open_labels, read_cases
 from pipeline.language import PHRASE
 from pipeline.metrics import BootstrapConfig, Estimate, Row, Table, as_csv, latex, markdown
+from pipeline.paper import Referring, Vlm, VlmOptions, recorded_system
 from pipeline.system import InputError
 
 FRAMES = 4
@@ -242,7 +243,7 @@ def test_labels_of_another_picture_are_refused(labels: Path, recording: Path, tm
     place = table.column_names.index("rgb_hash")
     table = table.set_column(place, table.schema.field(place), [["0" * 32] * table.num_rows])
     pq.write_table(table, other / "frames.parquet")
-    for system in ("pipeline", "referring"):
+    for system in (None, Referring()):
         spec = replace(spec_of(other, recording), system=system)
         with pytest.raises(InputError, match="another picture than the one that was labelled"):
             evaluate_dataset(spec, tmp_path / "run", workers=1, plots=False)
@@ -259,7 +260,7 @@ def test_counts_are_at_least_one(
 
 
 def test_a_baseline_that_answers_nothing_says_so(labels: Path, recording: Path, tmp_path: Path) -> None:
-    spec = replace(spec_of(labels, recording), system="referring", limit=6)
+    spec = replace(spec_of(labels, recording), system=Referring(), limit=6)
     report = evaluate_dataset(spec, tmp_path / "run", workers=1, plots=False, bootstrap=QUICK)
     (warning,) = report.warnings
     assert warning.startswith("6 of 6 expressions have no answer")
@@ -322,21 +323,6 @@ def test_tables_in_three_formats() -> None:
     assert "theirs$^\\dagger$" in tex
 
 
-def test_published_figures_name_their_source(tmp_path: Path) -> None:
-    lines = read_reported()
-    assert all(line.source for line in lines)
-    (tmp_path / "mine.json").write_text(
-        '{"rows": [{"table": "grounding", "name": "X", "source": "Y 2024", "figures": {"set-valued": 0.5}}]}'
-    )
-    (row,) = reported_rows(path=tmp_path / "mine.json")
-    assert (row.name, row.source) == ("X, Y 2024", "reported")
-    assert row.cells[2] == 0.5
-    assert row.cells[0] is None
-    (tmp_path / "mine.json").write_text('{"rows": [{"name": "X"}]}')
-    with pytest.raises(InputError, match=r"published figures: rows\.0\.table is wrong; got nothing; expected a value"):
-        read_reported(tmp_path / "mine.json")
-
-
 @pytest.mark.slow
 def test_tables_of_a_run_hold_every_system(labels: Path, recording: Path) -> None:
     (poor, *_), (exact, *_) = evaluate_labels(spec_of(labels, recording)), evaluate_labels(spec_of(labels, None))
@@ -375,8 +361,8 @@ def test_a_vision_language_model_is_measured_by_its_boxes(labels: Path, tmp_path
     monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
     with running(Clock()) as server:
         server.answer = lambda _: "[0.25, 0.25, 0.75, 0.75]"
-        options = VlmOptions(server.url, MODELS[0])
-        spec = EvalSpec("demo", str(labels), {"srm": "rule"}, system="vlm", vlm=options, limit=12)
+        model = Vlm(VlmOptions(server.url, MODELS[0]))
+        spec = EvalSpec("demo", str(labels), {"srm": "rule"}, system=model, limit=12)
         report = evaluate_dataset(spec, tmp_path / "vlm", plots=False, bootstrap=QUICK)
         asked = len(server.requests)
     rows = read_records(tmp_path / "vlm").to_pylist()
@@ -394,14 +380,14 @@ def test_a_vision_language_model_is_measured_by_its_boxes(labels: Path, tmp_path
 
 def test_a_detector_is_fed_the_whole_expression(labels: Path, recording: Path) -> None:
     spec = spec_of(labels, recording)
-    whole = EvalSpec(spec.dataset, spec.labels, spec.options, system="referring", limit=10)
+    whole = EvalSpec(spec.dataset, spec.labels, spec.options, system=Referring(), limit=10)
     (table, *_) = evaluate_labels(whole)
     rows = table.to_pylist()
     assert len(rows) == 10
     # A recording knows class names only, and says so.
     assert all(r["box"] is None and r["problem"] for r in rows)
     with pytest.raises(InputError, match="no model is named"):
-        list(evaluate_labels(EvalSpec(spec.dataset, spec.labels, spec.options, system="vlm")))
+        recorded_system({"system": "vlm"})
 
 
 @pytest.mark.parametrize("srm", ["rule", "trained"])

@@ -11,7 +11,7 @@ from slow_cases import mostly_slow
 
 from pipeline.answering import Pipeline, PreparedFrame, open_pipeline
 from pipeline.datasets import demo_labels
-from pipeline.evaluation.run import class_names_of
+from pipeline.evaluation.systems import class_names_of
 from pipeline.labels import open_labels, read_cases
 
 NAMED = 0.95

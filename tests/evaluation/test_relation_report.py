@@ -13,12 +13,13 @@ import pytest
 from label_worlds import label_worlds
 from needs import needs
 
-from pipeline.evaluation import AGREEMENT, EvalSpec, RelationSpec, RunReport, VlmOptions, evaluate_dataset
+from pipeline.evaluation import AGREEMENT, EvalSpec, RelationSpec, RunReport, evaluate_dataset
 from pipeline.evaluation.relation_records import read_relation_records
 from pipeline.evaluation.relation_report import BY_RELATION, MEASURES, all_systems, counted_pairs
 from pipeline.labels import MANIFEST_FILE, Labels
 from pipeline.language import DIRECTIONAL, PHRASE, VOCABULARIES
 from pipeline.metrics import DROPPED, VALIDATION, BootstrapConfig, Estimate, Row, markdown
+from pipeline.paper import Vlm, VlmOptions
 from pipeline.relations import OnnxScorer
 from pipeline.system import InputError
 from pipeline.training import LabelTraining, TrainConfig, train_on_labels
@@ -56,9 +57,9 @@ def measured(
 ) -> RunReport:
     options = {k: more.pop(k) for k in ("workers", "plots") if k in more}
     options = {"plots": False, **options}
-    vlm = more.pop("vlm", None)
+    pairs = more.pop("vlm", None)
     how = RelationSpec(others=tuple(map(str, others)), **more)
-    spec = EvalSpec("demo", str(labels), {"srm": srm}, vlm=vlm, grounding=False, relations=how)
+    spec = EvalSpec("demo", str(labels), {"srm": srm}, pairs=pairs, grounding=False, relations=how)
     return evaluate_dataset(spec, out, bootstrap=QUICK, **options)
 
 
@@ -342,10 +343,10 @@ def test_a_vision_language_model_is_asked_about_a_sample(
     monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
     with running(Clock()) as server:
         server.answer = lambda request: "Yes" if " left of " in request.prompt else "No"
-        options = VlmOptions(server.url, MODELS[0])
+        model = Vlm(VlmOptions(server.url, MODELS[0]))
         labels = label_sets["demo"].root
-        report = measured(labels, tmp_path / "vlm", "trained", vlm=options, vlm_pairs=15, seed=4)
-        again = measured(labels, tmp_path / "again", "trained", vlm=options, vlm_pairs=15, seed=4)
+        report = measured(labels, tmp_path / "vlm", "trained", vlm=model, vlm_pairs=15, seed=4)
+        again = measured(labels, tmp_path / "again", "trained", vlm=model, vlm_pairs=15, seed=4)
     rows = pq.read_table(tmp_path / "vlm" / "relation_records_vlm.parquet").to_pylist()
     assert len(rows) == 15
     assert all(r["p"] == {x: float(x == "left") for x in DIRECTIONAL} for r in rows)

@@ -10,13 +10,14 @@ import pytest
 from chat_server import MODELS, Clock, running
 
 from pipeline.answering import open_pipeline, record_detections
-from pipeline.evaluation import PERFECT, EvalSpec, RunReport, VlmOptions, evaluate_dataset
+from pipeline.evaluation import PERFECT, EvalSpec, RunReport, evaluate_dataset
 from pipeline.evaluation.grounding_tables import relation_gain
-from pipeline.evaluation.paper_tables import other_systems
+from pipeline.evaluation.job import other_systems
 from pipeline.evaluation.plots import PALE_TONE, _tones
 from pipeline.evaluation.shared_makers import SIMULATED
 from pipeline.labels import Makers, SourceSpec, label_dataset, open_labels
 from pipeline.metrics import BootstrapConfig, Estimate
+from pipeline.paper import Referring, Vlm, VlmOptions
 from pipeline.system import InputError
 
 FRAMES = 3
@@ -37,14 +38,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("annotations", "simulated"):
         evaluated(out, name, detector=name)
     whole = EvalSpec(
-        "demo", str(out / "labels"), {"detector": "simulated", "srm": "rule"}, system="referring", limit=EXPRESSIONS
+        "demo", str(out / "labels"), {"detector": "simulated", "srm": "rule"}, system=Referring(), limit=EXPRESSIONS
     )
     evaluate_dataset(whole, out / "whole", plots=False, bootstrap=QUICK)
     with pytest.MonkeyPatch.context() as patch, running(Clock()) as server:
         patch.setenv("SPATIALVIZ_CACHE", str(out / "cache"))
         server.answer = lambda _: "[0.25, 0.25, 0.75, 0.75]"
-        vlm = VlmOptions(server.url, MODELS[0])
-        asked = EvalSpec("demo", str(out / "labels"), {"srm": "rule"}, "vlm", vlm, limit=9)
+        model = Vlm(VlmOptions(server.url, MODELS[0]))
+        asked = EvalSpec("demo", str(out / "labels"), {"srm": "rule"}, model, limit=9)
         evaluate_dataset(asked, out / "vlm", plots=False, bootstrap=QUICK)
     return out
 

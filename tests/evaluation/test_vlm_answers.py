@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.evaluation.vlm.answers import parse_box, parse_yes_no, yes_probability
+from pipeline.evaluation.model_answers import parse_box, parse_yes_no, yes_probability
 from pipeline.system import InputError
 
 YES = (

@@ -12,8 +12,8 @@ from onnx import TensorProto
 from onnx_stubs import GROUNDING, bert_vocabulary, grounding_outputs, write_stub
 from scenes import frame_of, upright
 
-from pipeline.evaluation.run import Referring
 from pipeline.geometry import Frame
+from pipeline.paper.systems import point_by_detector
 from pipeline.proposals import make_detector
 from pipeline.proposals.captions import build_captions, load_tokenizer, sigmoid, span_scores, token_blocks
 from pipeline.proposals.contracts import GROUNDING_DINO_CONTRACTS
@@ -275,7 +275,7 @@ def test_without_names_the_datasets_are_looked_for(tmp_path: Path, vocabulary: P
 @pytest.mark.slow
 def test_a_whole_expression_is_one_phrase(transformers_export: Export, frame: Frame) -> None:
     detector = make_detector("grounding-dino", model=transformers_export.path, min_score=0.01)
-    (pointed, unknown) = Referring(detector).point(frame, ["The mug left of the laptop.", "???"])
+    (pointed, unknown) = point_by_detector(detector, frame, ["The mug left of the laptop.", "???"])
     best = detector.detect(frame, ["the mug left of the laptop"])
     assert pointed.box is not None
     np.testing.assert_allclose(pointed.box, best.boxes[0], atol=1e-3)

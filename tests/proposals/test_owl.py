@@ -11,8 +11,8 @@ from onnx import TensorProto
 from onnx_stubs import OWL, write_stub
 from scenes import camera_of, frame_of, upright
 
-from pipeline.evaluation.run import Referring
 from pipeline.geometry import Frame
+from pipeline.paper.systems import point_by_detector
 from pipeline.proposals import make_detector
 from pipeline.proposals.contracts import OWL_CONTRACTS
 from pipeline.proposals.network import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
@@ -195,7 +195,7 @@ def test_objects_of_any_kind_where_the_file_knows_them(exported: dict[str, Expor
 def test_a_whole_expression_is_asked_as_it_is(exported: dict[str, Export], frame: Frame) -> None:
     path = exported["owlvit"].path
     whole = make_detector("owlvit", model=path, min_score=0.0)
-    (pointed, long) = Referring(whole).point(frame, ["Mug of dog", "mug of the dog of the dog of the dog"])
+    (pointed, long) = point_by_detector(whole, frame, ["Mug of dog", "mug of the dog of the dog of the dog"])
     best = OwlDetector(path, "owlvit", min_score=0.0, prompt="{}").detect(frame, ["mug of dog"])
     assert pointed.box is not None
     np.testing.assert_allclose(pointed.box, best.boxes[0], atol=1e-3)

@@ -394,9 +394,9 @@ def compare_with(
 def _replay(run: Run, folder: Path, workers: int, tell: Progress) -> tuple[Comparison | None, Comparison | None]:
     """Make a run again on the mended labels: as it was, and with the new network."""
     require(
-        run.spec.system == "pipeline",
+        run.system == "pipeline",
         "only a run of the pipeline can be made again",
-        got=run.spec.system,
+        got=run.system,
         path=run.folder,
     )
     marks = {**run.spec.marks, **read_marks(folder / LABELS / MARKS_FILE)}

@@ -28,7 +28,7 @@ from typing import Any
 from pipeline.answering.predictions import GivenAnswer, Header, Prediction
 from pipeline.datasets.frame_names import Picture
 from pipeline.evaluation.adapters.base import PredictionFormat, Published
-from pipeline.evaluation.vlm.answers import parse_box, parse_yes_no, spoken_part
+from pipeline.evaluation.model_answers import parse_box, parse_yes_no, spoken_part
 from pipeline.system.errors import InputError, needed, require
 from pipeline.system.limits import current_limits
 from pipeline.system.reading import Content, read_content

@@ -10,13 +10,11 @@ from needs import needs
 
 from pipeline.language import DIRECTIONAL
 from pipeline.metrics import BootstrapConfig, Estimate
-from pipeline.synthetic import choose_views, make_room
-from pipeline.system import InputError
-from pipeline.training import AblationConfig, TrainConfig
-from pipeline.training.ablation import (
+from pipeline.paper.ablation import (
     HEIGHTS_M,
     PITCHES_DEG,
     ROLLS_DEG,
+    AblationConfig,
     AblationViews,
     Variant,
     ablation_table,
@@ -25,6 +23,9 @@ from pipeline.training.ablation import (
     measure_variant,
     other_camera,
 )
+from pipeline.synthetic import choose_views, make_room
+from pipeline.system import InputError
+from pipeline.training import TrainConfig
 from pipeline.training.training_data import room_seeds
 
 pytestmark = [pytest.mark.slow, needs("embreex", "torch", "onnx")]

@@ -14,13 +14,14 @@ import pytest
 from run_records import random_records
 
 from pipeline.datasets import SUBSETS, given_expressions, open_dataset, subsets_of
-from pipeline.evaluation import AGREEMENT, PERFECT, EvalSpec, RelationSpec, RunReport, evaluate_dataset, tables_of_run
-from pipeline.evaluation.grounding_tables import read_reported
-from pipeline.evaluation.paper_tables import ALL_NEGATIVE, AVD, IMITATION, SA, Evaluated, paper_tables
+from pipeline.evaluation import AGREEMENT, PERFECT, EvalSpec, RelationSpec, RunReport, evaluate_dataset
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.labels import LabelConfig, Labels, SourceSpec, check_labels, label_dataset, open_labels
 from pipeline.language import DIRECTIONAL, VOCABULARIES
 from pipeline.metrics import BootstrapConfig, Estimate, Row, Table, as_csv, latex, markdown
+from pipeline.paper import tables_of_folder, tables_of_run
+from pipeline.paper.tables import ALL_NEGATIVE, AVD, IMITATION, SA, Evaluated, paper_tables, read_reported
+from pipeline.system import InputError
 
 QUICK = BootstrapConfig(resamples=100)
 OF_SUBSETS = tuple(f"{k} {s}" for k in ("Top-1", "Top-2") for s in SUBSETS)
@@ -116,6 +117,19 @@ def test_published_figures_agree_with_each_other() -> None:
     assert min(high for _, high in bounds) == pytest.approx(0.826, abs=2e-3)
     assert sum(line.figures["accuracy"] == line.figures["micro-F1"] for line in rows) == 2
     assert all(0 <= v <= 1 for line in read_reported() for v in line.figures.values())
+
+
+def test_published_figures_name_their_source(tmp_path: Path) -> None:
+    lines = read_reported()
+    assert all(line.source for line in lines)
+    (tmp_path / "mine.json").write_text(
+        '{"rows": [{"table": "grounding", "name": "X", "source": "Y 2024", "figures": {"set-valued": 0.5}}]}'
+    )
+    (line,) = read_reported(tmp_path / "mine.json")
+    assert (line.name, line.source, line.figures) == ("X", "Y 2024", {"set-valued": 0.5})
+    (tmp_path / "mine.json").write_text('{"rows": [{"name": "X"}]}')
+    with pytest.raises(InputError, match=r"published figures: rows\.0\.table is wrong; got nothing; expected a value"):
+        read_reported(tmp_path / "mine.json")
 
 
 def test_figures_are_printed_in_the_papers_units() -> None:
@@ -252,7 +266,7 @@ def test_given_labels_say_what_the_dataset_says(copy: Path, given_labels: Labels
 def test_a_run_on_the_copy_has_rows_by_subset(given_labels: Labels, copy: Path, tmp_path: Path) -> None:
     spec = EvalSpec(str(copy), str(given_labels.root), {"srm": "rule"}, relations=RelationSpec())
     out = tmp_path / "run"
-    report: RunReport = evaluate_dataset(spec, out, paper=True, plots=False, bootstrap=QUICK)
+    report: RunReport = evaluate_dataset(spec, out, paper=tables_of_folder, plots=False, bootstrap=QUICK)
     assert [t.key for t in report.tables] == [k for k in SHAPES if k.endswith("abstraction")]
     assert (out / "tables.md").read_text().startswith(f"## {report.tables[0].title}")
     assert "rendered rooms" in report.tables[0].title
@@ -281,7 +295,7 @@ def test_a_scorer_of_the_labels_own_rule_is_told(given_labels: Labels, copy: Pat
     for labels, expected in ((tmp_path / "ruled", AGREEMENT), (given_labels.root, "")):
         spec = EvalSpec(str(copy), str(labels), {"srm": "rule"}, grounding=False, relations=RelationSpec())
         report = evaluate_dataset(
-            replace(spec), tmp_path / f"run-{labels.name}", paper=True, plots=False, bootstrap=QUICK
+            replace(spec), tmp_path / f"run-{labels.name}", paper=tables_of_folder, plots=False, bootstrap=QUICK
         )
         rules = [row for table in report.tables for row in table.rows if row.name == "rule"]
         assert (IMITATION in report.tables[0].note) == bool(expected)

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from pipeline.evaluation.vlm.answers import BoxScale, parse_box, parse_yes_no, yes_probability
-from pipeline.evaluation.vlm.view import View, marked, view_of
 
+from pipeline.evaluation.model_answers import BoxScale, parse_box, parse_yes_no, yes_probability
 from pipeline.geometry.frame import Frame
 from pipeline.labels.exports.vqa_questions import BRIEF, ask_grounding, ask_relation, can_be_asked
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import noun_phrase, readable
 from pipeline.language.relation_names import PAIRWISE, PHRASE
+from pipeline.paper.view import View, marked, view_of
 from pipeline.system.chat import Answer, ChatClient, Picture, Question
 from pipeline.system.errors import InputError, require
 

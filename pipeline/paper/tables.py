@@ -7,17 +7,17 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from pydantic import BaseModel, Field
 
 from pipeline.datasets.semantic_abstraction_file import SUBSETS, subsets_of
 from pipeline.datasets.settings import read_settings
-from pipeline.evaluation.grounding_tables import OPM_ONLY, clusters_of, column, has_opm, read_reported
+from pipeline.evaluation.grounding_tables import OPM_ONLY, clusters_of, column, has_opm
 from pipeline.evaluation.records import read_records
 from pipeline.evaluation.relation_records import FILE, RelationRecords, read_pair_names, read_relation_records
 from pipeline.evaluation.relation_report import counted_pairs, relation_ranks
-from pipeline.evaluation.run_folder import RECORDS_FILE, open_run, read_manifest
-from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run, title_of
+from pipeline.evaluation.run_folder import RECORDS_FILE, open_run
+from pipeline.evaluation.shared_makers import shares_of_run, title_of
 from pipeline.labels.cases import HIT
-from pipeline.labels.provenance import Makers
 from pipeline.labels.profiles import GIVEN
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import VOCABULARIES
@@ -26,8 +26,11 @@ from pipeline.metrics.relation_metrics import cell_outcomes, relation_estimates
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T
 from pipeline.system.arrow import pa
-from pipeline.system.errors import require
+from pipeline.system.errors import InputError, require
+from pipeline.system.reading import checked
+from pipeline.system.safe_files import read_bytes
 
+FIGURES = Path(__file__).with_name("reported.json")
 SA, AVD = "semantic-abstraction", "avd"
 PUBLISHED_ON = {SA: "Semantic Abstraction", AVD: "AVD-Spatial"}
 Names = tuple[str, str, str]
@@ -125,6 +128,36 @@ def paper_tables(
         if systems:
             found.append(_pipeline_table(evaluated, systems, shape, config))
     return found
+
+
+class Reported(BaseModel, extra="forbid"):
+    """One published line: figures by the measure's name, as shares, and where they stand."""
+
+    table: str
+    name: str
+    source: str = Field(min_length=1)
+    figures: dict[str, float]
+
+
+class Publications(BaseModel, extra="forbid"):
+    """The file."""
+
+    rows: list[Reported]
+
+
+def read_reported(path: Path = FIGURES) -> tuple[Reported, ...]:
+    """All published lines of a file.
+
+    Raises
+    ------
+    InputError
+        It is missing or of another shape.
+    """
+    try:
+        text = read_bytes(path, "text")
+    except FileNotFoundError as error:
+        raise InputError("there is no such file of published figures", path=path) from error
+    return tuple(checked(Publications.model_validate_json, text, "published figures: {} is wrong", path).rows)
 
 
 def published(key: str, columns: Sequence[str]) -> list[Row]:
@@ -290,46 +323,3 @@ def tables_of_run(folder: str | Path) -> list[Table]:
     own = title_of(shares_of_run(run.manifest, run.labels.root))
     blocks = dict.fromkeys(systems, own) | {n: str(s["title"]) for n, s in how.get("shares", {}).items()}
     return tables_of_folder(run.folder, run.labels, systems, blocks, held_out=how.get("pairs") == "held-out")
-
-
-def other_systems(
-    runs: Sequence[Path], name: str, content_hash: str, makers: Makers
-) -> dict[str, tuple[pa.Table, tuple[Share, ...]]]:
-    """The systems of other runs by their names: records, and what they have in common with what made the labels.
-
-    A name that is taken is told apart by its run's folder, and by a number where that is not enough.
-
-    Parameters
-    ----------
-    runs : sequence of Path
-    name : str
-        Of the run that they stand beside.
-    content_hash : str
-        Of the expressions that were asked.
-    makers : Makers
-        Of the labels.
-
-    Raises
-    ------
-    InputError
-        There is no run, or it is of other labels.
-    """
-    found: dict[str, tuple[pa.Table, tuple[Share, ...]]] = {}
-    taken = {name}
-    for run in map(Path, runs):
-        manifest = read_manifest(run)
-        asked = manifest.get("labels", {}).get("content_hash")
-        require(
-            asked == content_hash,
-            "a run on other labels cannot be a row beside this one",
-            got=f"expressions {asked}",
-            expected=f"expressions {content_hash}",
-            path=run,
-        )
-        own = str(manifest["name"])
-        choices = [own, f"{own} ({run.resolve().name})"]
-        choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]
-        own = next(n for n in choices if n not in taken)
-        taken.add(own)
-        found[own] = read_records(run), shared_makers(makers, measured_of_run(manifest))
-    return found

@@ -9,9 +9,9 @@ import pytest
 from chat_server import ChatServer, Make, Script, completion, error, flat
 from scenes import frame_of, upright
 
-from pipeline.evaluation.vlm.questions import GroundingConfig, RelationConfig, ground_many, score_pairs
-from pipeline.evaluation.vlm.view import PADDING, marked, view_of
 from pipeline.geometry import Frame
+from pipeline.paper.questions import GroundingConfig, RelationConfig, ground_many, score_pairs
+from pipeline.paper.view import PADDING, marked, view_of
 from pipeline.system import InputError
 
 

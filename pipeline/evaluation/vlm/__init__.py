@@ -1,1 +1,0 @@
-"""A vision-language model as a baseline, behind any server of OpenAI's chat protocol: vLLM, Ollama, llama.cpp."""

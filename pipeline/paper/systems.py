@@ -1,0 +1,195 @@
+"""Systems that the paper is compared with: a detector and a vision-language model that are given whole expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.answering.answering import StageClock
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
+from pipeline.datasets import Dataset
+from pipeline.diagnosis.frame_evidence import matched
+from pipeline.evaluation.records import asked_columns, overlaps
+from pipeline.evaluation.relation_cases import RelationSpec
+from pipeline.evaluation.relation_records import RelationRecords
+from pipeline.evaluation.shared_makers import Measured, measured_of
+from pipeline.evaluation.systems import OWN, AskedPairs, EvalSpec, Records, System
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Frame
+from pipeline.labels.cases import HIT, Case, FrameCases
+from pipeline.labels.reading import Labels
+from pipeline.paper.asked_pairs import ask_pairs
+from pipeline.paper.questions import GroundingConfig, ground_many
+from pipeline.proposals.base import Detector, detect_expression
+from pipeline.system.chat import ChatClient
+from pipeline.system.errors import InputError
+
+
+@dataclass(frozen=True)
+class Pointed:
+    """A box for an expression's target.
+
+    Attributes
+    ----------
+    box : (4,) float or None
+        x0, y0, x1, y1, pixels.
+    score : float or None
+    problem : str or None
+        Why there is no box.
+    """
+
+    box: np.ndarray | None
+    score: float | None = None
+    problem: str | None = None
+
+
+@dataclass(frozen=True)
+class Referring:
+    """A detector fed the whole expression, as a sentence or as a class name; its best box is the answer."""
+
+    name: str = "referring"
+    processes: bool = True
+
+    def title(self, source: Pipeline) -> str:
+        return f"{source.needed_detector().name}, whole expression"
+
+    def measured(self, source: Pipeline, relations: Sequence[str]) -> Measured:
+        return replace(measured_of(source, relations), scorer=None, network=None, rule_too=())
+
+    def kept(self, spec: EvalSpec, source: Pipeline, folder: Path, out: Path) -> tuple[EvalSpec, dict[str, Any]]:
+        return spec, {}
+
+    def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
+        detector = source.needed_detector()
+        return _pointing(source, clock, lambda frame, texts: point_by_detector(detector, frame, texts))
+
+
+def point_by_detector(detector: Detector, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
+    """Best box of a detector for each expression, in order."""
+    found = []
+    for text in texts:
+        try:
+            proposals = detect_expression(detector, frame, text)
+        except InputError as error:
+            found.append(Pointed(None, problem=str(error)))
+            continue
+        if not len(proposals):
+            found.append(Pointed(None, problem="nothing detected"))
+            continue
+        best = int(np.argmax(proposals.scores))
+        found.append(Pointed(proposals.boxes[best].astype(np.float64), float(proposals.scores[best])))
+    return found
+
+
+@dataclass(frozen=True)
+class VlmOptions:
+    """A vision-language model behind an OpenAI-compatible server.
+
+    Attributes
+    ----------
+    url, model : str
+    requests_per_minute : float or None
+    timeout_s : float
+    workers : int
+        Questions in flight at once.
+    box_scale : str or float
+        See `pipeline.evaluation.model_answers.parse_box`.
+    """
+
+    url: str
+    model: str
+    requests_per_minute: float | None = None
+    timeout_s: float = 120.0
+    workers: int = 4
+    box_scale: Any = "auto"
+
+    def client(self) -> ChatClient:
+        """Open the server; `usage` of the client counts requests and tokens."""
+        return ChatClient(
+            self.url, self.model, timeout_s=self.timeout_s, requests_per_minute=self.requests_per_minute
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Vlm:
+    """A vision-language model, asked LLaVA's questions for the box of a sentence and for the relations of a pair."""
+
+    options: VlmOptions
+    name: str = "vlm"
+    processes: bool = False
+
+    def title(self, source: Pipeline) -> str:
+        return f"VLM {self.options.model}"
+
+    def measured(self, source: Pipeline, relations: Sequence[str]) -> Measured:
+        return Measured(None, None)
+
+    def kept(self, spec: EvalSpec, source: Pipeline, folder: Path, out: Path) -> tuple[EvalSpec, dict[str, Any]]:
+        return spec, {"vlm": self.record()}
+
+    def record(self) -> dict[str, Any]:
+        return {"url": self.options.url, "model": self.options.model}
+
+    def open(self, spec: EvalSpec, source: Pipeline, labels: Labels, clock: StageClock) -> Records:
+        client = self.options.client()
+        config = GroundingConfig(box_scale=self.options.box_scale, workers=self.options.workers, keep_going=True)
+
+        def point(frame: Frame, texts: Sequence[str]) -> list[Pointed]:
+            found = ground_many(client, frame, texts, config=config)
+            return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]
+
+        return _pointing(source, clock, point)
+
+    def ask(
+        self, how: RelationSpec, dataset: Dataset, labels: Labels, records: RelationRecords, counted: np.ndarray,
+        folder: Path,
+    ) -> AskedPairs:  # fmt: skip
+        client, title = self.options.client(), f"VLM {self.options.model}"
+        return ask_pairs(client, title, self.options.workers, how, dataset, labels, records, counted, folder)
+
+
+def recorded_system(manifest: Mapping[str, Any]) -> System | None:
+    """The system of a run's `run.json`, None for the pipeline.
+
+    Raises
+    ------
+    InputError
+        A vision-language model, which is not asked again unasked.
+    """
+    name = manifest.get("system", OWN)
+    if name == "vlm":
+        raise InputError("no model is named", expected="the address of a server and a model")
+    return Referring() if name == "referring" else None
+
+
+def _pointing(source: Pipeline, clock: StageClock, point: Callable[[Frame, Sequence[str]], list[Pointed]]) -> Records:
+    """The records of a system that gives one box for an expression."""
+
+    def records(truth: FrameCases, given: PreparedFrame | None) -> list[dict[str, Any]]:
+        with clock.stage("read"):
+            frame = source.dataset.load(truth.frame) if given is None else given.frame
+        truth.check_picture(frame)
+        pointed = point(frame, [case.text for case in truth.cases])
+        return [record_whole(c, truth, p) for c, p in zip(truth.cases, pointed, strict=True)]
+
+    return records
+
+
+def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, Any]:
+    """The row of one expression, as far as a single box can be measured."""
+    box = pointed.box
+    overlap = iou_2d(np.zeros((0, 4)) if box is None else box[None], truth.boxes)
+    iou, strict, lenient = overlaps(None if box is None else 0, case, overlap)
+    row = asked_columns(case, truth) | {
+        "parse_ok": True, "problem": pointed.problem, "iou": iou, "strict_iou": strict, "set_iou": lenient,
+        "correct": iou >= HIT, "strict_correct": strict >= HIT, "set_correct": lenient >= HIT,
+    }  # fmt: skip
+    if box is not None:
+        index = int(matched(overlap, truth.alike[[case.target_object]])[0])
+        row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if index < 0 else index}
+    return row
