@@ -7,31 +7,26 @@ from __future__ import annotations
 
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
-import numpy as np
-import xxhash
-
-from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside, prepare_frame
 from pipeline.corrections.journal.effective_expressions import correct_expressions
-from pipeline.corrections.journal.effective_frame import (
-    BOX_COLUMNS,
-    EffectiveFrame,
-    FrameIndex,
-    FrameRows,
-    Pairs,
-    Row,
-    Setting,
-    Withdrawn,
-    setting_of,
+from pipeline.corrections.journal.effective_frame import EffectiveFrame, Setting, Withdrawn, setting_of
+from pipeline.corrections.journal.effective_objects import (
+    DERIVED,
+    OF_BOX,
+    correct_objects,
+    correct_pairs,
+    relate_objects,
 )
-from pipeline.corrections.journal.effective_objects import DERIVED, OF_BOX, correct_objects, correct_pairs
 from pipeline.corrections.journal.events import Event, grouped
-from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item
+from pipeline.corrections.journal.field_refs import KINDS, FieldRef, judged_item
+from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, FrameIndex, FrameRows, Pairs, Row
 from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.journal.relifting import Relift, Relifter, labelled_ups
 from pipeline.corrections.journal.replay import (
     Origin,
     Unapplied,
@@ -42,15 +37,9 @@ from pipeline.corrections.journal.replay import (
     replayed_judgement,
 )
 from pipeline.datasets import Dataset
-from pipeline.geometry.camera import UpSource
-from pipeline.geometry.lifting import LiftedObject, lift
-from pipeline.geometry.masks import decode_run_length, mask_box
-from pipeline.labels.labelling import label_objects, unusable
-from pipeline.labels.profiles import NONE, open_second_opinion
+from pipeline.labels.labelling import unusable
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
-from pipeline.proposals.annotations import box_mask
-from pipeline.relations.model import OnnxScorer
 from pipeline.system.arrow import pa
 from pipeline.system.errors import require
 
@@ -62,12 +51,6 @@ FRAMES_KEPT = 8
 """Effective frames that a corrector keeps: the one that is looked at, and those next in a queue."""
 GEOMETRY = ("bbox", "mask", "center")
 """Columns of which a correction makes another object of what the dataset annotates."""
-Relift = Callable[[FrameRows, Mapping[int, Row], Mapping[int, Any], Iterable[int]], tuple[dict[int, Row], Pairs]]
-"""Lifts and judges the objects of a frame anew, from the dataset: of its automatic rows, all standing objects, the 3D
-boxes (JSON values) that people set, and the objects whose 2D box is not to follow from their mask."""
-LabelledUp = tuple[tuple[float, ...], UpSource]
-FRAMES_LOADED = 4
-"""Frames that stay loaded: who corrects one goes on correcting it."""
 
 
 class Corrector:
@@ -100,10 +83,14 @@ class Corrector:
         """
         require(frame in self.index.of_frame, "the labels have no such frame", got=repr(frame), path=self.labels.root)
         events = journal.events(frame=frame) if isinstance(journal, Journal) else tuple(journal)
-        key = frame, tuple(e.ulid for e in events)
+        key = frame, tuple([e.ulid for e in events])
         with self._lock:
             if key not in self._kept:
-                self._kept[key] = effective_frame(self.index.rows(frame), events, self.setting, self.relifter)
+                # Of those that more events have come to since, the one with the most.
+                known = [k for k in self._kept if k[0] == frame and key[1][: len(k[1])] == k[1]]
+                before = self._kept[max(known, key=lambda k: len(k[1]))] if known else None
+                auto = self.index.rows(frame) if before is None else before.auto
+                self._kept[key] = effective_frame(auto, events, self.setting, self.relifter, before)
                 while len(self._kept) > FRAMES_KEPT:
                     self._kept.popitem(last=False)
             self._kept.move_to_end(key)
@@ -249,143 +236,82 @@ def effective_tables(
     )  # fmt: skip
 
 
-def labelled_ups(frames: pa.Table) -> dict[str, LabelledUp]:
-    """The up vectors of the table `frames`, by frame, where there is one."""
-    columns = (frames.column(name).to_pylist() for name in ("frame", "up", "up_source"))
-    return {name: (tuple(up), source or "assumed") for name, up, source in zip(*columns, strict=True) if up and any(up)}
-
-
-class Relifter:
-    """Lifts the objects of frames of one dataset; see `Relift`.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    setting : Setting
-    ups : mapping of str to (tuple of float, str)
-        The up vector (camera frame) that each frame was labelled with, and how it was known: what follows from a
-        correction is judged in the same level frame, whatever would be found now.
-    """
-
-    def __init__(self, dataset: Dataset, setting: Setting, ups: Mapping[str, LabelledUp]) -> None:
-        self.dataset, self.setting, self.ups = dataset, setting, ups
-        # The lifted objects of a frame go with it.
-        self._loaded = lru_cache(maxsize=FRAMES_LOADED)(lambda frame: (self._load(frame), dict[Any, LiftedObject]()))
-
-    def context(self, frame: str) -> PreparedFrame:
-        """A frame of the dataset, ready to lift from; raises as `Dataset.load`."""
-        return self._loaded(frame)[0]
-
-    def _load(self, frame: str) -> PreparedFrame:
-        loaded = self.dataset.load(frame)
-        if frame in self.ups:
-            up, source = self.ups[frame]
-            loaded = replace(loaded, camera=loaded.camera.with_up(np.array(up), source))
-        return prepare_frame(self.dataset, loaded, self.setting.config.lift)
-
-    @cached_property
-    def network(self) -> OnnxScorer | None:
-        """The second opinion of the labels, opened when it is first asked."""
-        name = self.setting.config.second_opinion
-        return None if name == NONE else open_second_opinion(name)
-
-    def lifted(self, frame: str, row: Row, box: Any) -> SceneObject:
-        """An object of a frame as its effective row and the 3D box that a person set have it."""
-        return self._object(self.context(frame), row, box, human_bbox=True)
-
-    def __call__(
-        self, auto: FrameRows, rows: Mapping[int, Row], boxes: Mapping[int, Any], human_bbox: Iterable[int]
-    ) -> tuple[dict[int, Row], Pairs]:
-        context = self.context(auto.frame)
-        numbers, kept = sorted(rows), set(human_bbox)
-        objects = [self._object(context, rows[n], boxes.get(n), n in kept) for n in numbers]
-        labels = label_objects(
-            context,
-            objects,
-            self.setting.config,
-            frame_index=auto.index,
-            scene=auto.row["scene"],
-            exact=self.setting.exact,
-            network=self.network,
-            numbers=numbers,
-        )
-        columns = labels.objects
-        found = {n: {name: values[k] for name, values in columns.items()} for k, n in enumerate(numbers)}
-        return found, Pairs.of_columns(numbers, labels.relations)
-
-    def _object(self, context: PreparedFrame, row: Row, box: Any, human_bbox: bool) -> SceneObject:
-        """An object as its row and corrections have it: its mask, else the pixels in its 3D box, else its 2D box."""
-        frame, source = context.frame, row["mask_source"]
-        bbox = np.array(row["bbox"], np.float32)
-        if row["mask"] is not None and source != "box":
-            mask = decode_run_length((frame.height, frame.width), row["mask"], f"object {row['object']}")
-        else:
-            mask = box_mask(bbox, frame.height, frame.width)
-            if source == "box3d" and box is not None:
-                within = pixels_inside(box_of(box), mask, frame)
-                mask, source = (within, "box3d") if within.any() else (mask, "box")
-        lifted = self._lift(context, mask, source)
-        if box is not None:
-            lifted = lifted.moved_to(box_of(box), context.viewer)
-        if source == "human" and not human_bbox and mask.any():
-            bbox = np.array(mask_box(mask), np.float32)
-        return SceneObject(row["object"], row["label"], row["score"], bbox, mask, lifted)
-
-    def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:
-        known = self._loaded(context.frame.id)[1]
-        key = xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
-        if key not in known:
-            (known[key],) = lift(
-                context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
-                mask_source=source, edges=context.edges,
-            )  # fmt: skip
-        return known[key]
-
-
 def effective_frame(
-    auto: FrameRows, events: Iterable[Event], setting: Setting, relift: Relift | None = None
+    auto: FrameRows,
+    events: Sequence[Event],
+    setting: Setting,
+    relift: Relift | None = None,
+    known: EffectiveFrame | None = None,
 ) -> EffectiveFrame:
     """Apply the events of a frame to its automatic labels.
 
     Parameters
     ----------
     auto : FrameRows
-    events : iterable of Event
+    events : sequence of Event
         Of this frame, in the order of their saving.
     setting : Setting
     relift : Relift, optional
         Without it, what follows from new pixels or boxes is marked stale.
+    known : EffectiveFrame, optional
+        The frame after the first of these events: only what the others change is made anew.
 
     Raises
     ------
     InputError
         The dataset was asked for, and the frame cannot be loaded.
     """
-    events = tuple(events)
-    refs = by_ref(events)
-    frame = EffectiveFrame(auto, setting, auto.pairs, events[-1].id if events else 0)
-    correct_objects(frame, refs)
-    relifted = _lift(frame, relift)
-    _rename(frame)
-    correct_pairs(frame, refs, relifted)
-    cause = max((e for e in events if e.ref in frame.versions), key=lambda e: e.id, default=None)
-    correct_expressions(frame, refs, cause)
-    known = {n: row["bbox"] for n, row in auto.objects.items()}
-    for ref, members in refs.items():
-        if ref.kind == "review":
+    frame = EffectiveFrame.untouched(auto, setting) if known is None else known.successor()
+    came: dict[str, set[Any]] = {kind: set() for kind in KINDS}
+    for ref, members in by_ref(events if known is None else events[known.count :]).items():
+        entity = ref.kind, _entity(ref)
+        came[ref.kind].add(entity[1])
+        before = frame.said.get(entity, {})
+        frame.said[entity] = {**before, ref: sorted([*before.get(ref, ()), *members], key=attrgetter("version"))}
+        if ref.kind in ("object", "relation"):
+            newest = max(members, key=attrgetter("id"))
+            frame.cause = newest if frame.cause is None or newest.id > frame.cause.id else frame.cause
+    frame.last, frame.count = events[-1].id if events else 0, len(events)
+    if known is None or came["object"]:
+        # Of another geometry, everything else of the objects may follow.
+        touched = [key for kind, key in frame.said if kind == "object"] if frame.geometry else came["object"]
+        correct_objects(frame, touched)
+        relifted = _lift(frame, relift)
+        _rename(frame, touched)
+        before = frame.moved
+        relate_objects(frame, relifted)
+        correct_pairs(frame, came["relation"], None if known is None or before or frame.moved else touched)
+    elif came["relation"]:
+        correct_pairs(frame, came["relation"], ())
+    if known is None or came["object"] or came["relation"] or came["expression"]:
+        correct_expressions(frame, known, came["expression"], bool(came["object"]))
+    boxes = {n: row["bbox"] for n, row in auto.objects.items()}
+    there = frame.objects.keys() | frame.left_out.keys()
+    if (
+        known is None
+        or there != known.objects.keys() | known.left_out.keys()
+        or (frame.outcomes.keys() != known.outcomes.keys())
+    ):
+        came["review"] = {key for kind, key in frame.said if kind == "review"}
+    for entity in frame.said if known is None else [(k, e) for k in ("review", "frame") for e in came[k]]:
+        for ref, members in frame.said[entity].items() if entity[0] in ("review", "frame") else ():
             # A judgement is of labels, and never one itself: nothing follows from it.
-            after = replayed_judgement(ref, members, known, {*frame.objects, *frame.left_out}, frame.sentences)
-        elif ref.kind == "frame":
             after = replay(None, members)
-        else:
-            continue
-        if frame.note(members, after).value is not None:
-            frame.statuses[ref] = after.value
-            if ref.kind == "frame" and after.event is not None:
-                frame.put("frames", "", ref.field, Origin.of("human", after.event))
+            if ref.kind == "review":
+                after = replayed_judgement(ref, members, boxes, there, frame.outcomes)
+            frame.origins.pop(("frames", "", ref.field), None)
+            if frame.note(members, after).value is not None:
+                frame.statuses[ref] = after.value
+                if ref.kind == "frame" and after.event is not None:
+                    frame.put("frames", "", ref.field, Origin.of("human", after.event))
     frame.row = {**auto.row, "objects": len(frame.objects)}
-    frame.unapplied = tuple(sorted(frame.unapplied, key=lambda u: u.event.id))
     return frame
+
+
+def _entity(ref: FieldRef) -> Any:
+    """As `EffectiveFrame.said` has it."""
+    numbers = () if ref.kind == "review" else ref.numbers
+    return ref.key if not numbers else numbers[0] if len(numbers) == 1 else tuple(sorted(numbers))
 
 
 def _lift(frame: EffectiveFrame, relift: Relift | None) -> Pairs | None:
@@ -421,11 +347,11 @@ def _lift(frame: EffectiveFrame, relift: Relift | None) -> Pairs | None:
     return relifted
 
 
-def _rename(frame: EffectiveFrame) -> None:
-    """Background classes are not asked for; what was one may be."""
+def _rename(frame: EffectiveFrame, numbers: Collection[int]) -> None:
+    """Background classes are not asked for; what was one of these objects may be."""
     for number, event in frame.renamed.items():
         row = frame.objects.get(number)
-        if row is None or row["reason"] == "not lifted yet":
+        if number not in numbers or row is None or row["reason"] == "not lifted yet":
             continue
         config = frame.setting.config
         reason = unusable(config, row["label"], row["mask_pixels"], row["points"], row["fallback"])

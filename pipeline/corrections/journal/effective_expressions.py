@@ -3,89 +3,126 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
-from pipeline.corrections.journal.effective_frame import (
-    EffectiveFrame,
-    Pairs,
-    Row,
-    Withdrawn,
-)
-from pipeline.corrections.journal.events import Event, grouped
+from pipeline.corrections.journal.effective_frame import EffectiveFrame, Withdrawn
+from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.replay import (
-    Origin,
-    all_gone,
-    replay,
-)
+from pipeline.corrections.journal.frame_rows import Answered, Asked, Row
+from pipeline.corrections.journal.replay import Origin, all_gone, replay
 from pipeline.labels.wording import expression_text
-from pipeline.language.noun_phrase import alone, same_names
+from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.pair_measures import T, U
 from pipeline.system.errors import InputError
 
+_alone = lru_cache(maxsize=64)(alone)
+_text = lru_cache(maxsize=4_096)(expression_text)
+"""Names and sentences of a frame come again with every object that is corrected in it."""
 SETS = ("targets", "acceptable", "ambiguous")
 OPEN_FIELDS = ("text", *SETS)
 """The columns that a person may set."""
 
 
-class Answers:
-    """What is true of the objects of a frame, by class: see `labels.expressions.candidate_expressions`.
+def correct_expressions(frame: EffectiveFrame, known: EffectiveFrame | None, said: Collection[str], anew: bool) -> None:
+    """Apply corrections of expressions, and let the others follow from objects and relations, which are corrected.
 
     Parameters
     ----------
-    pairs : Pairs
-    labels : mapping of int to str
-        Class names by number.
+    known : EffectiveFrame, optional
+        The one before, of which `frame` has the expressions; None where it has the automatic ones.
+    said : collection of str
+        Expressions of which something new was said.
+    anew : bool
+        Objects are not those of the one before.
     """
-
-    def __init__(self, pairs: Pairs, labels: Mapping[int, str]) -> None:
-        self.pairs = pairs
-        self.same = same_names([labels[int(n)] for n in pairs.numbers])
-        self._satisfied: dict[tuple[str, int], np.ndarray] = {}
-
-    def sets(self, target: int, relation: str, reference: int) -> tuple[list[int], list[int]] | None:
-        """Numbers of the objects that an expression is true of beyond doubt, and with doubt; None where either of its
-        own objects takes part in no relation."""
-        i, j = self.pairs.index_of(target), self.pairs.index_of(reference)
-        if i is None or j is None:
-            return None
-        k, kinds = PAIRWISE.index(relation), self.same.astype(np.int32)
-        for least in (T, U):
-            if (relation, least) not in self._satisfied:
-                state = np.where(self.pairs.present, self.pairs.states[..., k], -1)
-                self._satisfied[relation, least] = (state >= least).astype(np.int32) @ kinds > 0
-        strict, likely = (self.same[i] & self._satisfied[relation, least][:, j] for least in (T, U))
-        return self.pairs.numbers[strict].tolist(), self.pairs.numbers[likely].tolist()
-
-
-def correct_expressions(frame: EffectiveFrame, refs: Mapping[FieldRef, Sequence[Event]], cause: Event | None) -> None:
-    """Apply corrections of expressions, and let the others follow from objects and relations, which are corrected.
-
-    `cause` is the newest correction of an object or a relation, from which answers are recomputed; None where none is.
-    """
-    auto, background = frame.auto, frame.setting.config.is_background
-    by_id = grouped((ref for ref in refs if ref.kind == "expression"), lambda ref: ref.key)
-    followed = None
-    if cause is not None and (frame.related_anew or frame.renamed or frame.left_out):
-        now = Answers(frame.pairs, {n: r["label"] for n, r in frame.objects.items()})
-        related = (n for n, r in auto.objects.items() if not background(r["label"]))
-        before = Answers(auto.pairs.of_objects(related), {n: r["label"] for n, r in auto.objects.items()})
-        followed = before, now, cause
-    for name, row in auto.expressions.items():
-        if followed is None and name not in by_id:
-            frame.expressions[name] = row
+    said_of = {key for kind, key in frame.said if kind == "expression"}
+    frame.answered = _answered(frame)
+    now, before = frame.answered, None if known is None else known.answered
+    wanted = {*said}
+    if known is None or anew or now is None or before is None:
+        wanted |= {*(said_of if known is None or anew else ()), *_changed(frame, now), *_changed(frame, before)}
+    elif now is not before:
+        same_margin = (now.margins == before.margins) | (np.isnan(now.margins) & np.isnan(before.margins))
+        other = now.differs(before) | ~same_margin | (now.holds != before.holds)
+        wanted |= {*_changed(frame, now, other), *_changed(frame, before, other)}
+    if known is not None and frame.pairs is not known.pairs:
+        # What a person added takes its margin from the pair.
+        wanted |= said_of - frame.auto.expressions.keys()
+    causes = frame.caused
+    if frame.cause is not None and (known is None or frame.cause is not known.cause):
+        frame.caused = Origin.of("recomputed", frame.cause), Origin.of("stale", frame.cause)
+        if causes is not None:
+            _name_cause(frame, causes, [name for name in _changed(frame, now) if name not in wanted])
+    frame.forget("expressions", wanted)
+    order = frame.asked.index if frame.asked is not None else {n: k for k, n in enumerate(frame.auto.expressions)}
+    for name in sorted(wanted, key=lambda n: (order.get(n, len(order)), n)):
+        frame.marks.pop(name, None)
+        fields = {ref.field: events for ref, events in frame.said.get(("expression", name), {}).items()}
+        row = frame.auto.expressions.get(name)
+        if row is None:
+            _add(frame, name, fields)
         else:
-            _correct(frame, dict(row), {ref.field: refs[ref] for ref in by_id.get(name, ())}, followed)
-    for name in sorted(by_id.keys() - auto.expressions.keys()):
-        _add(frame, name, {ref.field: refs[ref] for ref in by_id[name]})
+            at = None if now is None or not now.changed[order[name]] else order[name]
+            _correct(frame, row if at is None and not fields else dict(row), fields, at)
+    if not frame.outcomes.keys() <= frame.auto.expressions.keys():
+        added = sorted(frame.outcomes.keys() - frame.auto.expressions.keys())
+        frame.outcomes = {name: frame.outcomes[name] for name in (*frame.auto.expressions, *added)}
+    frame.expressions = {name: found for name, found in frame.outcomes.items() if found.__class__ is dict}  # pyright: ignore
+    frame.withdrawn = tuple([found for found in frame.outcomes.values() if found.__class__ is Withdrawn])  # pyright: ignore
 
 
-def _add(frame: EffectiveFrame, name: str, fields: dict[str, Sequence[Event]]) -> None:
+def _answered(frame: EffectiveFrame) -> Answered | None:
+    """What the pairs say now; None where nothing follows from them that the labels do not say."""
+    auto, pairs, background = frame.auto, frame.pairs, frame.setting.config.is_background
+    if frame.asked is None:
+        frame.asked = Asked(auto, [n for n, row in auto.objects.items() if not background(row["label"])])
+    anew = (
+        pairs.numbers.tolist() != sorted(auto.objects)
+        or bool(np.isin(pairs.numbers, list(frame.moved)).any())
+        or bool((pairs.states != frame.related.states).any())
+    )
+    if frame.cause is None or not (anew or frame.renamed or frame.left_out):
+        return None
+    asked = frame.asked
+    rows = [frame.objects[n] for n in pairs.numbers.tolist()]
+    now = Answered.of(asked, pairs, tuple([row["label"] for row in rows]))
+    usable = np.array([row["usable"] for row in rows], np.bool_) | frame.stale
+    unusable = np.isin(asked.ends, pairs.numbers[~usable]).any(axis=1)
+    margins = np.isfinite(now.margins) & ~np.isclose(now.margins, asked.margins, atol=1e-6)
+    stale = (now.kin & frame.stale).any(axis=1)
+    renamed = np.isin(asked.ends, list(frame.renamed)).any(axis=1)
+    changed = ~now.related | now.differs(asked.before) | margins | stale | renamed | ~now.holds | unusable
+    return replace(now, changed=changed)
+
+
+def _changed(frame: EffectiveFrame, answered: Answered | None, among: np.ndarray | bool = True) -> list[str]:
+    """The expressions that something may follow for."""
+    if answered is None or frame.asked is None:
+        return []
+    ids = frame.asked.ids
+    return [ids[at] for at in np.flatnonzero(answered.changed & among).tolist()]
+
+
+def _name_cause(frame: EffectiveFrame, before: tuple[Origin, Origin], names: Collection[str]) -> None:
+    """What was recomputed for these, or is stale, is so from the newest correction."""
+    assert frame.caused is not None
+    for name in names:
+        for column in (*SETS, "margin"):
+            at = "expressions", name, column
+            if at in frame.origins:
+                origin, was = frame.origins[at]
+                if origin is before[0] or origin is before[1]:
+                    frame.origins[at] = frame.caused[origin is before[1]], was
+
+
+def _add(frame: EffectiveFrame, name: str, fields: dict[str, list[Event]]) -> None:
     """An expression that a person added, with what was said of it since."""
-    seeds = fields.pop("exists", ())
+    seeds = fields.pop("exists", [])
     seed = frame.note(seeds, replay(None, seeds)) if seeds else None
+    frame.outcomes.pop(name, None)
     if seed is None or seed.value is None or seed.event is None:
         for events in fields.values():
             frame.note(events, all_gone(None, events, "there is no such expression any more"))
@@ -108,12 +145,13 @@ def _correct(
     frame: EffectiveFrame,
     row: Row,
     fields: Mapping[str, Sequence[Event]],
-    followed: tuple[Answers, Answers, Event] | None,
+    at: int | None,
     reason: str | None = None,
     human: Collection[str] = (),
 ) -> None:
+    """Keep an expression as people and, where `at` is its place among those asked, the pairs have it."""
     name, was, human = row["id"], dict(row), set(human)
-    reason = reason if followed is None else _follow(frame, row, *followed)
+    reason = reason if at is None else _follow(frame, row, at)
     for column in sorted(fields):
         events, is_open = fields[column], column in OPEN_FIELDS
         trusted = is_open and row[column] != was[column]
@@ -139,41 +177,43 @@ def _correct(
             reason = "it has no answer"
     if frame.statuses.get(FieldRef("expression", frame.frame, name, "status")) == "rejected":
         reason = "rejected"
-    if reason is None:
-        frame.expressions[name] = row
-    else:
-        frame.withdrawn += (Withdrawn(frame.frame, name, row["text"], reason, row),)
+    frame.outcomes[name] = row if reason is None else Withdrawn(frame.frame, name, row["text"], reason, row)
 
 
-def _follow(frame: EffectiveFrame, row: Row, before: Answers, now: Answers, cause: Event) -> str | None:
+def _follow(frame: EffectiveFrame, row: Row, at: int) -> str | None:
     """Bring an expression's names, answers and margin up to date; the reason where it can no longer be said."""
-    a, b, relation = row["target_object"], row["reference_object"], row["relation"]
-    for number in (a, b):
+    now, ends = frame.answered, (row["target_object"], row["reference_object"])
+    assert now is not None
+    assert frame.asked is not None
+    assert frame.caused is not None
+    for number in ends:
         if number not in frame.objects:
             return f"object {number} was left out" if number in frame.left_out else f"object {number} is gone"
     problem = _reword(frame, row)
     if problem is not None:
         return problem
-    name, pairs, sets = row["id"], frame.pairs, now.sets(a, relation, b)
-    i, j, k = pairs.index_of(a), pairs.index_of(b), PAIRWISE.index(relation)
-    if sets is None or i is None or j is None:
+    if not now.related[at]:
         return "one of its objects takes part in no relation now"
+    name, numbers, before = row["id"], now.numbers, frame.asked.before
+    recomputed, outdated = frame.caused
+    sure, likely = (numbers[found].tolist() for found in now.sets[at])
+    was = [before.numbers[found].tolist() for found in before.sets[at]] if before.related[at] else None
     after: Row = {}
-    if sets != before.sets(a, relation, b):
-        after = {"targets": sets[0], "acceptable": sets[1], "ambiguous": len(sets[1]) > 1}
-    margin = float(pairs.margins[i, j, k])
-    if np.isfinite(margin) and (row["margin"] is None or not np.isclose(margin, row["margin"], atol=1e-6)):
+    if [sure, likely] != was:
+        after = {"targets": sure, "acceptable": likely, "ambiguous": len(likely) > 1}
+    margin = float(now.margins[at])
+    if np.isfinite(margin) and not np.isclose(margin, frame.asked.margins[at], atol=1e-6):
         after["margin"] = margin
     for column in [c for c in after if row[c] != after[c]]:
-        frame.put("expressions", name, column, Origin.of("recomputed", cause), row[column])
+        frame.put("expressions", name, column, recomputed, row[column])
         row[column] = after[column]
-    if ((now.same[i] | now.same[j]) & frame.stale).any():
+    if (now.kin[at] & frame.stale).any():
         for column in SETS:
-            frame.put("expressions", name, column, Origin.of("stale", cause), row[column])
-    if not pairs.present[i, j] or pairs.states[i, j, k] != T:
+            frame.put("expressions", name, column, outdated, row[column])
+    if not now.holds[at]:
         return "it is no longer true of its own objects"
-    for number, at in ((a, i), (b, j)):
-        if not frame.objects[number]["usable"] and not frame.stale[at]:
+    for number in ends:
+        if not frame.objects[number]["usable"] and not frame.stale[frame.pairs.index_of(number)]:
             return f"object {number} may not be asked for: {frame.objects[number]['reason']}"
     return None
 
@@ -185,14 +225,13 @@ def _reword(frame: EffectiveFrame, row: Row) -> str | None:
     events = [frame.renamed[n] for n in ends if n in frame.renamed]
     if not events or all(row[role] == label for role, label in labels.items()):
         return None
-    setting = frame.setting
+    names = tuple(sorted({*frame.setting.class_names, *labels.values()}))
+    single = _alone(tuple([r["label"] for r in frame.objects.values()]))
+    of_setting = {"style": frame.setting.config.style, "class_names": names}
+    several = tuple([not single[list(frame.objects).index(n)] for n in ends])
+    spoken = labels["target"], row["relation"], labels["reference"], int(row["id"], 16)
     try:
-        names = tuple(sorted({*setting.class_names, *labels.values()}))
-        single = dict(zip(frame.objects, alone([r["label"] for r in frame.objects.values()]).tolist(), strict=True))
-        text = expression_text(
-            labels["target"], row["relation"], labels["reference"], int(row["id"], 16), style=setting.config.style,
-            class_names=names, several=(not single[ends[0]], not single[ends[1]]),
-        )  # fmt: skip
+        text = _text(*spoken, **of_setting, several=several)
     except (InputError, ValueError):
         return "no sentence can carry the new class names"
     origin = Origin.of("recomputed", max(events, key=lambda e: e.id))

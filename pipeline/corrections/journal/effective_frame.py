@@ -1,29 +1,28 @@
-"""A frame's labels laid out to be corrected, the automatic and the effective ones: rows, and pairs as matrices."""
+"""Effective labels of a frame, and of each value where it comes from."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from collections.abc import Collection, Sequence
+from copy import copy
+from dataclasses import dataclass, field, fields
+from itertools import chain
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
+from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, Answered, Asked, FrameRows, Pairs, Row
 from pipeline.corrections.journal.replay import ORIGIN_FIELDS, Origin, Replayed, Unapplied
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check.relations import MIRRORED_PROFILES
 from pipeline.labels.plan import LabelConfig
-from pipeline.labels.reading import Labels, build_table, table_of_rows
+from pipeline.labels.reading import Labels, table_of_rows
 from pipeline.language.relation_names import MIRRORED, PAIRWISE
-from pipeline.relations.pair_measures import NOT_JUDGED
 from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
-
-Row = dict[str, Any]
-BOX_COLUMNS = ("center", "R", "size")
 
 
 @dataclass(frozen=True)
@@ -47,9 +46,9 @@ class Withdrawn:
 
 @dataclass(eq=False)
 class EffectiveFrame:
-    """What is known of a frame now, and of each value where it comes from.
+    """A frame's labels now, and of each value where it comes from.
 
-    `effective.effective_frame` makes it; nothing changes it after that.
+    `effective.effective_frame` makes it, of the one before where there is one; nothing changes it after that.
 
     Attributes
     ----------
@@ -58,24 +57,23 @@ class EffectiveFrame:
     pairs : Pairs
         Of the objects that stand and take part in relations.
     last : int
-        `id` of the newest event that is in it.
+        `id` of the newest event that is in it; `count` is how many are.
     row : dict
         Of the table `frames`.
-    objects : dict of int to dict
-        Those that stand.
-    left_out : dict of int to dict
-        Rejected ones: they can be brought back.
-    expressions : dict of str to dict
-        Those that stand, by id.
-    withdrawn : tuple of Withdrawn
+    objects, left_out : dict of int to dict
+        Those that stand, and rejected ones, which can be brought back.
+    outcomes : dict of str to dict or Withdrawn
+        Every expression by id.
     marks : dict of str to str
         BAD_LABEL or BAD_BOX by the id of the expression, whether it stands or not.
     versions : dict of FieldRef to int
         Of the cells that have events.
     statuses : dict of FieldRef to JSON value
-    unapplied : tuple of Unapplied
     origins : dict of (table, key, column) to (Origin, value that the labels had)
         Of values that are not the labeller's.
+    said : dict of (kind, entity) to dict of FieldRef to list of Event
+        The events of each entity: an object by its number, the relations of two objects by both, ascending.
+    ignored : dict of FieldRef to tuple of Unapplied
     geometry : dict of int to Event
         Objects whose pixels or box a person set, and the newest such event.
     boxes : dict of int to JSON value
@@ -84,42 +82,83 @@ class EffectiveFrame:
         Objects whose 2D box a person set.
     renamed : dict of int to Event
         Objects with another class.
+    moved : dict of int to Event
+        Objects whose relations do not follow from the automatic ones.
+    labelled, related : Pairs
+        As `pairs`: by the automatic labels, and by what follows from `moved`, before any word on a relation.
     stale : (N,) bool
         Objects of `pairs` whose relations do not follow from their geometry yet.
-    related_anew : bool
-        Anything of `pairs` differs from the automatic labels.
+    cause : Event or None
+        The newest correction of an object or a relation.
+    answered : Answered or None
+        By the pairs; None where nothing follows for expressions.
     """
 
     auto: FrameRows
     setting: Setting
     pairs: Pairs
+    labelled: Pairs
+    related: Pairs
     last: int = 0
+    count: int = 0
     row: Row = field(default_factory=dict)
     objects: dict[int, Row] = field(default_factory=dict)
     left_out: dict[int, Row] = field(default_factory=dict)
+    outcomes: dict[str, Row | Withdrawn] = field(default_factory=dict)
     expressions: dict[str, Row] = field(default_factory=dict)
     withdrawn: tuple[Withdrawn, ...] = ()
     marks: dict[str, str] = field(default_factory=dict)
     versions: dict[FieldRef, int] = field(default_factory=dict)
     statuses: dict[FieldRef, Any] = field(default_factory=dict)
-    unapplied: tuple[Unapplied, ...] = ()
     origins: dict[tuple[str, str, str], tuple[Origin, Any]] = field(default_factory=dict)
+    said: dict[tuple[str, Any], dict[FieldRef, list[Event]]] = field(default_factory=dict)
+    ignored: dict[FieldRef, tuple[Unapplied, ...]] = field(default_factory=dict)
     geometry: dict[int, Event] = field(default_factory=dict)
     boxes: dict[int, Any] = field(default_factory=dict)
     human_bbox: set[int] = field(default_factory=set)
     renamed: dict[int, Event] = field(default_factory=dict)
+    moved: dict[int, Event] = field(default_factory=dict)
     stale: np.ndarray = field(default_factory=lambda: np.zeros(0, np.bool_))
-    related_anew: bool = False
+    cause: Event | None = None
+    caused: tuple[Origin, Origin] | None = None
+    asked: Asked | None = None
+    answered: Answered | None = None
+
+    @classmethod
+    def untouched(cls, auto: FrameRows, setting: Setting) -> EffectiveFrame:
+        """The automatic labels of a frame."""
+        background = setting.config.is_background
+        pairs = auto.pairs.of_objects(n for n, row in auto.objects.items() if not background(row["label"]))
+        found = cls(auto, setting, pairs, pairs, pairs, objects=dict(sorted(auto.objects.items())))
+        found.outcomes |= auto.expressions
+        found.stale = np.zeros(len(pairs.numbers), np.bool_)
+        return found
+
+    def successor(self) -> EffectiveFrame:
+        """A copy that may be changed; rows, events and matrices are shared."""
+        found = copy(self)
+        vars(found).update({n: v.copy() for n, v in vars(self).items() if isinstance(v, (dict, set))})
+        return found
+
+    @property
+    def unapplied(self) -> tuple[Unapplied, ...]:
+        """Events that say nothing of these labels, in the order of their saving."""
+        return tuple(sorted(chain.from_iterable(self.ignored.values()), key=attrgetter("event.id")))
 
     def note(self, events: Sequence[Event], replayed: Replayed) -> Replayed:
         """Keep the version of the cell of these events and what does not apply to it; the same is returned."""
-        self.versions[events[0].ref] = replayed.version
-        self.unapplied += replayed.unapplied
+        ref = events[0].ref
+        self.versions[ref], self.ignored[ref] = replayed.version, replayed.unapplied
+        self.statuses.pop(ref, None)
         return replayed
 
     def put(self, table: str, key: str, column: str, origin: Origin, was: Any = None) -> None:
         """Note where a value comes from, and what it was; the last word on a value counts."""
         self.origins[table, key, column] = origin, was
+
+    def forget(self, table: str, keys: Collection[str]) -> None:
+        """Take back what was put of these entities."""
+        self.origins = {at: found for at, found in self.origins.items() if at[0] != table or at[1] not in keys}
 
     def noted(self, table: str, key: str, column: str) -> Origin | None:
         """Where a value comes from; None where it is the labeller's."""
@@ -173,16 +212,13 @@ class EffectiveFrame:
 
     def expression(self, name: str) -> Row | None:
         """The row of an expression as it is now, also of one that was left out; None where there never was one."""
-        return (
-            self.expressions.get(name)
-            or next((w.row for w in self.withdrawn if w.id == name), None)
-            or self.auto.expressions.get(name)
-        )
+        found = self.outcomes.get(name)
+        return found.row if isinstance(found, Withdrawn) else found
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """The ids of all expressions, also of those that people added and of those that were left out."""
-        return tuple(dict.fromkeys((*self.auto.expressions, *self.expressions, *(w.id for w in self.withdrawn))))
+        return tuple(self.outcomes)
 
     def version(self, ref: FieldRef) -> int:
         """How many events a cell has: what an edit of it is based on."""
@@ -209,182 +245,6 @@ def object_value(row: Row, name: str) -> Any:
     if name == "box":
         return None if row["center"] is None else {column: row[column] for column in BOX_COLUMNS}
     return None if name in ("status", "exists") else row[name]
-
-
-MATRICES = ("present", "states", "margins", "distance", "doubted")
-
-
-@dataclass(frozen=True)
-class Pairs:
-    """All ordered pairs of N objects.
-
-    Attributes
-    ----------
-    numbers : (N,) int64
-        The objects' numbers, ascending.
-    present : (N, N) bool
-        Pairs that have a row.
-    states : (N, N, 9) int8
-        In the order of PAIRWISE; NOT_JUDGED where there is none.
-    margins : (N, N, 9) float64
-        Metres; NaN where there is none.
-    distance : (N, N) float64
-        Metres; NaN where there is none.
-    doubted : (N, N) int32
-    """
-
-    numbers: np.ndarray
-    present: np.ndarray
-    states: np.ndarray
-    margins: np.ndarray
-    distance: np.ndarray
-    doubted: np.ndarray
-
-    @classmethod
-    def empty(cls, numbers: Iterable[int]) -> Pairs:
-        """Pairs of these objects, none of which has a row."""
-        ids = np.array(sorted(numbers), np.int64)
-        n, r = len(ids), len(PAIRWISE)
-        return cls(
-            ids, np.zeros((n, n), np.bool_), np.full((n, n, r), NOT_JUDGED, np.int8), np.full((n, n, r), np.nan),
-            np.full((n, n), np.nan), np.zeros((n, n), np.int32),
-        )  # fmt: skip
-
-    @classmethod
-    def of_columns(cls, numbers: Iterable[int], columns: Mapping[str, Any]) -> Pairs:
-        """From columns of the table `relations`; rows of objects that are not among `numbers` are left out."""
-        found = cls.empty(numbers)
-        a, b = (np.asarray(columns[end], np.int64) for end in ("a", "b"))
-        known = np.isin(a, found.numbers) & np.isin(b, found.numbers)
-        i, j = np.searchsorted(found.numbers, a[known]), np.searchsorted(found.numbers, b[known])
-        found.present[i, j] = True
-        for k, relation in enumerate(PAIRWISE):
-            found.states[i, j, k] = filled(columns.get(relation), len(a), NOT_JUDGED)[known]
-            found.margins[i, j, k] = filled(columns.get(f"{relation}_margin"), len(a), np.nan)[known]
-        found.distance[i, j] = filled(columns["distance"], len(a), np.nan)[known]
-        found.doubted[i, j] = filled(columns["doubted"], len(a), 0)[known]
-        return found
-
-    def of_objects(self, numbers: Iterable[int]) -> Pairs:
-        """The same for other objects: pairs of those that are new have no row yet."""
-        found = Pairs.empty(numbers)
-        kept = np.isin(found.numbers, self.numbers)
-        to, at = np.flatnonzero(kept), np.searchsorted(self.numbers, found.numbers[kept])
-        for name in MATRICES:
-            getattr(found, name)[np.ix_(to, to)] = getattr(self, name)[np.ix_(at, at)]
-        return found
-
-    def copy(self) -> Pairs:
-        """One whose matrices may be written to."""
-        return replace(self, **{name: getattr(self, name).copy() for name in MATRICES})
-
-    def index_of(self, number: int | None) -> int | None:
-        """Where an object is among the pairs; None where it, or an object at all, is none of them."""
-        return None if number is None else self._index_by_number.get(number)
-
-    @cached_property
-    def _index_by_number(self) -> dict[int, int]:
-        return {number: at for at, number in enumerate(self.numbers.tolist())}
-
-    def state(self, a: int, b: int | None, relation: str) -> int | None:
-        """The state of a relation by the objects' numbers; None where it has none."""
-        i, j = self.index_of(a), self.index_of(b)
-        if i is None or j is None or not self.present[i, j]:
-            return None
-        found = int(self.states[i, j, PAIRWISE.index(relation)])
-        return None if found == NOT_JUDGED else found
-
-    def table(self, frame: str, frame_index: int, relations: Sequence[str]) -> pa.Table:
-        """As rows of the table `relations`, in canonical order."""
-        a, b = np.nonzero(self.present)
-        columns: dict[str, Any] = {
-            "frame": [frame] * len(a),
-            "frame_index": np.full(len(a), frame_index, np.int32),
-            "a": self.numbers[a].astype(np.int32),
-            "b": self.numbers[b].astype(np.int32),
-            "distance": self.distance[a, b].astype(np.float32),
-            "doubted": self.doubted[a, b],
-        }
-        for k, relation in enumerate(PAIRWISE):
-            if relation in relations:
-                states = self.states[a, b, k]
-                columns[relation] = [None if s == NOT_JUDGED else s for s in states.tolist()]
-                columns[f"{relation}_margin"] = self.margins[a, b, k].astype(np.float32)
-        return build_table("relations", columns)
-
-
-def filled(values: Any, length: int, empty: float) -> np.ndarray:
-    """A column as an array, with `empty` where it is null."""
-    if values is None:
-        return np.full(length, empty)
-    return (
-        values
-        if isinstance(values, np.ndarray) and values.dtype != object
-        else np.array([empty if v is None else v for v in values], np.float64)
-    )
-
-
-@dataclass(frozen=True)
-class FrameRows:
-    """The automatic labels of a frame.
-
-    Attributes
-    ----------
-    row : dict
-        Of the table `frames`.
-    objects, expressions : dict of int or str to dict
-        Rows by number, and by id, in canonical order.
-    pairs : Pairs
-    """
-
-    row: dict[str, Any]
-    objects: dict[int, dict[str, Any]]
-    expressions: dict[str, dict[str, Any]]
-    pairs: Pairs
-
-    @property
-    def frame(self) -> str:
-        return self.row["frame"]
-
-    @property
-    def index(self) -> int:
-        return self.row["frame_index"]
-
-
-class FrameIndex:
-    """Where the rows of each frame lie in the tables: rows of a frame are next to one another.
-
-    Parameters
-    ----------
-    tables : mapping of str to pyarrow.Table
-        The four tables of labels, in canonical order.
-    """
-
-    def __init__(self, tables: Mapping[str, pa.Table]) -> None:
-        self.tables = tables
-        self._index = {name: table.column("frame_index").to_numpy() for name, table in tables.items()}
-        names = tables["frames"].column("frame").to_pylist()
-        self.of_frame = dict(zip(names, self._index["frames"].tolist(), strict=True))
-        self.name_of = {index: name for name, index in self.of_frame.items()}
-
-    def span(self, table: str, index: int) -> tuple[int, int]:
-        """First row of a frame, and the one after its last."""
-        first, stop = np.searchsorted(self._index[table], [index, index + 1])
-        return int(first), int(stop)
-
-    def rows(self, frame: str) -> FrameRows:
-        """The labels of a frame that there is."""
-        spans = {name: self.span(name, self.of_frame[frame]) for name in self.tables}
-        tables = {n: t.slice(spans[n][0], spans[n][1] - spans[n][0]) for n, t in self.tables.items()}
-        (row,) = tables["frames"].to_pylist()
-        objects = {r["object"]: r for r in tables["objects"].to_pylist()}
-        expressions = {r["id"]: r for r in tables["expressions"].to_pylist()}
-        relations = tables["relations"].drop_columns(["frame", "frame_index"])
-        columns = {
-            name: column.to_pylist() if column.null_count else column.to_numpy()
-            for name, column in zip(relations.column_names, relations.columns, strict=True)
-        }
-        return FrameRows(row, objects, expressions, Pairs.of_columns(objects, columns))
 
 
 @dataclass(frozen=True)

@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.effective_frame import (
-    BOX_COLUMNS,
-    MATRICES,
-    EffectiveFrame,
-    FrameRows,
-    Pairs,
-    Row,
-    Setting,
-    object_value,
-)
-from pipeline.corrections.journal.events import Event, grouped
+from pipeline.corrections.journal.effective_frame import EffectiveFrame, Setting, object_value
+from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_ref, same_value
-from pipeline.corrections.journal.replay import (
-    Origin,
-    all_gone,
-    is_another,
-    replay,
-    standing,
-)
+from pipeline.corrections.journal.frame_rows import BOX_COLUMNS, MATRICES, FrameRows, Pairs, Row
+from pipeline.corrections.journal.replay import Origin, all_gone, is_another, replay, standing
 from pipeline.geometry.masks import decode_crop
 from pipeline.labels.check.objects import clipped, projected
 from pipeline.language.relation_names import INVERSE, PAIRWISE
@@ -41,15 +28,14 @@ OF_BOX = (*BOX_COLUMNS, "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo
 """Columns that follow from an object's 3D box."""
 
 
-def correct_objects(frame: EffectiveFrame, refs: Mapping[FieldRef, Sequence[Event]]) -> None:
-    """Apply the corrections of objects; what follows from new pixels or a new box is left as it was.
-
-    `refs` holds the events of the frame by their cells.
-    """
-    by_object = grouped((ref for ref in refs if ref.kind == "object"), lambda ref: ref.numbers[0])
-    frame.objects = {number: row for number, row in frame.auto.objects.items() if number not in by_object}
-    for number, members in sorted(by_object.items()):
-        _correct_object(frame, number, {ref.field: refs[ref] for ref in members})
+def correct_objects(frame: EffectiveFrame, numbers: Collection[int]) -> None:
+    """Make objects anew from their events; what follows from new pixels or a new box is left as it was."""
+    frame.forget("objects", {str(number) for number in numbers})
+    for number in sorted(numbers):
+        for kept in (frame.objects, frame.left_out, frame.geometry, frame.boxes, frame.renamed):
+            kept.pop(number, None)
+        frame.human_bbox.discard(number)
+        _correct_object(frame, number, {ref.field: events for ref, events in frame.said["object", number].items()})
     frame.objects = dict(sorted(frame.objects.items()))
 
 
@@ -162,19 +148,53 @@ def projected_box(corners: Any, frame: Row) -> list[float]:
     return box.tolist() if box[2] > box[0] and box[3] > box[1] else [0.0, 0.0, float(size[1]), float(size[0])]
 
 
-def correct_pairs(frame: EffectiveFrame, refs: Mapping[FieldRef, Sequence[Event]], relifted: Pairs | None) -> None:
-    """Apply corrections of relations, and those of objects, which are corrected, as far as relations follow from them.
+def relate_objects(frame: EffectiveFrame, relifted: Pairs | None) -> None:
+    """Relations of the objects that stand, as they follow from the labels and from new pixels, boxes and classes.
 
     `relifted` are the relations of all standing objects judged anew; None where the dataset was not at hand.
     """
     auto, background = frame.auto, frame.setting.config.is_background
-    frame.pairs = auto.pairs.of_objects(n for n, row in frame.objects.items() if not background(row["label"]))
-    frame.stale = np.zeros(len(frame.pairs.numbers), np.bool_)
-    frame.related_anew = list(frame.pairs.numbers) != sorted(auto.objects)
-    _follow_geometry(frame, relifted)
-    judged = {ref: events for ref, events in refs.items() if ref.kind == "relation"}
+    pairs = auto.pairs.of_objects([n for n, row in frame.objects.items() if not background(row["label"])])
+    newly = {n: e for n, e in frame.renamed.items() if n in auto.objects and background(auto.objects[n]["label"])}
+    frame.moved = {**newly, **frame.geometry}
+    moved = np.isin(pairs.numbers, list(frame.moved))
+    frame.labelled = frame.related = pairs
+    frame.stale = moved & (relifted is None)
+    if not moved.any() or relifted is None:
+        return
+    frame.related, anew = pairs.copy(), relifted.of_objects(pairs.numbers)
+    touched = (moved[:, None] | moved[None, :]) & ~np.eye(len(moved), dtype=np.bool_)
+    for name in MATRICES:
+        getattr(frame.related, name)[touched] = getattr(anew, name)[touched]
+
+
+def correct_pairs(frame: EffectiveFrame, said: Collection[tuple[int, int]], ends: Collection[int] | None) -> None:
+    """Apply what people said of relations to those that follow from the objects.
+
+    Parameters
+    ----------
+    said : collection of (int, int)
+        Pairs, ascending, of which something new was said.
+    ends : collection of int, optional
+        Objects whose relations are to be made anew; None for those of all.
+    """
+    both = [pair for kind, pair in frame.said if kind == "relation"]
+    if ends is None:
+        frame.pairs = frame.related.copy()
+        frame.origins = {at: found for at, found in frame.origins.items() if at[0] != "relations"}
+        _note_moved(frame, frame.pairs.numbers, frame.pairs.numbers)
+    else:
+        both = [pair for pair in both if pair in said or pair[0] in ends or pair[1] in ends]
+        frame.forget("relations", {key for a, b in both for key in (f"{a},{b}", f"{b},{a}")})
+        frame.pairs = frame.pairs.of_objects(frame.related.numbers)
+        for cells in ((n, slice(None)) for n in ends):
+            _restore(frame, *cells)
+        for a, b in both:
+            _restore(frame, a, b)
+            _note_moved(frame, [a], [b])
+    judged = {ref: events for pair in both for ref, events in frame.said["relation", pair].items()}
     human: dict[tuple[int, int, str], Event] = {}
-    for ref in sorted(judged, key=lambda c: (c.key, c.field)):
+    for ref in sorted(judged, key=attrgetter("key", "field")):
         _correct_relation(frame, judged, ref, human)
     for (i, j, relation), event in human.items():
         opposite = INVERSE.get(relation)
@@ -194,31 +214,32 @@ def correct_pairs(frame: EffectiveFrame, refs: Mapping[FieldRef, Sequence[Event]
                 )
 
 
-def _follow_geometry(frame: EffectiveFrame, relifted: Pairs | None) -> None:
-    """Relations of objects with another geometry, and of those that were background before."""
-    pairs, auto, background = frame.pairs, frame.auto.objects, frame.setting.config.is_background
-    newly = {n: event for n, event in frame.renamed.items() if n in auto and background(auto[n]["label"])}
-    causes = {**newly, **frame.geometry}
-    moved = np.isin(pairs.numbers, list(causes))
-    if not moved.any():
+def _restore(frame: EffectiveFrame, a: int, b: int | slice) -> None:
+    """Both ways, the relations before any word on them, of two objects or of one with all."""
+    i, j = frame.pairs.index_of(a), b if isinstance(b, slice) else frame.pairs.index_of(b)
+    if i is None or j is None:
         return
-    frame.related_anew = True
-    touched = (moved[:, None] | moved[None, :]) & ~np.eye(len(moved), dtype=np.bool_)
-    before = pairs.copy()
-    if relifted is None:
-        frame.stale |= moved
-    else:
-        anew = relifted.of_objects(pairs.numbers)
-        for name in MATRICES:
-            getattr(pairs, name)[touched] = getattr(anew, name)[touched]
-    source = "stale" if relifted is None else "recomputed"
+    for name in MATRICES:
+        now, was = getattr(frame.pairs, name), getattr(frame.related, name)
+        now[i, j], now[j, i] = was[i, j], was[j, i]
+
+
+def _note_moved(frame: EffectiveFrame, first: Collection[int], second: Collection[int]) -> None:
+    """Put the origins of relations, both ways, that follow from another geometry of an object, or wait for it."""
+    causes, numbers = frame.moved, frame.pairs.numbers
+    if not causes:
+        return
+    one, other = (np.isin(numbers, list(some)) for some in (first, second))
+    moved = np.isin(numbers, list(causes))
+    wanted = (one[:, None] & other) | (other[:, None] & one)
+    touched = wanted & (moved[:, None] | moved) & ~np.eye(len(numbers), dtype=np.bool_)
     columns = [k for k, r in enumerate(PAIRWISE) if r in frame.setting.relations]
-    for i, j in zip(*np.nonzero(touched & (pairs.present | before.present)), strict=True):
-        a, b = int(pairs.numbers[i]), int(pairs.numbers[j])
+    for i, j in zip(*np.nonzero(touched & (frame.related.present | frame.labelled.present)), strict=True):
+        a, b = int(numbers[i]), int(numbers[j])
         event = max((causes[x] for x in (a, b) if x in causes), key=lambda e: e.id)
-        origin, key = Origin.of(source, event), f"{a},{b}"
+        origin, key = Origin.of("stale" if frame.stale.any() else "recomputed", event), f"{a},{b}"
         for k in columns:
-            was = before.states[i, j, k]
+            was = frame.labelled.states[i, j, k]
             frame.put("relations", key, PAIRWISE[k], origin, None if was == NOT_JUDGED else int(was))
 
 
@@ -274,7 +295,6 @@ def _ruled_out_before(ref: FieldRef, judged: Mapping[FieldRef, Sequence[Event]])
 def _settle(frame: EffectiveFrame, i: int, j: int, k: int, state: int | None) -> None:
     """Set a cell. A margin whose sign says otherwise becomes 0: by geometry it is no better than undecided."""
     pairs, now = frame.pairs, NOT_JUDGED if state is None else state
-    frame.related_anew |= bool(pairs.states[i, j, k] != now)
     pairs.present[i, j], pairs.states[i, j, k] = True, now
     margin = pairs.margins[i, j, k]
     agrees = (state == T and margin > 0) or (state == F and margin < 0)

@@ -1,0 +1,284 @@
+"""Automatic labels of a frame laid out to be corrected: rows, pairs as matrices, and what pairs answer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+
+from pipeline.labels.reading import build_table
+from pipeline.language.noun_phrase import same_names
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.pair_measures import NOT_JUDGED, T, U
+from pipeline.system.arrow import pa
+
+Row = dict[str, Any]
+BOX_COLUMNS = ("center", "R", "size")
+
+MATRICES = ("present", "states", "margins", "distance", "doubted")
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """All ordered pairs of N objects.
+
+    Attributes
+    ----------
+    numbers : (N,) int64
+        The objects' numbers, ascending.
+    present : (N, N) bool
+        Pairs that have a row.
+    states : (N, N, 9) int8
+        In the order of PAIRWISE; NOT_JUDGED where there is none.
+    margins : (N, N, 9) float64
+        Metres; NaN where there is none.
+    distance : (N, N) float64
+        Metres; NaN where there is none.
+    doubted : (N, N) int32
+    """
+
+    numbers: np.ndarray
+    present: np.ndarray
+    states: np.ndarray
+    margins: np.ndarray
+    distance: np.ndarray
+    doubted: np.ndarray
+
+    @classmethod
+    def empty(cls, numbers: Iterable[int]) -> Pairs:
+        """Pairs of these objects, none of which has a row."""
+        ids = np.array(sorted(numbers), np.int64)
+        n, r = len(ids), len(PAIRWISE)
+        return cls(
+            ids, np.zeros((n, n), np.bool_), np.full((n, n, r), NOT_JUDGED, np.int8), np.full((n, n, r), np.nan),
+            np.full((n, n), np.nan), np.zeros((n, n), np.int32),
+        )  # fmt: skip
+
+    @classmethod
+    def of_columns(cls, numbers: Iterable[int], columns: Mapping[str, Any]) -> Pairs:
+        """From columns of the table `relations`; rows of objects that are not among `numbers` are left out."""
+        found = cls.empty(numbers)
+        a, b = (np.asarray(columns[end], np.int64) for end in ("a", "b"))
+        known = np.isin(a, found.numbers) & np.isin(b, found.numbers)
+        i, j = np.searchsorted(found.numbers, a[known]), np.searchsorted(found.numbers, b[known])
+        found.present[i, j] = True
+        for k, relation in enumerate(PAIRWISE):
+            found.states[i, j, k] = filled(columns.get(relation), len(a), NOT_JUDGED)[known]
+            found.margins[i, j, k] = filled(columns.get(f"{relation}_margin"), len(a), np.nan)[known]
+        found.distance[i, j] = filled(columns["distance"], len(a), np.nan)[known]
+        found.doubted[i, j] = filled(columns["doubted"], len(a), 0)[known]
+        return found
+
+    def of_objects(self, numbers: Iterable[int]) -> Pairs:
+        """The same for other objects: pairs of those that are new have no row yet."""
+        found = Pairs.empty(numbers)
+        kept = np.isin(found.numbers, self.numbers)
+        to, at = np.flatnonzero(kept), np.searchsorted(self.numbers, found.numbers[kept])
+        for name in MATRICES:
+            getattr(found, name)[np.ix_(to, to)] = getattr(self, name)[np.ix_(at, at)]
+        return found
+
+    def copy(self) -> Pairs:
+        """One whose matrices may be written to."""
+        return replace(self, **{name: getattr(self, name).copy() for name in MATRICES})
+
+    def index_of(self, number: int | None) -> int | None:
+        """Where an object is among the pairs; None where it, or an object at all, is none of them."""
+        return None if number is None else self._index_by_number.get(number)
+
+    @cached_property
+    def _index_by_number(self) -> dict[int, int]:
+        return {number: at for at, number in enumerate(self.numbers.tolist())}
+
+    def state(self, a: int, b: int | None, relation: str) -> int | None:
+        """The state of a relation by the objects' numbers; None where it has none."""
+        i, j = self.index_of(a), self.index_of(b)
+        if i is None or j is None or not self.present[i, j]:
+            return None
+        found = int(self.states[i, j, PAIRWISE.index(relation)])
+        return None if found == NOT_JUDGED else found
+
+    def table(self, frame: str, frame_index: int, relations: Sequence[str]) -> pa.Table:
+        """As rows of the table `relations`, in canonical order."""
+        a, b = np.nonzero(self.present)
+        columns: dict[str, Any] = {
+            "frame": [frame] * len(a),
+            "frame_index": np.full(len(a), frame_index, np.int32),
+            "a": self.numbers[a].astype(np.int32),
+            "b": self.numbers[b].astype(np.int32),
+            "distance": self.distance[a, b].astype(np.float32),
+            "doubted": self.doubted[a, b],
+        }
+        for k, relation in enumerate(PAIRWISE):
+            if relation in relations:
+                states = self.states[a, b, k]
+                columns[relation] = [None if s == NOT_JUDGED else s for s in states.tolist()]
+                columns[f"{relation}_margin"] = self.margins[a, b, k].astype(np.float32)
+        return build_table("relations", columns)
+
+
+def filled(values: Any, length: int, empty: float) -> np.ndarray:
+    """A column as an array, with `empty` where it is null."""
+    if values is None:
+        return np.full(length, empty)
+    return (
+        values
+        if isinstance(values, np.ndarray) and values.dtype != object
+        else np.array([empty if v is None else v for v in values], np.float64)
+    )
+
+
+@dataclass(frozen=True)
+class FrameRows:
+    """The automatic labels of a frame.
+
+    Attributes
+    ----------
+    row : dict
+        Of the table `frames`.
+    objects, expressions : dict of int or str to dict
+        Rows by number, and by id, in canonical order.
+    pairs : Pairs
+    """
+
+    row: dict[str, Any]
+    objects: dict[int, dict[str, Any]]
+    expressions: dict[str, dict[str, Any]]
+    pairs: Pairs
+
+    @property
+    def frame(self) -> str:
+        return self.row["frame"]
+
+    @property
+    def index(self) -> int:
+        return self.row["frame_index"]
+
+
+class FrameIndex:
+    """Where the rows of each frame lie in the tables: rows of a frame are next to one another.
+
+    Parameters
+    ----------
+    tables : mapping of str to pyarrow.Table
+        The four tables of labels, in canonical order.
+    """
+
+    def __init__(self, tables: Mapping[str, pa.Table]) -> None:
+        self.tables = tables
+        self._index = {name: table.column("frame_index").to_numpy() for name, table in tables.items()}
+        names = tables["frames"].column("frame").to_pylist()
+        self.of_frame = dict(zip(names, self._index["frames"].tolist(), strict=True))
+        self.name_of = {index: name for name, index in self.of_frame.items()}
+
+    def span(self, table: str, index: int) -> tuple[int, int]:
+        """First row of a frame, and the one after its last."""
+        first, stop = np.searchsorted(self._index[table], [index, index + 1])
+        return int(first), int(stop)
+
+    def rows(self, frame: str) -> FrameRows:
+        """The labels of a frame that there is."""
+        spans = {name: self.span(name, self.of_frame[frame]) for name in self.tables}
+        tables = {n: t.slice(spans[n][0], spans[n][1] - spans[n][0]) for n, t in self.tables.items()}
+        (row,) = tables["frames"].to_pylist()
+        objects = {r["object"]: r for r in tables["objects"].to_pylist()}
+        expressions = {r["id"]: r for r in tables["expressions"].to_pylist()}
+        relations = tables["relations"].drop_columns(["frame", "frame_index"])
+        columns = {
+            name: column.to_pylist() if column.null_count else column.to_numpy()
+            for name, column in zip(relations.column_names, relations.columns, strict=True)
+        }
+        return FrameRows(row, objects, expressions, Pairs.of_columns(objects, columns))
+
+
+@lru_cache(maxsize=64)
+def kinds_of(labels: tuple[str, ...]) -> np.ndarray:
+    """(N, N) bool: `same_names`, kept: a frame's class names change seldom."""
+    return same_names(labels)
+
+
+class Asked:
+    """The E automatic expressions of a frame as columns.
+
+    Parameters
+    ----------
+    auto : FrameRows
+    numbers : iterable of int
+        The objects that take part in relations.
+    """
+
+    def __init__(self, auto: FrameRows, numbers: Iterable[int]) -> None:
+        rows = list(auto.expressions.values())
+        self.ids = list(auto.expressions)
+        self.index = {name: at for at, name in enumerate(self.ids)}
+        self.ends = np.array([(r["target_object"], r["reference_object"]) for r in rows], np.int64).reshape(-1, 2)
+        self.relations = np.array([PAIRWISE.index(r["relation"]) for r in rows], np.int64)
+        self.margins = np.array([np.nan if r["margin"] is None else r["margin"] for r in rows], np.float64)
+        pairs = auto.pairs.of_objects(numbers)
+        self.before = Answered.of(self, pairs, tuple([auto.objects[n]["label"] for n in pairs.numbers.tolist()]))
+
+
+@dataclass(frozen=True)
+class Answered:
+    """What the pairs of N objects say of E expressions.
+
+    Attributes
+    ----------
+    numbers : (N,) int64
+    sets : (E, 2, N) bool
+        Objects that an expression is true of beyond doubt, and with doubt.
+    related : (E,) bool
+        Both of its own objects take part in relations; without it the others are False and NaN.
+    holds : (E,) bool
+        It is true of its own objects.
+    margins : (E,) float64
+        Metres.
+    kin : (E, N) bool
+        Objects of the kind of either of its own.
+    changed : (E,) bool
+        Something of its row, or whether it stands, may follow.
+    """
+
+    numbers: np.ndarray
+    sets: np.ndarray
+    related: np.ndarray
+    holds: np.ndarray
+    margins: np.ndarray
+    kin: np.ndarray
+    changed: np.ndarray
+
+    @classmethod
+    def of(cls, asked: Asked, pairs: Pairs, labels: tuple[str, ...]) -> Answered:
+        """The answers of pairs whose objects have these class names; nothing is `changed`."""
+        numbers, e, n = pairs.numbers, len(asked.ids), len(pairs.numbers)
+        sets, kin = np.zeros((e, 2, n), np.bool_), np.zeros((e, n), np.bool_)
+        holds, margins, related = np.zeros(e, np.bool_), np.full(e, np.nan), np.zeros(e, np.bool_)
+        if n and e:
+            at = np.minimum(np.searchsorted(numbers, asked.ends), n - 1)
+            related = (numbers[at] == asked.ends).all(axis=1)
+            (i, j), k, same = at[related].T, asked.relations[related], kinds_of(labels)
+            states = np.where(pairs.present[..., None], pairs.states, -1).transpose(2, 0, 1)
+            for level, least in enumerate((T, U)):
+                # By relation, object, and any object of the kind of the reference.
+                satisfied = (states >= least).astype(np.float32) @ same.astype(np.float32) > 0
+                sets[related, level] = same[i] & satisfied[k, :, j]
+            holds[related] = states[k, i, j] == T
+            margins[related], kin[related] = pairs.margins[i, j, k], same[i] | same[j]
+        return cls(numbers, sets, related, holds, margins, kin, np.zeros(e, np.bool_))
+
+    def differs(self, other: Answered) -> np.ndarray:
+        """(E,) bool: another answer than of other pairs, whichever objects these are of."""
+        one, two = self.sets, other.sets
+        if not np.array_equal(self.numbers, other.numbers):
+            numbers = np.union1d(self.numbers, other.numbers)
+            one, two = (_spread(x.sets, np.searchsorted(numbers, x.numbers), len(numbers)) for x in (self, other))
+        return (one != two).any(axis=(1, 2)) | (self.related != other.related)
+
+
+def _spread(sets: np.ndarray, columns: np.ndarray, count: int) -> np.ndarray:
+    found = np.zeros((*sets.shape[:2], count), np.bool_)
+    found[..., columns] = sets
+    return found
