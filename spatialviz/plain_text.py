@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from pipeline.system.onnx_session import VERBOSE_VARIABLE
+
 _CODES = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """C0 without tabs and ends of lines, DEL, C1, marks of direction, separators of lines, half characters."""
 
@@ -90,7 +92,10 @@ def _libraries_silent() -> Iterator[None]:
 
     Where the program is looked into, or ONNX Runtime's own messages are asked for, all of it is shown.
     """
-    shown = any(os.environ.get(name) for name in ("SPATIALVIZ_DEBUG", "PYTHONFAULTHANDLER")) or "--verbose" in sys.argv
+    shown = (
+        any(os.environ.get(name) for name in ("SPATIALVIZ_DEBUG", VERBOSE_VARIABLE, "PYTHONFAULTHANDLER"))
+        or "--verbose" in sys.argv
+    )
     if shown or not isinstance(sys.stderr, io.TextIOWrapper) or _descriptor(sys.stderr) != _ERRORS:
         yield
         return
