@@ -12,8 +12,8 @@ import pytest
 from command_line import spatialviz
 
 from pipeline.diagnosis.whatif.state import decode
-from spatialviz.app.place import CameraMode, Place
 from spatialviz.app.state import ColorMode, State
+from spatialviz.app.url_state import CameraMode, Place
 from spatialviz.app.view_strings import CAMERA, FOV, POINTS, with_settings
 
 FIXTURE = Path(__file__).parents[2] / "tests" / "fixtures" / "2026-11-26"

@@ -23,10 +23,10 @@ from pipeline.system.errors import InputError
 from spatialviz.app.channel import Channel, Incoming
 from spatialviz.app.frames import FramePictures
 from spatialviz.app.layout import Dialog, Page
-from spatialviz.app.place import Place
 from spatialviz.app.scene import SceneView
 from spatialviz.app.scene_client import SceneClient
 from spatialviz.app.state import State
+from spatialviz.app.url_state import Place
 
 LOG_LENGTH = 200
 Method = TypeVar("Method", bound=Callable[..., Any])

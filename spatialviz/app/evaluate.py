@@ -26,8 +26,8 @@ from spatialviz.app.evaluate_html import (
 )
 from spatialviz.app.figures_html import CUTS, comparison_html, confusion_html, slices_html, summary_html
 from spatialviz.app.markup import Element
-from spatialviz.app.place import Place
 from spatialviz.app.run_pictures import pictures_of
+from spatialviz.app.url_state import Place
 
 FIRST = (FAILURES, "")
 """What is listed first: the first of these that finds something."""

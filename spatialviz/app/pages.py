@@ -10,16 +10,6 @@ from typing import Any
 
 import viser
 import websockets.exceptions
-from viser._messages import (
-    Message,
-    SceneNodeClickMessage,
-    SceneNodeDragMessage,
-    ScenePointerMessage,
-    TransformControlsDragEndMessage,
-    TransformControlsDragStartMessage,
-    TransformControlsUpdateMessage,
-    ViewerCameraMessage,
-)
 
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError, require
@@ -28,6 +18,7 @@ from spatialviz.app.channel import Hello, read
 from spatialviz.app.context import Shared
 from spatialviz.app.session import Session
 from spatialviz.app.site import PAGE_ID, Access
+from spatialviz.app.viser_socket import SceneConnection, subprotocol
 from spatialviz.options import warn
 
 MAX_CLIENTS = 24
@@ -56,11 +47,6 @@ REMEMBERED = 1000
 SENT_WRONG = (1002, 1003, 1007, 1008, 1009)
 """Codes by which a socket is closed because of what came by it."""
 LOGGED_SECONDS = 60.0
-OF_SCENE = (
-    ViewerCameraMessage, ScenePointerMessage, SceneNodeClickMessage, SceneNodeDragMessage,
-    TransformControlsUpdateMessage, TransformControlsDragStartMessage, TransformControlsDragEndMessage,
-)  # fmt: skip
-"""What a scene may say: nothing of viser's panels, uploads and tunnels, which are not used."""
 
 
 class Pace:
@@ -121,25 +107,6 @@ class Gate:
         return pace
 
 
-class SceneConnection:
-    """viser's socket of a scene: only what a camera, a click and a handle send is let through, at a page's pace."""
-
-    def __init__(self, connection: Any) -> None:
-        self._connection, self._pace = connection, Pace(CAMERAS, CAMERAS_PER_SECOND)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._connection, name)
-
-    async def recv(self) -> bytes:
-        """The next message that is let through."""
-        while True:
-            data = await self._connection.recv()
-            await self._pace.keep()
-            require(isinstance(data, bytes), "not a message of a scene")
-            if isinstance(Message.deserialize(data), OF_SCENE):
-                return data
-
-
 class Pages:
     """Sessions by the ids that the browsers have chosen for their pages.
 
@@ -186,9 +153,9 @@ class Pages:
             lambda _, context: self.log(repr(context.get("exception") or context["message"]))
         )
         try:
-            spoken = f"viser-v{viser.__version__}"
+            spoken = subprotocol()
             require(connection.subprotocol == spoken, "no scene", got=connection.subprotocol, expected=spoken)
-            await viser_handler(SceneConnection(connection))
+            await viser_handler(SceneConnection(connection, Pace(CAMERAS, CAMERAS_PER_SECOND).keep))
         except Exception as error:
             # What viser cannot read costs its sender the socket.
             self.log(f"{type(error).__name__}: {error}")

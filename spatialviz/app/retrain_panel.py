@@ -18,7 +18,7 @@ from pipeline.system.errors import InputError
 from spatialviz.app.context import Context, command, there
 from spatialviz.app.label_part import LabelPart
 from spatialviz.app.markup import BAD, DOUBT, GOOD, Child, Element, h, heading, note, panel, progress
-from spatialviz.app.place import Place
+from spatialviz.app.url_state import Place
 
 
 class RetrainPanel(LabelPart):

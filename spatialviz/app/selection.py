@@ -17,10 +17,10 @@ from pipeline.geometry.level_plane import level_normal_at
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, choice, command, there
 from spatialviz.app.picture import smallest_at
-from spatialviz.app.place import CameraMode
 from spatialviz.app.scene import FLIGHT
 from spatialviz.app.state import ColorMode, Tool
 from spatialviz.app.toolbar import FLAGS, LARGEST_POINT, LEAST_POINT
+from spatialviz.app.url_state import CameraMode
 
 
 class Selection(Part):

@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 
 import viser
-from viser._messages import ShareUrlDisconnect, ShareUrlRequest
 
 from pipeline.answering.frame_store import FrameStore
 from pipeline.answering.opening import Pipeline
@@ -32,7 +31,7 @@ from spatialviz.app.channel import answering, end_all
 from spatialviz.app.context import Shared
 from spatialviz.app.pages import MAX_CLIENTS, Pages
 from spatialviz.app.site import Access, Site
-from spatialviz.app.viser_socket import served_by
+from spatialviz.app.viser_socket import close_tunnels, served_by
 from spatialviz.plain_text import one_line
 
 ENDS_WITHIN = 10.0
@@ -104,9 +103,7 @@ def start(
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error
-    for message in (ShareUrlRequest, ShareUrlDisconnect):
-        # viser would open a tunnel to a server of its makers for whoever asks.
-        server._websock_server.unregister_handler(message)
+    close_tunnels(server)
     server.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
     server.scene.configure_environment_map(hdri=None)
     server.scene.configure_default_lights(True, cast_shadow=False)

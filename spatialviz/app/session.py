@@ -38,8 +38,8 @@ from spatialviz.app.channel import Go, Hello, Incoming, Scene
 from spatialviz.app.context import Context, Idle, Shared, command, commands_of, there
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.picture import overlay_marks
-from spatialviz.app.place import Place
 from spatialviz.app.stages import opened
+from spatialviz.app.url_state import Place
 
 RECENT = 12
 """Questions that Ask offers again."""

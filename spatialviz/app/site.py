@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import SplitResult, parse_qs, parse_qsl, quote, urlencode, urlsplit
 
-import viser
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from pipeline.system.errors import as_input_error, require
 from spatialviz.app.frames import IMAGES
+from spatialviz.app.viser_socket import scene_page
 
 if TYPE_CHECKING:
     from spatialviz.app.frames import FramePictures
@@ -81,8 +81,7 @@ class Site:
         self._waiting = 0
         static = resources.files("spatialviz.app") / "static"
         self._files = {f.name: f.read_bytes() for f in static.iterdir() if Path(f.name).suffix in KINDS}
-        scene = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8")
-        self._scene = gzip.compress(scene.replace("</title>", "</title>" + SCENE_STYLE, 1).encode(), 6)
+        self._scene = gzip.compress(scene_page().replace("</title>", "</title>" + SCENE_STYLE, 1).encode(), 6)
 
     async def answer(self, connection: Any, request: Request) -> Response | None:
         """The answer to a request; None lets a socket be opened."""

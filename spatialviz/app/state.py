@@ -14,7 +14,7 @@ from pipeline.diagnosis.whatif.answer_view import AnswerView
 from pipeline.evaluation.figures import Listing
 from pipeline.evaluation.recorded import Recorded, recorded_verdict
 from pipeline.geometry.measure import Measurement, measure
-from spatialviz.app.place import CameraMode, Place, Task
+from spatialviz.app.url_state import CameraMode, Place, Task
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
 EditMode = Literal["off", "move", "turn", "resize"]

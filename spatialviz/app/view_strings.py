@@ -24,9 +24,9 @@ from pipeline.relations.installed import is_named
 from pipeline.system.errors import InputError, require
 from spatialviz.app.context import Context, Part, command
 from spatialviz.app.markup import BAD, Element, h, note
-from spatialviz.app.place import Place
 from spatialviz.app.state import ColorMode, State
 from spatialviz.app.toolbar import LARGEST_POINT, LEAST_POINT
+from spatialviz.app.url_state import Place
 from spatialviz.report import Subject, failure_page
 
 

@@ -1,7 +1,8 @@
-"""The websocket server that viser starts, with our own answers to requests and sockets put around its own.
+"""Internals of viser: the websocket server that it starts, its messages, and its client's page.
 
-viser answers HTTP and opens sockets where it calls `websockets.asyncio.server.serve`; ours is put around that, so
-that both stand on one port.
+viser answers HTTP and opens sockets where it calls `websockets.asyncio.server.serve`; the server of this program is put
+around that, so that both stand on one port. No other module reaches into viser: a release that lacks one of these names
+is refused by `internal`, which says which.
 """
 
 from __future__ import annotations
@@ -10,12 +11,17 @@ import http
 import logging
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
+from operator import attrgetter
+from pathlib import Path
 from typing import Any, Protocol
 
+import viser
+import viser._messages
 import websockets.asyncio.server as ws
 from websockets.extensions.permessage_deflate import ServerPerMessageDeflateFactory
 from websockets.http11 import Request, Response
 
+from pipeline.system.errors import InputError, require
 from spatialviz.app.channel import LONGEST_COMMAND, LONGEST_DRAWING
 
 DEFLATED = {"level": 7, "memLevel": 6}
@@ -24,6 +30,79 @@ LONGEST_MESSAGE = LONGEST_DRAWING + LONGEST_COMMAND
 """Bytes."""
 CLOSE_SECONDS = 2.0
 """Who does not take leave in that time is cut off."""
+
+
+OF_SCENE = (
+    "ViewerCameraMessage", "ScenePointerMessage", "SceneNodeClickMessage", "SceneNodeDragMessage",
+    "TransformControlsUpdateMessage", "TransformControlsDragStartMessage", "TransformControlsDragEndMessage",
+)  # fmt: skip
+"""Messages that a scene may send: none of viser's panels, uploads and tunnels."""
+TUNNELS = ("ShareUrlRequest", "ShareUrlDisconnect")
+"""Messages by which a browser has viser open a tunnel to a server of its makers."""
+
+
+def internal(name: str, owner: Any = viser) -> Any:
+    """A name inside viser, such as "_messages.Message".
+
+    Raises
+    ------
+    InputError
+        The installed release has no such name.
+    """
+    try:
+        return attrgetter(name)(owner)
+    except AttributeError:
+        raise InputError(
+            f"viser {viser.__version__} has no {'' if owner is viser else type(owner).__name__ + '.'}{name}",
+            expected="viser>=1.1.1,<1.2",
+            cause="another release names its internals otherwise",
+        ) from None
+
+
+def scene_page() -> str:
+    """viser's client as HTML."""
+    path = Path(viser.__file__).parent / "client" / "build" / "index.html"
+    require(path.is_file(), f"viser {viser.__version__} has no client page", expected="viser>=1.1.1,<1.2", path=path)
+    return path.read_text("utf-8")
+
+
+def subprotocol() -> str:
+    """The websocket subprotocol of viser's client."""
+    return f"viser-v{viser.__version__}"
+
+
+def close_tunnels(server: viser.ViserServer) -> None:
+    """Have a server ignore requests for a tunnel to viser's makers."""
+    for name in TUNNELS:
+        internal("_websock_server.unregister_handler", server)(internal(f"_messages.{name}"))
+
+
+class SceneConnection:
+    """viser's socket of a scene, reduced to the messages OF_SCENE.
+
+    Parameters
+    ----------
+    connection : ServerConnection
+    pace : callable
+        Awaited before each message is read.
+    """
+
+    def __init__(self, connection: Any, pace: Callable[[], Awaitable[None]]) -> None:
+        self._connection, self._pace = connection, pace
+        self._read = internal("_messages.Message.deserialize")
+        self._allowed = tuple(internal(f"_messages.{name}") for name in OF_SCENE)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._connection, name)
+
+    async def recv(self) -> bytes:
+        """The next allowed message."""
+        while True:
+            data = await self._connection.recv()
+            await self._pace()
+            require(isinstance(data, bytes), "not a message of a scene")
+            if isinstance(self._read(data), self._allowed):
+                return data
 
 
 class ConnectionHandler(Protocol):
