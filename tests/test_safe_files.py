@@ -56,7 +56,6 @@ OWN = {
     "system/file_memory.py": "the cache",
     "system/lazy_exports.py": "comes with the program",
     "system/model_files.py": "the cache, and a table that comes with the program",
-    "system/peak_memory.py": "/proc",
     "system/remote.py": "the cache",
     "system/sql.py": "what its parent says, /dev/null and /proc",
     "system/whole_files.py": "writes",

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
         use_execution,
     )
     from pipeline.system.paths import asset_path
-    from pipeline.system.peak_memory import PeakMemory
     from pipeline.system.plain_pickle import plain, read_plain_pickle
     from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_sibling
 

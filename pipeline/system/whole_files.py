@@ -89,24 +89,9 @@ def alone(folder: Path) -> Iterator[None]:
 
 
 def write_whole(path: Path, data: bytes, what: str, make_folder: bool = True) -> None:
-    """Write a file whole or not at all; its folder is made where it is missing, unless that is an error.
-
-    Raises
-    ------
-    InputError
-        `what` cannot be written.
-    """
-    temporary = temporary_sibling(path)
-    try:
-        if make_folder:
-            path.parent.mkdir(parents=True, exist_ok=True)
+    """Write a file whole or not at all; raises as `whole_file`."""
+    with whole_file(path, what, make_folder) as temporary:
         write_synced(temporary, data)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(f"{what} cannot be written", got=error.strerror, path=path) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def write_synced(path: Path, data: bytes) -> None:
@@ -118,8 +103,8 @@ def write_synced(path: Path, data: bytes) -> None:
 
 
 @contextmanager
-def whole_file(path: Path, what: str) -> Iterator[Path]:
-    """A hidden name beside a new file, which takes the file's name when the block ends well, and is removed if not.
+def whole_file(path: Path, what: str, make_folder: bool = True) -> Iterator[Path]:
+    """Hidden name beside a new file, which takes the file's name when the block ends well, and is removed if not.
 
     Raises
     ------
@@ -129,7 +114,8 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
     temporary = temporary_sibling(path)
     with as_input_error(f"{what} cannot be written", OSError, got=lambda error: error.strerror, path=path):
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            if make_folder:
+                path.parent.mkdir(parents=True, exist_ok=True)
             yield temporary
             os.replace(temporary, path)
         finally:
@@ -182,24 +168,13 @@ def sha256_of(source: Path | IO[bytes]) -> str:
 
 
 def keep_whole(path: Path, write: Callable[[Any], object]) -> None:
-    """Keep what was computed, whole or not at all; a folder that cannot be written only means that nothing is kept.
-
-    Parameters
-    ----------
-    path : Path
-    write : callable
-        Writes into the open binary file that it gets.
-    """
-    temporary: Path | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-            temporary = Path(file.name)
-            write(file)
-        os.replace(temporary, path)
-    except OSError:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+    """Keep in the cache what `write` writes into an open binary file, whole; nothing where the folder is read-only."""
+    with (
+        suppress(InputError),
+        whole_file(path, "the cache") as temporary,
+        open(temporary, "wb", opener=lambda name, flags: os.open(name, flags, 0o600)) as file,
+    ):
+        write(file)
 
 
 @contextmanager

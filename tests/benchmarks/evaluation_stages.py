@@ -14,6 +14,7 @@ from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
+from benchmarks.peak_memory import PeakMemory
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
@@ -33,7 +34,6 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.system.arrow import pa
 from pipeline.system.errors import MissingExtra, require
-from pipeline.system.peak_memory import PeakMemory
 from pipeline.system.whole_files import scratch_folder
 from pipeline.training.label_data import pair_set, read_label_data
 from pipeline.training.train import TrainConfig, train_pairs

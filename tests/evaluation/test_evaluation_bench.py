@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks import evaluation_stages as bench
+from benchmarks.peak_memory import PeakMemory
 
 from pipeline.answering import PreparedFrame, StageClock, open_pipeline, record_detections
 from pipeline.answering.objects import mask_iou
@@ -19,7 +20,7 @@ from pipeline.evaluation import EvalSpec, evaluate_labels
 from pipeline.geometry import lift
 from pipeline.labels import SourceSpec, label_dataset
 from pipeline.proposals import reads_annotations
-from pipeline.system import InputError, PeakMemory
+from pipeline.system import InputError
 
 FRAMES = 3
 
