@@ -1,4 +1,4 @@
-"""Model files by path, or by their id on the Hugging Face hub: fetched once, checked, kept in the user's cache.
+"""Model files by path or by their id on the Hugging Face hub: fetched once, checked, kept in the user's cache.
 
 An id is OWNER/REPO[:FILE][@REVISION]. What a revision meant when it was first fetched is kept, so that a model stays
 the same file until another revision is asked for.
@@ -9,16 +9,17 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from pipeline.system.errors import InputError, MissingExtra, require
+from pipeline.system.errors import InputError, extra_module, require
 from pipeline.system.onnx_session import is_verbose
 from pipeline.system.paths import cache_folder
-from pipeline.system.whole_files import sha256_of
+from pipeline.system.whole_files import sha256_of, write_whole
 
 _ID = re.compile(
     r"(?P<repo>[A-Za-z0-9][\w.-]{0,95}/[\w.-]{1,96})(?::(?P<file>[^@:\\]+))?(?:@(?P<revision>[\w.][\w./-]*))?"
@@ -38,17 +39,7 @@ DEFAULT_REVISION = "main"
 
 @dataclass(frozen=True)
 class HubId:
-    """A file on the hub.
-
-    Attributes
-    ----------
-    repo : str
-        OWNER/REPO.
-    file : str or None
-        Its path there; None for the one that is meant.
-    revision : str or None
-        A commit, tag or branch.
-    """
+    """File on the hub: OWNER/REPO, its path there (None for the default one), and a commit, tag or branch."""
 
     repo: str
     file: str | None = None
@@ -59,7 +50,7 @@ class HubId:
 
 
 def parse_hub_id(given: str | Path) -> HubId | None:
-    """The id that is meant; None for a path: one that is there, or that looks like one."""
+    """Id on the hub; None for a path: one that is there, or that looks like one."""
     text = given.as_posix() if isinstance(given, Path) else given
     found = _ID.fullmatch(text)
     if found is None or Path(given).exists():
@@ -73,15 +64,14 @@ def parse_hub_id(given: str | Path) -> HubId | None:
 
 
 def resolve_model(given: str | Path) -> Path:
-    """The file of a model, fetched from the hub where it is named by its id and was not fetched before.
+    """File of a model, fetched from the hub where it is named by its id and was not fetched before.
 
     Raises
     ------
     InputError
-        The hub has no such file, cannot be reached, or gives another file than the one that is known; or it is given by
-        its address.
+        No such file on the hub, no network, another file than the known one, or a web address.
     MissingExtra
-        Where the library `huggingface_hub` is not installed.
+        The library `huggingface_hub` is not installed.
     """
     hub_id = parse_hub_id(given)
     if hub_id is None:
@@ -91,7 +81,7 @@ def resolve_model(given: str | Path) -> Path:
 
 
 def refuse_address(given: str | Path) -> None:
-    """Raise InputError for the address of a web page or file; where it is of the hub, with the id that it has there."""
+    """Raise InputError for a web address, with the file's id where it is on the hub."""
     # A path has lost the second slash.
     address = re.fullmatch(r"(?P<scheme>https?):/+(?P<rest>.+)", given.as_posix() if isinstance(given, Path) else given)
     if address is None:
@@ -107,17 +97,17 @@ def refuse_address(given: str | Path) -> None:
 
 
 def model_folder() -> Path:
-    """Where fetched models are: `models` in the cache folder, and below it OWNER--REPO/COMMIT."""
+    """Folder of fetched models: `models` in the cache folder, and below it OWNER--REPO/COMMIT."""
     return cache_folder() / "models"
 
 
 def fetched(hub_id: HubId) -> Path | None:
-    """The file, where it was fetched before."""
+    """File that was fetched before; None if it was not."""
     folder = _folder(hub_id.repo)
     revision = _revision(hub_id)
     if not _COMMIT.fullmatch(revision):
         try:
-            revision = (folder / "refs" / _plain(revision)).read_text(encoding="ascii").strip()
+            revision = (folder / "refs" / revision.replace("/", "--")).read_text(encoding="ascii").strip()
         except (OSError, UnicodeDecodeError):
             return None
     name = hub_id.file or _default_file(hub_id.repo)
@@ -129,7 +119,7 @@ def fetched(hub_id: HubId) -> Path | None:
 
 
 def all_fetched() -> Iterator[tuple[HubId, Path]]:
-    """Every ONNX file that was fetched."""
+    """ONNX files that were fetched."""
     root = model_folder()
     for path in sorted(root.glob("*--*/*/**/*.onnx")) if root.is_dir() else ():
         owner_repo, commit, *parts = path.relative_to(root).parts
@@ -139,97 +129,64 @@ def all_fetched() -> Iterator[tuple[HubId, Path]]:
 
 def fetch(hub_id: HubId) -> Path:
     """Fetch a file with what belongs to it; raises as `resolve_model`."""
-    try:
-        import huggingface_hub
-    except ImportError as error:
-        raise MissingExtra(f"the model {hub_id}", "hub") from error
-    endpoint = os.environ.get("HF_ENDPOINT") or None
-    revision = _revision(hub_id)
-    try:
-        info = huggingface_hub.HfApi(endpoint=endpoint).model_info(
-            hub_id.repo, revision=revision, files_metadata=True, timeout=30
-        )
-    except Exception as error:  # The library raises its own classes and those of the HTTP library below it.
-        raise _unreachable(hub_id, error) from error
-    listed = {s.rfilename: s for s in info.siblings or ()}
-    file = hub_id.file or _default_file(hub_id.repo) or _only_model(hub_id, listed)
-    require(
-        file in listed,
-        f"the hub has no file {file!r} in {hub_id.repo}",
-        expected=_some([n for n in listed if n.endswith(".onnx")]) or "an ONNX file, of which there is none",
+    hub = extra_module("huggingface_hub", f"the model {hub_id}", "hub")
+    repo, folder, revision, endpoint = (
+        hub_id.repo,
+        _folder(hub_id.repo),
+        _revision(hub_id),
+        os.environ.get("HF_ENDPOINT"),
     )
-    commit = info.sha or ""
-    require(
-        _COMMIT.fullmatch(commit),
-        "the hub does not say which commit the model is of",
-        got=repr(commit),
-        path=hub_id.repo,
-    )
+    with _reached(hub_id):
+        api = hub.HfApi(endpoint=endpoint or None)
+        info = api.model_info(repo, revision=revision, files_metadata=True, timeout=30)
+    hashes = {s.rfilename: getattr(s.lfs, "sha256", None) for s in info.siblings or ()}
+    commit, models = info.sha or "", [name for name in hashes if name.endswith(".onnx")]
+    require(_COMMIT.fullmatch(commit), "the hub does not say which commit the model is of", got=repr(commit), path=repo)
+    # Our own table goes before what the hub says of its large files.
+    ours = [m for m in known_models() if (m.repo, m.revision) == (repo, commit)]
+    hashes |= {f.file: f.sha256 for m in ours for f in m.files if f.sha256 and f.file in hashes}
+    file = hub_id.file or _default_file(repo) or (models[0] if len(models) == 1 else None)
+    some = ", ".join(models[:8]) + (f" and {len(models) - 8} more" if len(models) > 8 else "")
+    if file is None:
+        what, wanted = f"{repo} holds {len(models) or 'no'} ONNX files", f"one of them: {repo}:FILE" if models else None
+        raise InputError(what, got=some or None, expected=wanted)
+    expected = some or "an ONNX file, of which there is none"
+    require(file in hashes, f"the hub has no file {file!r} in {repo}", expected=expected)
+    inside = PurePosixPath(file).parent
+    beside = [file + ending for ending in WEIGHTS]
+    beside += [(place / name).as_posix() for place in (inside, inside.parent) for name in COMPANIONS]
     # The model comes last: where it is, all that belongs to it is.
-    for name in [*_companions(file, list(listed)), file]:
-        _fetch_file(hub_id, name, commit, _expected(hub_id.repo, commit, name, listed[name]), endpoint)
+    for name in [*(n for n in dict.fromkeys(beside) if n in hashes), file]:
+        if not (folder / commit / name).is_file():
+            with _reached(hub_id), _quiet(hub.utils.logging):
+                path = Path(api.hf_hub_download(repo, name, revision=commit, local_dir=folder / f"{commit}.partial"))
+            _take(path, folder / commit / name, f"{name} of {repo}", hashes[name])
     if not _COMMIT.fullmatch(revision):
-        ref = _folder(hub_id.repo) / "refs" / _plain(revision)
-        ref.parent.mkdir(parents=True, exist_ok=True)
-        ref.write_text(commit, encoding="ascii")
-    return _folder(hub_id.repo) / commit / file
+        write_whole(folder / "refs" / revision.replace("/", "--"), commit.encode(), "the model's commit")
+    return folder / commit / file
 
 
-def _fetch_file(hub_id: HubId, name: str, commit: str, expected: KnownFile, endpoint: str | None) -> None:
-    """Fetch into a folder beside, check, and only then move to where it is found."""
-    import huggingface_hub
-
-    target = _folder(hub_id.repo) / commit / name
-    if target.is_file():
-        return
-    partial = _folder(hub_id.repo) / f"{commit}.partial"
-    log = huggingface_hub.utils.logging
-    before = log.get_verbosity()
-    if not is_verbose():
-        # Each of its attempts would be told of; what they come to is in the error.
-        log.set_verbosity_error()
-    try:
-        path = Path(
-            huggingface_hub.hf_hub_download(hub_id.repo, name, revision=commit, local_dir=partial, endpoint=endpoint)
-        )
-    except Exception as error:  # As above.
-        raise _unreachable(hub_id, error) from error
-    finally:
-        log.set_verbosity(before)
-    size = path.stat().st_size
-    if expected.bytes is not None and size != expected.bytes:
+def _take(path: Path, target: Path, what: str, sha256: str | None) -> None:
+    """Move a file to where it is found, if it has the expected hash; remove it if not."""
+    found = sha256_of(path) if sha256 else None
+    if found != sha256:
         path.unlink()
-        raise InputError(f"{name} of {hub_id.repo} is incomplete", got=f"{size} bytes", expected=expected.bytes)
-    if expected.sha256 is not None:
-        found = sha256_of(path)
-        if found != expected.sha256:
-            path.unlink()
-            raise InputError(
-                f"{name} of {hub_id.repo} is not the file that is known",
-                got=f"sha256 {found}",
-                expected=expected.sha256,
-                cause="it was damaged or exchanged on its way; nothing was kept",
-            )
+        cause = "it was damaged or exchanged on its way; nothing was kept"
+        raise InputError(f"{what} is not the file that is known", got=f"sha256 {found}", expected=sha256, cause=cause)
     target.parent.mkdir(parents=True, exist_ok=True)
     os.replace(path, target)
 
 
-def _expected(repo: str, commit: str, name: str, listed: Any) -> KnownFile:
-    """Size and hash, by our own table first, then by what the hub says of its large files."""
-    lfs = getattr(listed, "lfs", None)
-    says = getattr(lfs, "sha256", None)
-    ours = next(
-        (f.sha256 for m in known_models() if (m.repo, m.revision) == (repo, commit) for f in m.files if f.file == name),
-        None,
-    )
-    return KnownFile(name, ours or says, None, getattr(listed, "size", None))
-
-
-def _companions(file: str, listed: Sequence[str]) -> list[str]:
-    folder = PurePosixPath(file).parent
-    companions = [folder / n for n in COMPANIONS] + [folder.parent / n for n in COMPANIONS]
-    wanted = [*(file + ending for ending in WEIGHTS), *(p.as_posix() for p in companions)]
-    return [n for n in dict.fromkeys(wanted) if n in listed]
+@contextmanager
+def _quiet(log: Any) -> Iterator[None]:
+    """Without the library's own lines for each of its tries, unless they are asked for."""
+    before = log.get_verbosity()
+    if not is_verbose():
+        log.set_verbosity_error()
+    try:
+        yield
+    finally:
+        log.set_verbosity(before)
 
 
 def _default_file(repo: str) -> str | None:
@@ -241,46 +198,32 @@ def _revision(hub_id: HubId) -> str:
     return hub_id.revision or pinned or DEFAULT_REVISION
 
 
-def _only_model(hub_id: HubId, listed: dict[str, Any]) -> str:
-    models = [n for n in listed if n.endswith(".onnx")]
-    if len(models) == 1:
-        return models[0]
-    raise InputError(
-        f"{hub_id.repo} holds {len(models) or 'no'} ONNX files",
-        got=_some(models) or None,
-        expected=f"one of them: {hub_id.repo}:FILE" if models else None,
-    )
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-
-
 def _folder(repo: str) -> Path:
     return model_folder() / repo.replace("/", "--")
 
 
-def _plain(revision: str) -> str:
-    return revision.replace("/", "--")
+_MISSING = {
+    "RepositoryNotFoundError": "there is no such repository, or it is not public",
+    "GatedRepoError": "its owner asks for an agreement first: accept it on the hub, and set HF_TOKEN",
+    "RevisionNotFoundError": "there is no such revision",
+    "RemoteEntryNotFoundError": "there is no such file",
+    "EntryNotFoundError": "there is no such file",
+    "OfflineModeIsEnabled": "HF_HUB_OFFLINE is set",
+}
 
 
-def _unreachable(hub_id: HubId, error: Exception) -> InputError:
-    """One line of what the hub's library says in many."""
-    kind = type(error).__name__
-    missing = {
-        "RepositoryNotFoundError": "there is no such repository, or it is not public",
-        "GatedRepoError": "its owner asks for an agreement first: accept it on the hub, and set HF_TOKEN",
-        "RevisionNotFoundError": "there is no such revision",
-        "RemoteEntryNotFoundError": "there is no such file",
-        "EntryNotFoundError": "there is no such file",
-        "OfflineModeIsEnabled": "HF_HUB_OFFLINE is set",
-    }.get(kind)
-    words = " ".join(str(error).split())[:160]
-    return InputError(
-        f"the model {hub_id} cannot be fetched",
-        got=missing or f"{kind}: {words}",
-        cause=None if missing else "is there a network? a file's path does as well",
-    )
+@contextmanager
+def _reached(hub_id: HubId) -> Iterator[None]:
+    """What the hub's library says in many lines, in one."""
+    try:
+        yield
+    except Exception as error:  # The library raises its own classes and those of the HTTP library below it.
+        missing = _MISSING.get(type(error).__name__)
+        raise InputError(
+            f"the model {hub_id} cannot be fetched",
+            got=missing or f"{type(error).__name__}: {' '.join(str(error).split())[:160]}",
+            cause=None if missing else "is there a network? a file's path does as well",
+        ) from error
 
 
 TABLE = Path(__file__).with_name("models.json")
@@ -288,58 +231,34 @@ TABLE = Path(__file__).with_name("models.json")
 
 @dataclass(frozen=True)
 class KnownFile:
-    """A file.
-
-    Attributes
-    ----------
-    file : str
-        Path in the repository, or its whole address.
-    sha256 : str or None
-        None where no public text states it.
-    megabytes : float or None
-        As stated, in 10**6 bytes or in 2**20; None where it is not.
-    bytes : int or None
-        The exact size.
-    """
+    """File of a known model: path in the repository or whole address; hash and size (10**6 or 2**20 bytes) if stated."""
 
     file: str
     sha256: str | None = None
     megabytes: float | None = None
-    bytes: int | None = None
 
 
 @dataclass(frozen=True)
 class KnownModel:
-    """A model that is known to be read.
-
-    Attributes
-    ----------
-    option : str
-        "--detector grounding-dino".
-    name : str
-    repo : str or None
-        On the Hugging Face hub; None for files that are elsewhere, and are downloaded by hand.
-    revision : str or None
-        The commit that the hashes are of.
-    licence : str
-        Of the weights.
-    files : tuple of KnownFile
-        The first is what the repository's id alone means.
-    note : str
-    """
+    """Public model with a reader here."""
 
     option: str
+    """Such as "--detector grounding-dino"."""
     name: str
     repo: str | None
+    """On the Hugging Face hub; None for files that are elsewhere, and are downloaded by hand."""
     revision: str | None
+    """Commit of the hashes."""
     licence: str
+    """Of the weights."""
     files: tuple[KnownFile, ...]
+    """The repository's id alone means the first."""
     note: str
 
 
 @lru_cache(maxsize=1)
 def known_models() -> tuple[KnownModel, ...]:
-    """All of the table."""
+    """Models of the table."""
     table = json.loads(TABLE.read_text(encoding="utf-8"))
     return tuple(
         KnownModel(
