@@ -231,7 +231,7 @@ TABLE = Path(__file__).with_name("models.json")
 
 @dataclass(frozen=True)
 class KnownFile:
-    """File of a known model: path in the repository or whole address; hash and size (10**6 or 2**20 bytes) if stated."""
+    """File of a known model: path in the repository or whole address; hash and size (10**6 or 2**20 B) if stated."""
 
     file: str
     sha256: str | None = None
